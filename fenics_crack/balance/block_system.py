@@ -1,26 +1,26 @@
 """Harmonic balance of all displacements: the block system, solved by PETSc's SNES.
 
-The coefficients u (2H+1, n) of the displacement in the paper's order solve (eqs 5 to 15)
+The coefficients u (2H+1, n) of the displacement solve (eqs 5 to 15, in their order)
 
     r(u) = A u + B b(s) - c = 0,        s = B^T u - g0,        J = A + B T B^T,
 
-A = I x K - diag(k^2 w^2) x M + S x C from the matrices of the structure, where S couples the cosine
-and the sine of each harmonic k by +-k w; b are the coefficients of the contact force, T = db/ds,
-both by the integrals of the condensed form (:mod:`contact_system`), c those of the load. J is a
-sparse matrix (AIJ) on the structure's ranks: each has all harmonics of its dofs. Modal damping C =
-M Phi diag(d) Phi^T M is dense: its m modes are unknowns of each harmonic, q = Phi^T M u, on the
-last rank.
+A = I x K - diag(k^2 w^2) x M + S x C follows from the matrices of the structure. S couples the
+cosine and the sine of each harmonic k by +-k w. b are the coefficients of the contact force, T =
+db/ds, both by the integrals of the condensed form (:mod:`contact_system`), and c those of the load.
+J is a sparse matrix (AIJ) on the structure's ranks, and each rank has all harmonics of its dofs.
+Modal damping C = M Phi diag(d) Phi^T M is dense. Its m modes add the unknowns q = Phi^T M u to each
+harmonic, on the last rank.
 
-Where contact is seen through a static compliance R_inf = W^T B, as of crack faces without mass, s
-is the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is linear in
-the displacement,
+With a static compliance R_inf = W^T B in series with contact, as for crack faces without mass, s is
+the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is linear in the
+displacement:
 
     s = B^T u - g0 + W^T (c - A u),        J = A + B T (B - A^T W)^T.
 
-Unknowns are measured by the linear solution, residuals by the load. Newton's method takes full
-steps, first from the linear solution at a contact so soft that its solution is next to that, then
-at stiffer and stiffer ones up to the law; steps in stiffness that fail are shortened. Every
-iteration factors J, with 2H+1 times the unknowns of the structure: the condensed form has the same
+The linear solution is the unit of the unknowns, and the load the unit of residuals. Newton's method
+takes full steps. It starts from the linear solution at very soft contact, whose solution is close.
+The contact stiffness then grows up to the law; steps in stiffness that fail are shortened. Every
+iteration factors J, with 2H+1 times the unknowns of the structure. The condensed form has the same
 solutions in a fraction of the time.
 """
 
@@ -35,7 +35,7 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_system import SOFT, ContactPoint, Wave
+from fenics_crack.balance.contact_system import MAX_COMPLIANCE_RATIO, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
@@ -50,25 +50,27 @@ from fenics_crack.numerics.equations import COARSE_TOLERANCE, residual_rounding
 from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
 
-STIFFER, LEAST_STIFFER = 10.0, 1.1
-"""Ratio of the contact stiffnesses of successive solutions, and the smallest that is tried."""
-ROOM = 200
-"""Work space of MUMPS beyond its estimate [%]: on several ranks the pivots of one J need more than
-those of another, and than its default."""
+MAX_STIFFNESS_RATIO, MIN_STIFFNESS_RATIO = 10.0, 1.1
+"""Ratio of successive contact stiffnesses: largest and smallest that is tried."""
+MUMPS_WORKSPACE_PERCENT = 200
+"""Work space of MUMPS beyond its estimate [%].
+
+On several ranks the pivots of some J need more than those of others, and more than the default.
+"""
 REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
 
 
 class BlockSystem(Snes):
-    """The block system of a problem; a context manager (collective).
+    """Block system of a problem; a context manager (collective).
 
     Parameters
     ----------
     problem : Problem
-        Of a structure with matrices.
+        Its structure has matrices.
     linear : (2H+1, n_local) [m]
-        The solution without contact.
+        Solution without contact.
     history : list, optional
-        As of :class:`Snes`.
+        As in :class:`Snes`.
     """
 
     def __init__(
@@ -77,82 +79,112 @@ class BlockSystem(Snes):
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear.shape, problem.load
-        squares = np.array([np.sum(part**2) for part in (linear, self._load)])
+        squares = np.array([np.sum(coefficients**2) for coefficients in (linear, self._load)])
         length, load = np.sqrt(structure.sum_over_ranks(squares))
         self.length = float(length) or 1.0
         """Unit of the unknowns [m]."""
         self.force = float(load) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
-        self._starts = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
+        self._first_dofs = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
         self._modes = np.zeros((structure.n_local, 0)), np.zeros(0)
         modes = damped_modes(structure)
-        if modes is not None:  # with coordinates as large as the unknowns
+        if modes is not None:  # scaled: their coordinates are as large as the unknowns
             square = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
             self._modes = modes.mass_shapes / math.sqrt(square), square * modes.rate
-        part = self._linear_part(problem.base_omega)
-        pairs, rows = structure.n_pairs, len(linear)
-        whole = sparse.vstack(structure.comm.allgather(structure.gap))
-        self._into = sparse.kron(sparse.identity(rows), structure.gap, "csr")
-        self._seen = self._spread(sparse.kron(sparse.identity(rows), whole.T), part.shape[1])
-        self._still_gap = structure.gap_of(np.zeros(linear.shape))
+        linear_part = self._linear_part(problem.base_omega)
+        n_pairs, n_rows = structure.n_pairs, len(linear)
+        global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
+        self._force_map = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
+        self._slow_gap_map = self._reorder_columns(
+            sparse.kron(sparse.identity(n_rows), global_gap.T), linear_part.shape[1]
+        )
+        self._constant_gap = structure.gap_of(np.zeros(linear.shape))
         if problem.residual is not None:
             static_response = all_modes(structure).static_displacement(problem.cutoff)
-            force_rows = part.tocsr()[: linear.size] * (self.force / self.length)
-            self._seen -= sparse.kron(sparse.identity(rows), static_response.T) @ force_rows
-            self._still_gap += self._load @ static_response
-        place = np.arange(rows * pairs).reshape(rows, pairs).T
-        self._ends = np.repeat(place, rows, axis=1).ravel(), np.tile(place, rows).ravel()
-        if self.integrals.coupled:  # every force depends on every gap
-            self._ends = tuple(np.indices((rows * pairs,) * 2).reshape(2, -1))
-        pattern = sparse.csr_matrix((np.ones(len(self._ends[0])), self._ends), (rows * pairs,) * 2)
-        touched = (abs(self._into) @ pattern @ abs(self._seen)).tocoo()  # where nothing cancels
-        entries = np.append(part.data, 0.0 * touched.data)
-        at = np.append(part.row, touched.row), np.append(part.col, touched.col)
-        matrix = distribute_rows(sparse.coo_matrix((entries, at), part.shape), structure.comm)
-        self._linear = matrix.duplicate(copy=True)
-        self._seen_here = self._seen[:, slice(*matrix.getOwnershipRange())]
-        self.rounding = residual_rounding(10.0 * matrix.norm() / math.sqrt(part.shape[1]))
-        """Smallest |F| / |x| that is asked for: rounding leaves about a tenth of it."""
+            force_rows = linear_part.tocsr()[: linear.size] * (self.force / self.length)
+            self._slow_gap_map -= (
+                sparse.kron(sparse.identity(n_rows), static_response.T) @ force_rows
+            )
+            self._constant_gap += self._load @ static_response
+        positions = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
+        self._gap_tangent_indices = (
+            np.repeat(positions, n_rows, axis=1).ravel(),
+            np.tile(positions, n_rows).ravel(),
+        )
+        if self.integrals.has_coupled_pairs:  # every force depends on every gap
+            self._gap_tangent_indices = tuple(np.indices((n_rows * n_pairs,) * 2).reshape(2, -1))
+        pattern = sparse.csr_matrix(
+            (np.ones(len(self._gap_tangent_indices[0])), self._gap_tangent_indices),
+            (n_rows * n_pairs,) * 2,
+        )
+        # Absolute values do not cancel: no entry is missed.
+        contact_entries = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
+        entries = np.append(linear_part.data, 0.0 * contact_entries.data)
+        indices = (
+            np.append(linear_part.row, contact_entries.row),
+            np.append(linear_part.col, contact_entries.col),
+        )
+        matrix = distribute_rows(
+            sparse.coo_matrix((entries, indices), linear_part.shape), structure.comm
+        )
+        self._linear_matrix = matrix.duplicate(copy=True)
+        self._local_slow_gap_map = self._slow_gap_map[:, slice(*matrix.getOwnershipRange())]
+        self.rounding = residual_rounding(10.0 * matrix.norm() / math.sqrt(linear_part.shape[1]))
+        """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
         super().__init__(matrix, history)
         factors = self._snes.getKSP().getPC()
         if factors.getType() == "lu" and factors.getFactorSolverType() == "mumps":
             factors.setOperators(matrix)
             factors.setFactorSetUpSolverType()
-            factors.getFactorMatrix().setMumpsIcntl(14, ROOM)
+            factors.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
     def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
-        """This rank's rows of A, those of the modes on the last rank, with their units."""
-        structure, rows = self.structure, self._shape[0]
-        mass, stiffness = (local_rows(one) for one in (structure.mass, structure.stiffness))
-        omega = base_omega * ((np.arange(rows) + 1) // 2)
-        turn = np.zeros((rows, rows))  # of the derivative: from sine to cosine, and back
-        turn[1::2, 2::2], turn[2::2, 1::2] = np.diag(omega[1::2]), -np.diag(omega[2::2])
-        matrix = sparse.kron(np.eye(rows), stiffness) - sparse.kron(np.diag(omega**2), mass)
+        """Return this rank's rows of A in scaled units, those of modes on the last rank."""
+        structure, n_rows = self.structure, self._shape[0]
+        mass, stiffness = (
+            local_rows(operator) for operator in (structure.mass, structure.stiffness)
+        )
+        omega = base_omega * ((np.arange(n_rows) + 1) // 2)
+        # The time derivative turns sines into cosines, and cosines into sines.
+        time_derivative = np.zeros((n_rows, n_rows))
+        time_derivative[1::2, 2::2] = np.diag(omega[1::2])
+        time_derivative[2::2, 1::2] = -np.diag(omega[2::2])
+        matrix = sparse.kron(np.eye(n_rows), stiffness) - sparse.kron(np.diag(omega**2), mass)
         if structure.damping_matrix is not None:
-            matrix += sparse.kron(turn, local_rows(structure.damping_matrix))
+            matrix += sparse.kron(time_derivative, local_rows(structure.damping_matrix))
         unit, size, (shapes, rate) = self.length / self.force, matrix.shape[1], self._modes
-        damped = sparse.kron(turn[:, 1:], unit * rate * shapes)
-        parts = sparse.hstack([self._spread(unit * matrix, size), damped])
-        gathered = structure.comm.gather(shapes, structure.comm.size - 1)
-        if gathered is not None:
-            moved = sparse.kron(np.eye(rows)[1:], -np.concatenate(gathered).T)
-            modal = [self._spread(moved, size), sparse.identity(damped.shape[1])]
-            parts = sparse.vstack([parts, sparse.hstack(modal)])
+        damping_columns = sparse.kron(time_derivative[:, 1:], unit * rate * shapes)
+        parts = sparse.hstack([self._reorder_columns(unit * matrix, size), damping_columns])
+        all_shapes = structure.comm.gather(shapes, structure.comm.size - 1)
+        if all_shapes is not None:
+            projection = sparse.kron(np.eye(n_rows)[1:], -np.concatenate(all_shapes).T)
+            modal_rows = [
+                self._reorder_columns(projection, size),
+                sparse.identity(damping_columns.shape[1]),
+            ]
+            parts = sparse.vstack([parts, sparse.hstack(modal_rows)])
         return parts.tocoo()
 
-    def _spread(self, matrix: sparse.spmatrix, size: int) -> sparse.csr_matrix:
-        """A matrix whose columns are the dofs of each harmonic, with columns rank by rank."""
-        entries, rows, starts = matrix.tocoo(), self._shape[0], self._starts
-        row, dof = np.divmod(entries.col, starts[-1])
-        rank = np.searchsorted(starts, dof, "right") - 1
-        place = rows * starts[rank] + row * np.diff(starts)[rank] + dof - starts[rank]
-        return sparse.csr_matrix((entries.data, (entries.row, place)), (entries.shape[0], size))
+    def _reorder_columns(self, matrix: sparse.spmatrix, size: int) -> sparse.csr_matrix:
+        """Return a matrix with columns rank by rank, from columns by harmonic and dof.
 
-    def _contact(self, tangent: np.ndarray) -> sparse.csr_matrix:
-        """This rank's rows of B T B^T from T of all pairs."""
-        count = self._into.shape[1]
-        middle = sparse.csr_matrix((tangent.ravel(), self._ends), (count, count))
-        return sparse.csr_matrix(self._into @ middle @ self._seen)
+        ``size`` is the number of columns.
+        """
+        entries, n_rows, first_dofs = matrix.tocoo(), self._shape[0], self._first_dofs
+        row, dof = np.divmod(entries.col, first_dofs[-1])
+        rank = np.searchsorted(first_dofs, dof, "right") - 1
+        columns = (
+            n_rows * first_dofs[rank] + row * np.diff(first_dofs)[rank] + dof - first_dofs[rank]
+        )
+        return sparse.csr_matrix((entries.data, (entries.row, columns)), (entries.shape[0], size))
+
+    def _contact_part(self, tangent: np.ndarray) -> sparse.csr_matrix:
+        """Return this rank's rows of B T B^T for T of all pairs."""
+        n_gap_rows = self._force_map.shape[1]
+        gap_tangent = sparse.csr_matrix(
+            (tangent.ravel(), self._gap_tangent_indices), (n_gap_rows, n_gap_rows)
+        )
+        return sparse.csr_matrix(self._force_map @ gap_tangent @ self._slow_gap_map)
 
     def _choose_solver(self, solver: Any) -> None:
         solver.getPC().setType("lu")
@@ -160,56 +192,71 @@ class BlockSystem(Snes):
             solver.getPC().setFactorSolverType("mumps")
 
     def displacement(self, unknown: Any) -> np.ndarray:
-        """u of a vector, (2H+1, n_local) [m]."""
-        count = int(np.prod(self._shape))
-        return self.length * unknown.array_r[:count].reshape(self._shape)
+        """Return u of a vector: (2H+1, n_local) [m]."""
+        n_entries = int(np.prod(self._shape))
+        return self.length * unknown.array_r[:n_entries].reshape(self._shape)
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
-        """Return s of a vector, from this rank's rows: (2H+1, n_pairs) [m] (collective)."""
-        relative_gap = self.structure.sum_over_ranks(self._seen_here @ unknown)
-        return self._still_gap + self.length * relative_gap.reshape(self._still_gap.shape)
+        """Return s of this rank's rows of a vector: (2H+1, n_pairs) [m] (collective)."""
+        relative_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
+        return self._constant_gap + self.length * relative_gap.reshape(self._constant_gap.shape)
 
-    def start(self, displacement: np.ndarray) -> np.ndarray:
-        """This rank's rows of the vector of a displacement (collective)."""
-        start, comm = displacement / self.length, self.structure.comm
-        modal = self.structure.sum_over_ranks(start[1:] @ self._modes[0])
-        return np.append(start, modal if comm.rank == comm.size - 1 else [])
+    def vector_of(self, displacement: np.ndarray) -> np.ndarray:
+        """Return this rank's rows of a displacement's vector (collective)."""
+        relative_displacement, comm = displacement / self.length, self.structure.comm
+        modal_part = self.structure.sum_over_ranks(relative_displacement[1:] @ self._modes[0])
+        return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
     def evaluate(self, unknown: Any, target: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown.array_r))
-        self._linear.mult(unknown, target)
-        others = (self.structure.apply_b(force) - self._load).ravel() / self.force
-        target.array_w[: len(others)] += others
+        self._linear_matrix.mult(unknown, target)
+        contact_and_load = (self.structure.apply_b(force) - self._load).ravel() / self.force
+        target.array_w[: len(contact_and_load)] += contact_and_load
 
     def linearise(self, unknown: Any) -> None:
         forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
-        tangent = forces.tangent() if self.integrals.coupled else forces.tangent
-        added = self._contact(self.length / self.force * tangent)
-        added.resize(self.matrix.local_size[0], added.shape[1])
-        self._linear.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
-        self.matrix.setValuesCSR(added.indptr, added.indices, added.data, addv=True)
+        tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
+        contact_part = self._contact_part(self.length / self.force * tangent)
+        contact_part.resize(self.matrix.local_size[0], contact_part.shape[1])
+        self._linear_matrix.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+        self.matrix.setValuesCSR(
+            contact_part.indptr, contact_part.indices, contact_part.data, addv=True
+        )
         self.matrix.assemble()
 
     @property
     def reason(self) -> str:
-        """Why the last steps ended, in PETSc's words."""
-        known = vars(PETSc.SNES.ConvergedReason).items()
-        return next(name for name, code in known if code == self._snes.getConvergedReason())
+        """Return in PETSc's words why the last steps ended."""
+        codes = vars(PETSc.SNES.ConvergedReason).items()
+        return next(name for name, code in codes if code == self._snes.getConvergedReason())
 
     def take_full_steps(
-        self, displacement: np.ndarray, share: float, tolerance: float
+        self, displacement: np.ndarray, stiffness_factor: float, tolerance: float
     ) -> tuple[np.ndarray, bool, int]:
-        """Where full steps lead from a displacement with a share of the contact stiffness, True if
-        they converged, and their number."""
-        self.integrals = self.integrals.with_softness(1.0 / share - 1.0)
-        converged, count = self.run(self.start(displacement), tolerance, MAX_ITERATIONS)
-        if converged and share == 1.0:  # the error of u may be far larger than that of F
+        """Take full steps from a displacement (collective).
+
+        Parameters
+        ----------
+        displacement : (2H+1, n_local) [m]
+        stiffness_factor : float
+            Factor of the contact stiffness.
+        tolerance : float
+
+        Returns
+        -------
+        displacement : (2H+1, n_local) [m]
+        converged : bool
+        n_iterations : int
+        """
+        self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
+        converged, n_iterations = self.run(self.vector_of(displacement), tolerance, MAX_ITERATIONS)
+        if converged and stiffness_factor == 1.0:  # the error of u may be far larger than that of F
             self.run(self._unknown.array_r.copy(), 0.0, 1)
-        return self.displacement(self._unknown), converged, count
+        return self.displacement(self._unknown), converged, n_iterations
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)
-        self._linear.destroy()
+        self._linear_matrix.destroy()
 
 
 @dataclass(frozen=True)
@@ -219,26 +266,27 @@ class BlockSolver(Solver):
     Raises
     ------
     InputError
-        The law has friction, or is rigid and crack faces have mass, or the structure is a wheel
-        that is not reduced; or its block system does not fit into this machine.
+        The law has friction, or is rigid although crack faces have mass. The structure is a wheel
+        that is not reduced. Or the block system does not fit into memory.
     """
 
     def __post_init__(self) -> None:
         problem, structure = self.problem, self.problem.structure
-        refused = {
-            "with UnilateralConstraint of crack faces with mass": problem.projected,
+        refusals = {
+            "with UnilateralConstraint of crack faces with mass": problem.is_projected,
             "with friction": problem.friction,
             "of a bladed disk that is not reduced": isinstance(structure, Wheel),
         }
-        for words in (words for words, wrong in refused.items() if wrong):
-            raise InputError("form", "block", f"'condensed' {words}")
-        modal, unknowns = structure.original.damping, structure.n_dofs * (2 * problem.harmonics + 1)
-        modes = check_damped_modes(structure) if isinstance(modal, ModalDamping) else 0
-        solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
+        for condition in (condition for condition, is_refused in refusals.items() if is_refused):
+            raise InputError("form", "block", f"'condensed' {condition}")
+        damping = structure.original.damping
+        n_unknowns = structure.n_dofs * (2 * problem.harmonics + 1)
+        n_modes = check_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
+        is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
-        needed = 4.0 * factor_memory(unknowns, solid=solid) + 200.0 * unknowns * modes
-        if needed > 0.8 * machine_memory():
-            allowed = f"fewer, or form = 'condensed': the block takes {needed / 2**30:.3g} GiB"
+        n_bytes = 4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_modes
+        if n_bytes > 0.8 * machine_memory():
+            allowed = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
             raise InputError("harmonics", problem.harmonics, allowed)
 
     def find(
@@ -247,51 +295,69 @@ class BlockSolver(Solver):
         problem, system = self.problem, self.problem.system(compliance)
         search = Search(system, problem, self.residual_tolerance, share, remedy=REMEDY)
         linear = compliance.displacement(np.zeros(system.shape))
-        # The softest contact moves the gaps by this share of what the load does at most.
-        softest = SOFT * system.integrals.unit / np.abs(system.moving).sum(axis=2).max()
-        starts = [(linear, min(softest, 1.0))]
+        # The softest contact changes the gaps by at most MAX_COMPLIANCE_RATIO of the load's effect.
+        min_factor = (
+            MAX_COMPLIANCE_RATIO
+            * system.integrals.unit
+            / np.abs(system.dynamic_part).sum(axis=2).max()
+        )
+        starts = [(linear, min(min_factor, 1.0))]
         if initial is not None:
-            times = problem.subharmonic // initial.subharmonic
+            n_periods = problem.subharmonic // initial.subharmonic
             force = resize_harmonics(
-                stretch_period(initial.force_coefficients, times), problem.harmonics
+                stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
             starts.insert(0, (compliance.displacement(force), 1.0))
         begin("block system")
         with BlockSystem(problem, linear, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
             while starts and not search.converged:
-                before = search.iterations
-                displacement, reached = _stiffened(block, search, *starts.pop(0))
-                search.converged = reached == 1.0
-                end = f" up to {reached:.2g} of the contact stiffness, then {block.reason}"
-                search.tell(f"block system{'' if search.converged else end}", before)
-            at = system.linearise(block.slow_gap(block.start(displacement)))
-        return search, at, problem.wave_of(displacement, at.gap, at.force)
+                iterations_before = search.iterations
+                displacement, reached_factor = _raise_stiffness(block, search, *starts.pop(0))
+                search.converged = reached_factor == 1.0
+                end = f" up to {reached_factor:.2g} of the contact stiffness, then {block.reason}"
+                search.record_attempt(
+                    f"block system{'' if search.converged else end}", iterations_before
+                )
+            point = system.linearise(block.slow_gap(block.vector_of(displacement)))
+        return search, point, problem.wave_of(displacement, point.gap, point.force)
 
 
-def _stiffened(
-    block: BlockSystem, search: Search, here: np.ndarray, share: float
+def _raise_stiffness(
+    block: BlockSystem, search: Search, displacement: np.ndarray, stiffness_factor: float
 ) -> tuple[np.ndarray, float]:
-    """Return a displacement and the share of the contact stiffness, 1 for the law, up to which full
-    steps lead.
+    """Raise the contact stiffness up to the law.
 
-    Solutions follow each other at growing shares from a first one on. Each search begins where a
-    straight line through the two solutions before, over the logarithm of the share, leads.
+    Each search begins on a straight line through the last two solutions, over the logarithm of the
+    factor.
+
+    Returns
+    -------
+    displacement : (2H+1, n_local) [m]
+        Last solution.
+    reached_factor : float
+        Its factor of the contact stiffness; 1 for the law.
     """
-    reached, ratio, slope = 0.0, STIFFER, np.zeros_like(here)
-    while reached < 1.0 and ratio >= LEAST_STIFFER:
-        tolerance = search.tolerance if share == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
-        ahead = math.log(share / reached) if reached else 0.0
-        there, converged, count = block.take_full_steps(here + ahead * slope, share, tolerance)
-        search.iterations += count
+    reached_factor, ratio, slope = 0.0, MAX_STIFFNESS_RATIO, np.zeros_like(displacement)
+    while reached_factor < 1.0 and ratio >= MIN_STIFFNESS_RATIO:
+        tolerance = (
+            search.tolerance if stiffness_factor == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
+        )
+        log_step = math.log(stiffness_factor / reached_factor) if reached_factor else 0.0
+        next_displacement, converged, n_iterations = block.take_full_steps(
+            displacement + log_step * slope, stiffness_factor, tolerance
+        )
+        search.iterations += n_iterations
         if converged:
-            slope = (there - here) / ahead if ahead else slope
-            here, reached, ratio = there, share, min(ratio**2, STIFFER)
+            slope = (next_displacement - displacement) / log_step if log_step else slope
+            displacement = next_displacement
+            reached_factor = stiffness_factor
+            ratio = min(ratio**2, MAX_STIFFNESS_RATIO)
         else:
-            ratio = math.sqrt(ratio) if reached else 0.0
-        share = min(ratio * reached, 1.0)
-    return here, reached
+            ratio = math.sqrt(ratio) if reached_factor else 0.0
+        stiffness_factor = min(ratio * reached_factor, 1.0)
+    return displacement, reached_factor
 
 
 FORMS: dict[str, type[Solver]] = {"condensed": Solver, "block": BlockSolver}
-"""Solvers by the form of harmonic balance."""
+"""Solver for each form of harmonic balance."""

@@ -1,30 +1,31 @@
-"""Dynamic compliance: all that contact pairs see of a structure.
+"""Dynamic compliance: the response of a structure's gaps to forces on its contact pairs.
 
-A force lambda_k exp(i k w t) on the pairs moves their gaps by -R_k lambda_k, and the load alone
-opens them by the linear gap,
+A force lambda_k exp(i k w t) on the pairs moves their gaps by -R_k lambda_k. The load alone opens
+them by the linear gap:
 
-    R_k = B^T Z_k^-1 B,        g_lin = B^T Z^-1 f - g0,        Z_k = K - (k w)^2 M + i k w C,
+    R_k = B^T Z_k^-1 B,        g_lin = B^T Z^-1 f - g0,        Z_k = K - (k w)^2 M + i k w C.
 
-so that the gap's harmonics solve g + R lambda(g) = g_lin exactly, whatever lies behind R. Small
-structures, reduced ones among them, answer in closed form from all of their modes; large ones by
-one sparse factorisation for each harmonic.
+The gap's harmonics solve g + R lambda(g) = g_lin exactly, for any structure. Small and reduced
+structures have closed forms from all of their modes. Large structures need a sparse factorisation
+for each harmonic.
 
-With modal damping C is dense and never formed. One real symmetric sparse factorisation, of D = K -
-omega^2 M, serves: with mass-normalised modes phi_j of natural frequency omega_j,
+With modal damping C is dense and never formed. D = K - omega^2 M, real, symmetric and sparse, is
+factored. With mass-normalised modes phi_j of natural frequency omega_j and d_j = omega_j^2 -
+omega^2,
 
     Z^-1 = D^-1 + Phi diag(1/(d_j + 2 i xi_j omega_j omega) - 1/d_j) Phi^T
 
-exactly, with d_j = omega_j^2 - omega^2. Close to a natural frequency the two terms with d_j cancel
-and D is all but singular. There the mode is deflated: the bordered matrix
+exactly. Close to a natural frequency the two terms with d_j cancel, and D is all but singular. The
+mode is then deflated: the bordered matrix
 
     [ D           M phi_j ]
     [ phi_j^T M   0       ]
 
-is regular, inverts D on the M-orthogonal complement of phi_j, and the mode itself contributes
-phi_j phi_j^T / (d_j + 2 i xi_j omega_j omega) with nothing cancelled.
+is regular and inverts D on the M-orthogonal complement of phi_j. The mode itself contributes phi_j
+phi_j^T / (d_j + 2 i xi_j omega_j omega), without cancellation.
 
-With a given damping matrix, or that of Rayleigh damping, the real form of twice the size,
-[[D, omega C], [-omega C, D]], is factored.
+With a damping matrix, given or by Rayleigh, the real form of twice the size, [[D, omega C], [-omega
+C, D]], is factored.
 """
 
 from __future__ import annotations
@@ -48,18 +49,18 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
 
 DEFLATION_BAND = 1e-2
-"""A mode is dealt with by itself where |1 - (omega/omega_j)^2| is below this."""
+"""Value of |1 - (omega/omega_j)^2| below which a mode is deflated."""
 
 
 class DynamicStiffness:
-    """Z(omega) of a structure, factored.
+    """Factorised dynamic stiffness Z(omega) of a structure.
 
     Free it with :meth:`destroy`, or use it as a context manager (collective).
 
     Parameters
     ----------
     structure : Structure
-        Its M, C and K are taken.
+        Structure with M, C and K.
     omega : float
         Angular frequency [rad/s]; 0 for statics.
 
@@ -68,7 +69,7 @@ class DynamicStiffness:
     InputError
         omega is negative or not finite, or is the natural frequency of an undamped mode.
     ConvergenceError
-        Z is singular: for omega = 0, the structure can move as a rigid body.
+        Z is singular. For omega = 0, the structure can move as a rigid body.
     """
 
     def __init__(self, structure: Structure, omega: float) -> None:
@@ -78,24 +79,27 @@ class DynamicStiffness:
         if omega > 0.0:
             self._matrix = weighted_sum(structure.stiffness, -(omega**2), structure.mass)
             self._damping, self._modes = structure.damping_matrix, damped_modes(structure)
-        form, border = self._matrix, None
+        system_matrix, border = self._matrix, None
         if self._damping is not None:
-            coupling, negative = self._damping.copy(), self._damping.copy()
+            coupling, negative_coupling = self._damping.copy(), self._damping.copy()
             coupling.scale(omega)
-            negative.scale(-omega)
-            form = PETSc.Mat().createNest([[form, coupling], [negative, form]], comm=form.comm)
-            form = form.convert("aij", PETSc.Mat())
+            negative_coupling.scale(-omega)
+            system_matrix = PETSc.Mat().createNest(
+                [[system_matrix, coupling], [negative_coupling, system_matrix]],
+                comm=system_matrix.comm,
+            )
+            system_matrix = system_matrix.convert("aij", PETSc.Mat())
         elif self._modes is not None:
             squares = self._modes.omega**2
             stiffness = squares - omega**2
-            near = np.abs(stiffness) < DEFLATION_BAND * squares
-            if np.any(self._modes.omega[near & (self._modes.rate == 0.0)] == omega):
+            is_near = np.abs(stiffness) < DEFLATION_BAND * squares
+            if np.any(self._modes.omega[is_near & (self._modes.rate == 0.0)] == omega):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
-            factored = np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=~near)
-            self._correction = 1.0 / (stiffness + 1j * omega * self._modes.rate) - factored
-            if near.any():
-                border = sparse.csr_matrix(self._modes.mass_shapes[:, near])
-        self._factor = Factor(form, symmetric=self._damping is None, border=border)
+            factored_part = np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=~is_near)
+            self._correction = 1.0 / (stiffness + 1j * omega * self._modes.rate) - factored_part
+            if is_near.any():
+                border = sparse.csr_matrix(self._modes.mass_shapes[:, is_near])
+        self._factor = Factor(system_matrix, symmetric=self._damping is None, border=border)
         if self._factor.null_pivots:
             self.destroy()
             cause = "it can move as a rigid body" if omega == 0.0 else "an undamped resonance"
@@ -107,20 +111,20 @@ class DynamicStiffness:
         """Return Z^-1 f for real or complex forces (m, n_local) (collective)."""
         n_local = self.structure.n_local
         if self._damping is not None:
-            stacked = np.concatenate([np.real(force), -np.imag(force)], axis=1)
-            found = self._factor.solve(stacked)
-            return found[:, :n_local] - 1j * found[:, n_local:]
+            real_rows = np.concatenate([np.real(force), -np.imag(force)], axis=1)
+            solution = self._factor.solve(real_rows)
+            return solution[:, :n_local] - 1j * solution[:, n_local:]
         rows = np.concatenate([force.real, force.imag]) if np.iscomplexobj(force) else force
-        found = self._factor.solve(rows)
+        solution = self._factor.solve(rows)
         if np.iscomplexobj(force):
-            found = found[: len(force)] + 1j * found[len(force) :]
+            solution = solution[: len(force)] + 1j * solution[len(force) :]
         if self._modes is None:
-            return found
-        modal = self.structure.sum_over_ranks(force @ self._modes.shapes)
-        return found + (modal * self._correction) @ self._modes.shapes.T
+            return solution
+        modal_force = self.structure.sum_over_ranks(force @ self._modes.shapes)
+        return solution + (modal_force * self._correction) @ self._modes.shapes.T
 
     def compliance(self) -> np.ndarray:
-        """Return R = B^T Z^-1 B as seen by the contact pairs: (n_pairs, n_pairs) [m/N]."""
+        """Return R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N]."""
         return self.structure.apply_bt(self.solve(self.structure.gap.T.toarray())).T
 
     def destroy(self) -> None:
@@ -139,9 +143,9 @@ class DynamicStiffness:
 def dynamic_compliance(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
 ) -> Compliance:
-    """Compliance at the multiples of ``base_omega`` (collective).
+    """Return the compliance at multiples of ``base_omega`` (collective).
 
-    The load sits on harmonic ``subharmonic``.
+    The load acts at harmonic ``subharmonic``.
 
     Raises
     ------
@@ -155,15 +159,15 @@ def dynamic_compliance(
 
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
-    """c: coefficients of the load, (2H+1, n_local) [N]."""
+    """Return c, the load's coefficients: (2H+1, n_local) [N]."""
     return resize_harmonics(stretch_period(structure.force, subharmonic), harmonics)
 
 
 class ModalCompliance:
-    """Closed form from all modes of a small structure, exact with any damping.
+    """Compliance in closed form from all modes of a small structure.
 
-    With modal coordinates q, u = Phi q, the impedance is omega_j^2 - w^2 + i w c_j, or with damping
-    that couples modes a full matrix of the same size.
+    It is exact with any damping. With modal coordinates q, u = Phi q, the impedance is omega_j^2 -
+    w^2 + i w c_j. Damping that couples modes makes it a full matrix of the same size.
 
     Attributes
     ----------
@@ -174,9 +178,9 @@ class ModalCompliance:
     linear_gap : (2H+1, n_pairs) [m]
         Gap without contact, less the clearance.
     basis : (n_pairs, n) or None
-        Orthonormal basis of the gaps that the modes can make; None where these are all gaps.
-    still_gap : (2H+1, n_pairs) [m]
-        The part of the linear gap that no mode makes.
+        Orthonormal basis of the gaps that modes can make; None if these are all gaps.
+    gap_without_modes : (2H+1, n_pairs) [m]
+        Part of the linear gap that no mode makes.
     """
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
@@ -185,7 +189,9 @@ class ModalCompliance:
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
         self.basis = (
-            structure.cached_result(_basis) if len(self._modes.pairs) < structure.n_pairs else None
+            structure.cached_result(_gap_basis)
+            if len(self._modes.pairs) < structure.n_pairs
+            else None
         )
         self._order = np.arange(len(load) // 2 + 1.0)
         self._unit_load = to_complex(load @ self._modes.shapes)
@@ -194,74 +200,97 @@ class ModalCompliance:
         if self._modes.static_loads is not None:
             self._unit_static = load @ self._modes.static_loads
             self._static_gap = structure.apply_bt(self._unit_static)
-        self._set(base_omega, 1.0, 1.0, 0.0)
+        self._set_parameters(base_omega, 1.0, 1.0, 0.0)
 
-    def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
-        self._base, self._damping = base_omega, damping
-        loaded = self._unit_load != 0.0
-        self._receptance = self._modes.receptance(base_omega * self._order, damping, loaded)
+    def _set_parameters(
+        self, base_omega: float, load: float, damping: float, clearance: float
+    ) -> None:
+        self._base_omega, self._damping = base_omega, damping
+        has_load = self._unit_load != 0.0
+        self._receptance = self._modes.receptance(base_omega * self._order, damping, has_load)
         self._modal_load = load * self._unit_load
         self._load = load
-        self.still_gap = load * self._static_gap
-        self.still_gap[0] -= self._clearance + clearance
+        self.gap_without_modes = load * self._static_gap
+        self.gap_without_modes[0] -= self._clearance + clearance
 
     @cached_property
     def matrices(self) -> np.ndarray:
-        return self._seen(self._receptance)
+        return self._pair_compliance(self._receptance)
 
     @cached_property
     def linear_gap(self) -> np.ndarray:
-        return self._gap(self._modal_load) + self.still_gap
+        return self._gap_response(self._modal_load) + self.gap_without_modes
 
-    def at(
+    def with_parameters(
         self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
     ) -> ModalCompliance:
-        """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
-        other = object.__new__(type(self))  # faster than copy
-        vars(other).update(vars(self))
-        for found in ("matrices", "linear_gap"):
-            vars(other).pop(found, None)
-        other._set(base_omega, load, damping, clearance)
-        return other
+        """Return the compliance at another frequency, and for a varied structure.
 
-    def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to a higher harmonic."""
-        order = np.arange(len(self.matrices), highest + 1)
-        nowhere: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
-        found = self._modes.receptance(self._base * order, self._damping, nowhere)
-        return self._seen(found)
+        The factors of load and damping, and the clearance to add [m], are those of
+        :meth:`Structure.varied`.
+        """
+        compliance = object.__new__(type(self))  # faster than copy
+        vars(compliance).update(vars(self))
+        for name in ("matrices", "linear_gap"):
+            vars(compliance).pop(name, None)
+        compliance._set_parameters(base_omega, load, damping, clearance)
+        return compliance
 
-    def _seen(self, receptance: np.ndarray) -> np.ndarray:
-        """R_k of receptances."""
-        found = self._modes.seen_by_pairs(receptance)
-        return found if self._modes.residual is None else found + self._modes.residual
+    def compliance_above(self, max_harmonic: int) -> np.ndarray:
+        """Return R_k for k = H+1 to ``max_harmonic``."""
+        order = np.arange(len(self.matrices), max_harmonic + 1)
+        has_load: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
+        receptance = self._modes.receptance(self._base_omega * order, self._damping, has_load)
+        return self._pair_compliance(receptance)
+
+    def _pair_compliance(self, receptance: np.ndarray) -> np.ndarray:
+        """Return R_k from modal receptances."""
+        compliance = self._modes.seen_by_pairs(receptance)
+        return compliance if self._modes.residual is None else compliance + self._modes.residual
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
-        """u = A^-1 (c - B lambda) of contact forces (2H+1, n_pairs): (2H+1, n_local)."""
-        found = from_complex(-self._moved(force) @ self._modes.shapes.T)
-        return found if self._unit_static is None else found + self._at_once(force)
+        """Return u = A^-1 (c - B lambda): (2H+1, n_local) [m]."""
+        displacement = from_complex(-self._modal_response(force) @ self._modes.shapes.T)
+        return (
+            displacement
+            if self._unit_static is None
+            else displacement + self._static_displacement(force)
+        )
 
     def displacements(self, base_omega: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """The same at many base frequencies (n,), of forces (2H+1, n, n_pairs): (2H+1, n,
-        n_local)."""
+        """Return u at many base frequencies.
+
+        Parameters
+        ----------
+        base_omega : (n,) [rad/s]
+        force : (2H+1, n, n_pairs) [N]
+
+        Returns
+        -------
+        (2H+1, n, n_local) [m]
+        """
         modes, omega = self._modes, np.multiply.outer(self._order, base_omega)
-        loaded = np.repeat(self._unit_load != 0.0, len(base_omega), axis=0)
-        receptance = modes.receptance(omega.ravel(), self._damping, loaded)
+        has_load = np.repeat(self._unit_load != 0.0, len(base_omega), axis=0)
+        receptance = modes.receptance(omega.ravel(), self._damping, has_load)
         drive = self._modal_load[:, None] - to_complex(force) @ modes.pairs.T
-        moved = modes.respond(receptance.reshape(*omega.shape, *receptance.shape[1:]), drive)
-        found = from_complex(moved @ modes.shapes.T)
+        response = modes.respond(receptance.reshape(*omega.shape, *receptance.shape[1:]), drive)
+        displacement = from_complex(response @ modes.shapes.T)
         if self._unit_static is None:
-            return found
+            return displacement
         assert modes.static_pairs is not None
-        return found + self._load * self._unit_static[:, None] - force @ modes.static_pairs.T
+        return displacement + self._load * self._unit_static[:, None] - force @ modes.static_pairs.T
 
-    def seen_through(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """T u for rows T (m, n_local) that give the displacement of some dofs: (2H+1, m)."""
-        found = from_complex(-self._moved(force) @ (rows @ self._modes.shapes).T)
-        return found if self._unit_static is None else found + self._at_once(force) @ rows.T
+    def selected_displacement(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Return T u for rows T (m, n_local) that select displacements: (2H+1, m) [m]."""
+        displacement = from_complex(-self._modal_response(force) @ (rows @ self._modes.shapes).T)
+        return (
+            displacement
+            if self._unit_static is None
+            else displacement + self._static_displacement(force) @ rows.T
+        )
 
-    def _at_once(self, force: np.ndarray) -> np.ndarray:
-        """Displacement of what has no mass: (2H+1, n_local)."""
+    def _static_displacement(self, force: np.ndarray) -> np.ndarray:
+        """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
         assert self._modes.static_pairs is not None and self._unit_static is not None
         return self._load * self._unit_static - force @ self._modes.static_pairs.T
 
@@ -271,119 +300,131 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
-        """Return R_k less a static compliance as the kernel takes it (``seen_structure``), for
-        paths in the base frequency w and the factor d of the damping, from their values at p = 0
-        and their rates; None where damping couples modes.
+        """Return the modes of R_k - R_inf for the kernel's ``seen_structure``.
 
-        R_k = P^T h_k P + at_once, to which the load adds P^T h_k l_k in g_lin, with h_kj =
-        1 / (s_j - (k w)^2 + i k w d c_j); s (n_modes,) [rad^2/s^2] are ``squares``, c (n_modes,)
-        [1/s] ``rates``, P (n_modes, n_pairs) ``shapes`` and l (H+1, n_modes) ``load``.
+        The base frequency w and the damping factor d change along a path. Each is given by its
+        value at p = 0 and its rate. With h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),
+
+            R_k - R_inf = P^T h_k P + at_once,        g_lin gains P^T h_k l_k from the load.
+
+        Returns
+        -------
+        dict or None
+            None if damping couples modes. Otherwise ``squares``, s (n_modes,) [rad^2/s^2];
+            ``rates``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l (H+1,
+            n_modes); ``at_once`` (n_pairs, n_pairs); and the numbers of the path.
         """
         modes = self._modes
         if modes.damping.ndim == 2:
             return None
-        (count, pairs), at_once = modes.pairs.shape, modes.residual
+        (n_modes, n_pairs), static_part = modes.pairs.shape, modes.residual
         if residual is not None:
-            at_once = -residual if at_once is None else at_once - residual
+            static_part = -residual if static_part is None else static_part - residual
         return {
-            "modes": count,
+            "modes": n_modes,
             "omega": omega[0],
             "omega_rate": omega[1],
             "damping": damping[0],
             "damping_rate": damping[1],
-            "squares": shaped(modes.squares, count),
-            "rates": shaped(modes.damping, count),
-            "shapes": shaped(modes.pairs, count, self.shape[1]),
-            "load": shaped(self._load * self._unit_load, len(self._order), count, kind=complex),
-            "at_once": None if at_once is None else shaped(at_once, pairs, pairs),
+            "squares": shaped(modes.squares, n_modes),
+            "rates": shaped(modes.damping, n_modes),
+            "shapes": shaped(modes.pairs, n_modes, self.shape[1]),
+            "load": shaped(self._load * self._unit_load, len(self._order), n_modes, kind=complex),
+            "at_once": None if static_part is None else shaped(static_part, n_pairs, n_pairs),
         }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
-        """Return the derivative of R lambda - g_lin for fixed forces, (2H+1, n_pairs), by one of
-        the parameters of :meth:`at`.
+        """Return the derivative of R lambda - g_lin for fixed forces: (2H+1, n_pairs).
 
-        With H = Z^-1, dH = -H dZ H, dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
+        ``name`` is a parameter of :meth:`with_parameters`; "omega" is the base frequency. With H =
+        Z^-1,
+
+            dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
         """
         order = self._order[:, None]
         if name == "clearance":
-            found = np.zeros_like(force)
-            found[0] = 1.0
-            return found
+            derivative = np.zeros_like(force)
+            derivative[0] = 1.0
+            return derivative
         if name == "load":
-            return -self._gap(self._unit_load) - self._static_gap
+            return -self._gap_response(self._unit_load) - self._static_gap
         if name == "damping":
-            damped = 1j * self._modes.damping_force(self._moved(force))
-            return -self._gap(self._base * order * damped)
-        return from_complex(self._moved_by_omega(force) @ self._modes.pairs)
+            damping_force = 1j * self._modes.damping_force(self._modal_response(force))
+            return -self._gap_response(self._base_omega * order * damping_force)
+        return from_complex(self._modal_response_by_omega(force) @ self._modes.pairs)
 
-    def seen_by_omega(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return the derivative of :meth:`seen_through` by the base frequency for fixed forces:
-        (2H+1, m)."""
-        return from_complex(-self._moved_by_omega(force) @ (rows @ self._modes.shapes).T)
+    def selected_displacement_by_omega(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Return the derivative of :meth:`selected_displacement` by the base frequency.
 
-    def _moved_by_omega(self, force: np.ndarray) -> np.ndarray:
-        """Derivative of the modal response to the contact forces less the load."""
-        order, moved = self._order[:, None], self._moved(force)
-        damped = 1j * self._damping * self._modes.damping_force(moved)
-        drive = order * (damped - 2.0 * self._base * order * moved)
+        Forces are fixed. The shape is (2H+1, m).
+        """
+        return from_complex(-self._modal_response_by_omega(force) @ (rows @ self._modes.shapes).T)
+
+    def _modal_response_by_omega(self, force: np.ndarray) -> np.ndarray:
+        """Return the derivative of :meth:`_modal_response` by the base frequency."""
+        order, response = self._order[:, None], self._modal_response(force)
+        damping_force = 1j * self._damping * self._modes.damping_force(response)
+        drive = order * (damping_force - 2.0 * self._base_omega * order * response)
         return -self._modes.respond(self._receptance, drive)
 
-    def _gap(self, drive: np.ndarray) -> np.ndarray:
-        """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
+    def _gap_response(self, drive: np.ndarray) -> np.ndarray:
+        """Return gaps (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
         return from_complex(self._modes.respond(self._receptance, drive) @ self._modes.pairs)
 
-    def _moved(self, force: np.ndarray) -> np.ndarray:
-        """Modal response to the contact forces less the load."""
+    def _modal_response(self, force: np.ndarray) -> np.ndarray:
+        """Return modal coordinates under the contact forces less the load: (H+1, n_modes)."""
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
         return self._modes.respond(self._receptance, drive)
 
     def destroy(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no factors are held."""
 
 
 class FactoredCompliance:
-    """Exact, from one sparse factorisation per harmonic; the factors are kept.
+    """Exact compliance, by a sparse factorisation per harmonic.
 
-    Attributes are those of :class:`ModalCompliance`, and
+    The factors are kept. Further attributes are those of :class:`ModalCompliance`.
 
     Attributes
     ----------
     structure : Structure
-        Whose compliance it is.
     load : (2H+1, n_local) [N]
-        c, coefficients of the load.
+        c, the load's coefficients.
     """
 
     basis: np.ndarray | None = None
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load
-        self._base, orders = base_omega, range(len(load) // 2 + 1)
+        self._base_omega, orders = base_omega, range(len(load) // 2 + 1)
         self._blocks = [DynamicStiffness(structure, k * base_omega) for k in orders]
         matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
         linear_gap = structure.gap_of(self.solve_blocks(load))
-        # Every rank goes on by itself with these: they must not differ even by rounding.
+        # Every rank continues independently: its numbers must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
         self.shape = self.linear_gap.shape
         if not (np.all(np.isfinite(self.matrices)) and np.all(np.isfinite(self.linear_gap))):
             self.destroy()
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
-    def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to ``highest``, from some modes and the rest of the static R_0."""
-        omega, rate, pairs = self.structure.cached_result(_lowest_modes)
+    def compliance_above(self, max_harmonic: int) -> np.ndarray:
+        """Return R_k for k = H+1 to ``max_harmonic``.
+
+        They follow from the lowest modes, and from the rest of the static R_0.
+        """
+        omega, rate, pair_shapes = self.structure.cached_result(_lowest_modes)
         rate = self.structure.damping_factor * rate
-        static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
-        frequency = self._base * np.arange(len(self.matrices), highest + 1)[:, None]
+        static_rest = self.matrices[0].real - (pair_shapes.T / omega**2) @ pair_shapes
+        frequency = self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
         receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
-        return static + np.matmul(pairs.T * receptance[:, None, :], pairs)
+        return static_rest + np.matmul(pair_shapes.T * receptance[:, None, :], pair_shapes)
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
-        """u = A^-1 (c - B lambda)."""
+        """Return u = A^-1 (c - B lambda): (2H+1, n_local) [m]."""
         return self.solve_blocks(self.load - self.structure.apply_b(force))
 
     def solve_blocks(self, force: np.ndarray) -> np.ndarray:
-        """A^-1 f of coefficients (2H+1, n_local)."""
+        """Return A^-1 f for coefficients f (2H+1, n_local)."""
         rows = [
             block.solve(row.real[None] if k == 0 else row[None])[0]
             for k, (block, row) in enumerate(zip(self._blocks, to_complex(force), strict=True))
@@ -402,26 +443,42 @@ Compliance = ModalCompliance | FactoredCompliance
 
 
 def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
-    """The same with fewer harmonics, or with more, the new ones to the accuracy of an error
-    estimate; displacements stay those of the harmonics that it had."""
-    other = copy(compliance)
+    """Return a compliance with fewer harmonics, or with more.
+
+    New harmonics have the accuracy of an error estimate. Displacements keep the harmonics they had.
+    """
+    resized = copy(compliance)
     matrices = compliance.matrices[: harmonics + 1]
     if len(matrices) <= harmonics:
-        matrices = np.concatenate([matrices, compliance.beyond(harmonics)])
-    other.matrices, other.linear_gap = matrices, resize_harmonics(compliance.linear_gap, harmonics)
-    other.shape = other.linear_gap.shape
-    return other
+        matrices = np.concatenate([matrices, compliance.compliance_above(harmonics)])
+    resized.matrices = matrices
+    resized.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
+    resized.shape = resized.linear_gap.shape
+    return resized
 
 
-def _basis(structure: Structure) -> np.ndarray:
-    """Orthonormal basis of B^T Phi: (n_pairs, n)."""
+def _gap_basis(structure: Structure) -> np.ndarray:
+    """Return an orthonormal basis of B^T Phi: (n_pairs, n)."""
     return scipy.linalg.orth(all_modes(structure).pairs.T)
 
 
 def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """omega, damping rate and B^T phi of the damped modes, of 20 at least."""
-    known, count = damped_modes(structure), min(20, structure.n_dofs)
-    modes = known if known and len(known.omega) >= count else solve_modes(structure, count)
+    """Return at least 20 modes with damping, without modes lost in rounding.
+
+    Returns
+    -------
+    omega : (n,) [rad/s]
+    rate : (n,) [1/s]
+        Modal damping.
+    shapes : (n, n_pairs)
+        B^T phi.
+    """
+    stored_modes, n_modes = damped_modes(structure), min(20, structure.n_dofs)
+    modes = (
+        stored_modes
+        if stored_modes and len(stored_modes.omega) >= n_modes
+        else solve_modes(structure, n_modes)
+    )
     rate = np.diag(projected_damping(structure, modes.shapes))
-    found = modes.omega > 0.0  # the lowest may be lost in rounding
-    return modes.omega[found], rate[found], structure.apply_bt(modes.shapes.T)[found]
+    is_elastic = modes.omega > 0.0  # the lowest may be lost in rounding
+    return modes.omega[is_elastic], rate[is_elastic], structure.apply_bt(modes.shapes.T)[is_elastic]

@@ -1,29 +1,29 @@
-"""Harmonic balance condensed onto the contact pairs: the gap's harmonics are the only unknowns.
+"""Harmonic balance condensed onto the contact pairs, whose gaps are the only unknowns.
 
     F(s) = s - g_lin + (R_k - R_inf) b_k(lambda(s)) = 0,       J = I + (R - R_inf) T,
 
-with the compliance R of :mod:`compliance`, block diagonal in the harmonics, the static compliance
-R_inf through which contact is seen, and the coefficients b of the contact forces lambda(s), T their
-derivative. The gap is g = s - R_inf lambda(s). How the forces follow from s is a strategy:
+R is the compliance (:mod:`compliance`), block diagonal in the harmonics. R_inf is the static
+compliance in series with contact, b are the coefficients of the contact forces lambda(s), and T is
+their derivative. The gap is g = s - R_inf lambda(s). Strategies for the forces:
 
-pair by pair   R_inf = 0, s = g: the penalty law of pairs by themselves (:mod:`contact_integrals`);
-coupled        R_inf couples the pairs. R_k - R_inf falls like k^-2: s is smooth, and only s is
-               truncated; g keeps its kinks. The penalty law and the constraint are one law, with a
-               stiffness or without;
-projected      without penetration at all, of pairs with mass: R_inf = I / eps in frequency, s = g +
-               lambda / eps, lambda = eps max(s, 0) pair by pair, the dynamic Lagrangian. Truncated
-               solutions depend a little on eps, less the more harmonics there are;
-sampled        any other law, by alternating between frequency and time (AFT).
+pair by pair   R_inf = 0, s = g: the penalty law of uncoupled pairs (:mod:`contact_integrals`)
+coupled        R_inf couples the pairs. R_k - R_inf falls like k^-2, so that s is smooth. Only s is
+               truncated, and g keeps its kinks. The penalty law and the constraint are one law,
+               with a stiffness or without
+projected      no penetration, for pairs with mass. R_inf = I / eps in frequency, s = g + lambda /
+               eps, lambda = eps max(s, 0) pair by pair, the dynamic Lagrangian. Truncated solutions
+               depend a little on eps, and less with more harmonics
+sampled        any other law, by alternating between frequency and time (AFT)
 
-Where modes are fewer than coupled pairs, R_k - R_inf = U R'_k U^T with an orthonormal basis U of
-the gaps that modes can make, and steps are found in its coordinates:
+With fewer modes than coupled pairs, R_k - R_inf = U R'_k U^T. U is an orthonormal basis of the gaps
+that modes can make, and steps are found in the coordinates of U:
 
     J^-1 r = r - U (I + R' U^T T U)^-1 R' U^T T r,       det J = det(I + R' U^T T U).
 
-With many coupled unknowns J is not formed: GMRES takes products J v. With exact integrals paths are
-followed by the kernel (``kernel/contact.h``, ``compliance.h``, ``krylov.h``): along p the contact
-stiffness grows like e^(growth p), g_lin linearly, the softness falls, or the base frequency and the
-damping of modes change, R and g_lin following from them.
+With many coupled unknowns J is not formed, and GMRES takes products J v. With exact integrals the
+kernel follows paths (``kernel/contact.h``, ``compliance.h``, ``krylov.h``). Along p the contact
+stiffness grows like e^(growth p), g_lin grows linearly, and the softness falls. Or the base
+frequency and the modal damping change, and R and g_lin follow.
 
 Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 265 (2003) 201-219
 (projected); Monjaraz-Tec, Gross and Krack, arXiv 2111.07693 and 2207.00795 (coupled, in time),
@@ -76,29 +76,33 @@ from fenics_crack.numerics.fourier import (
 from fenics_crack.numerics.newton import gmres
 
 MATRIX_FREE = 350
-"""Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
-long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
+"""Unknowns per step above which the Jacobian of coupled pairs is not formed.
 
-SOFT = 0.05
-"""Compliance of moving parts over that of pairs, below which the solution is unique and close to
-the linear one."""
+Measured with H = 8 to 40 and 18 pairs: both ways take equally long at 300 to 350 unknowns.
+"""
+
+MAX_COMPLIANCE_RATIO = 0.05
+"""Ratio of the dynamic compliance to the pairs' own, at the softest contact.
+
+Below this ratio the solution is unique and close to the linear one.
+"""
 
 ByParameter = Callable[["ContactPoint"], np.ndarray]
 
 
 def default_weight(compliance: Compliance) -> float:
-    """Inverse of the static compliance: the stiffness that the pairs see [N/m]."""
-    largest = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
-    if not largest > 0.0:
+    """Return the inverse of the largest row sum of |R_0| [N/m]."""
+    max_compliance = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not max_compliance > 0.0:
         raise InputError("structure", "static compliance 0", "one whose pairs can move")
-    return 1.0 / largest
+    return 1.0 / max_compliance
 
 
 class ContactSystem:
-    """F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)); small, and the same on every rank.
+    """Equations F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0, equal on every rank.
 
-    Its parameter p leads from soft contact to the law itself, at p = 1: the compliance in series
-    with every pair is ``softness`` |1 - p|^3, in parts of ``integrals.unit``.
+    The parameter p leads from soft contact to the law itself, at p = 1. The compliance in series
+    with every pair is ``softness`` |1 - p|^3, in units of ``integrals.unit``.
     """
 
     def __init__(
@@ -109,115 +113,141 @@ class ContactSystem:
         self.size = int(np.prod(self.shape))
         self.residual = integrals.residual
         """R_inf [m/N]; None: zero."""
-        rows, pairs = self.shape
-        self.basis = compliance.basis if integrals.coupled else None
+        n_rows, n_pairs = self.shape
+        self.basis = compliance.basis if integrals.has_coupled_pairs else None
         """U, None where it is not needed."""
-        size = rows * (pairs if self.basis is None else self.basis.shape[1])
-        self.matrix_free = integrals.coupled and size > MATRIX_FREE
-        self.work = min(size, MATRIX_FREE)
+        n_step_unknowns = n_rows * (n_pairs if self.basis is None else self.basis.shape[1])
+        self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
+        self.work = min(n_step_unknowns, MATRIX_FREE)
         """Unknowns by which the time of a step grows."""
 
     @cached_property
     def linear(self) -> np.ndarray:
-        """g_lin: (2H+1, n_pairs) [m]."""
+        """Return g_lin: (2H+1, n_pairs) [m]."""
         return self.compliance.linear_gap
 
     @cached_property
-    def moving(self) -> np.ndarray:
-        """R_k - R_inf: (H+1, n_pairs, n_pairs) complex [m/N]."""
+    def dynamic_part(self) -> np.ndarray:
+        """Return R_k - R_inf: (H+1, n_pairs, n_pairs) complex [m/N]."""
         matrices = self.compliance.matrices
         return matrices if self.residual is None else matrices - self.residual
 
     @cached_property
     def compiled(self) -> CompiledEquations | None:
-        """The same along its parameter in the kernel, where it has them."""
+        """Return the equations in the kernel, or None without exact integrals."""
         if not self.integrals.exact:
             return None
         softness = self._softness * self.integrals.unit
-        return self.compile(self.linear, self.moving, softness=softness)
+        return self.compile(self.linear, self.dynamic_part, softness=softness)
 
     def compile(
-        self, linear: np.ndarray, compliance: np.ndarray | Mapping[str, Any], **along: Any
+        self, linear: np.ndarray, compliance: np.ndarray | Mapping[str, Any], **path_rates: Any
     ) -> CompiledEquations:
-        """The kernel's equations of these pairs."""
+        """Return the kernel's equations for these pairs.
+
+        Parameters
+        ----------
+        linear : (2H+1, n_pairs) [m]
+            g_lin, without the part of modes if ``compliance`` has modes.
+        compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
+            R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_part`).
+        **path_rates
+            What changes along p, as in :class:`CompiledEquations`.
+        """
         return CompiledEquations(
             self.residual, self._springs(self.integrals.law), linear, compliance,
-            coupled=self.integrals.coupled, basis=self.basis, formed=not self.matrix_free, **along,
+            has_coupled_pairs=self.integrals.has_coupled_pairs, basis=self.basis,
+            forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
 
     def _springs(self, law: ContactLaw) -> np.ndarray:
-        """1/k of each row [m/N]."""
+        """Return 1/k of each row (n_rows,) [m/N]."""
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
-    def moving_seen(self) -> np.ndarray:
-        """R'_k = U^T (R_k - R_inf) U."""
+    def dynamic_part_in_basis(self) -> np.ndarray:
+        """Return R'_k = U^T (R_k - R_inf) U [m/N]."""
         assert self.basis is not None
-        return self.basis.T @ self.moving @ self.basis
+        return self.basis.T @ self.dynamic_part @ self.basis
 
-    def slow(self, gap: np.ndarray, force: np.ndarray, factor: int = 1) -> np.ndarray:
-        """s of the coefficients of a gap and of its force, with any harmonics, of whose periods one
-        of these has so many: (2H+1, n_pairs)."""
+    def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
+        """Return s = g + R_inf lambda with the harmonics of the system.
+
+        Parameters
+        ----------
+        gap, force : (2K+1, n_rows) [m], [N]
+            Coefficients with any number of harmonics K.
+        n_periods : int
+            Periods of ``gap`` that fit into one period of the response.
+
+        Returns
+        -------
+        (2H+1, n_rows) [m]
+        """
         gap, force = (
-            resize_harmonics(stretch_period(rows, factor), self.integrals.harmonics)
-            for rows in (gap, force)
+            resize_harmonics(stretch_period(coefficients, n_periods), self.integrals.harmonics)
+            for coefficients in (gap, force)
         )
         return gap if self.residual is None else gap + force @ self.residual
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """g = s - R_inf lambda, of waves or of values in time."""
+        """Return g = s - R_inf lambda, for coefficients or for values in time."""
         return unknown if self.residual is None else unknown - force @ self.residual
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """The equations at s, of the law itself or at a parameter."""
-        left = 1.0 - parameter
-        rate = -3.0 * self._softness * left * abs(left)
+        """Return the equations at s, for the law itself or at another parameter."""
+        distance = 1.0 - parameter
+        rate = -3.0 * self._softness * distance * abs(distance)
         return ContactPoint(
-            self, unknown, self.integrals.with_softness(self._softness * abs(left) ** 3),
-            lambda at: respond(self.moving, rate * at.forces.by_softness()),
+            self, unknown, self.integrals.with_softness(self._softness * abs(distance) ** 3),
+            lambda point: respond(self.dynamic_part, rate * point.forces.by_softness()),
         )  # fmt: skip
 
-    def along(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
-        """The equations at s, with the derivative by another parameter."""
+    def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
+        """Return the equations at s with another parameter's derivative."""
         return ContactPoint(self, unknown, self.integrals, by_parameter)
 
     def steepest_force(self, law: ContactLaw) -> float:
-        """Largest slope of lambda(s) for a law, the inverse of the smallest eigenvalue of R_inf +
-        I/k [N/m]."""
+        """Return the largest slope of lambda(s) for a law [N/m].
+
+        It is the inverse of the smallest eigenvalue of R_inf + I/k.
+        """
         springs = self._springs(law)
-        least = float(springs.min())
+        min_compliance = float(springs.min())
         if self.residual is not None:
-            least = max(least, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0]))
-        return 1.0 / max(least, 1e-300)
+            min_compliance = max(
+                min_compliance, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0])
+            )
+        return 1.0 / max(min_compliance, 1e-300)
 
     def along_friction(self) -> FrictionPath:
-        """The same equations, whose parameter is the share of the coefficient of friction."""
+        """Return these equations with the friction coefficient's factor as parameter."""
         return FrictionPath(self.compliance, self.integrals)
 
-    def softened(self) -> ContactSystem:
-        """The same equations, whose parameter starts where pairs hardly touch each other."""
-        largest = float(np.abs(self.moving).sum(axis=2).max())
-        softness = largest / (SOFT * self.integrals.unit)
+    def along_softness(self) -> ContactSystem:
+        """Return these equations on a path that starts at very soft contact."""
+        max_compliance = float(np.abs(self.dynamic_part).sum(axis=2).max())
+        softness = max_compliance / (MAX_COMPLIANCE_RATIO * self.integrals.unit)
         return ContactSystem(self.compliance, self.integrals, softness)
 
-    def widened(self, harmonics: int) -> ContactSystem:
-        """The same equations with more harmonics, to the accuracy of an error estimate."""
+    def with_harmonics(self, harmonics: int) -> ContactSystem:
+        """Return these equations with more harmonics, to the accuracy of an error estimate."""
         compliance = resized_compliance(self.compliance, harmonics)
-        return ContactSystem(compliance, self.integrals.widened(harmonics))
+        return ContactSystem(compliance, self.integrals.with_harmonics(harmonics))
 
 
 class FrictionPath(ContactSystem):
-    """:class:`ContactSystem` from contact without friction, at p = 0, to that with all of it."""
+    """:class:`ContactSystem` from contact without friction, at p = 0, to full friction."""
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """The equations at s with a share of the coefficient of friction."""
+        """Return the equations at s with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
-        part = replace(self.integrals, share=max(parameter, 0.0))
-        return ContactPoint(self, unknown, part, by_friction)
+        integrals = replace(self.integrals, friction_factor=max(parameter, 0.0))
+        return ContactPoint(self, unknown, integrals, by_friction)
 
 
 class ContactPoint(DenseLinearisation):
-    """:class:`ContactSystem` at s, and what changes of it do to the gap."""
+    """:class:`ContactSystem` at s, with changes of the gap for changes of s."""
 
     def __init__(
         self,
@@ -235,61 +265,61 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
-        """F(s)."""
+        """Return F(s)."""
         system = self.system
-        return self.unknown - system.linear + respond(system.moving, self.force)
+        return self.unknown - system.linear + respond(system.dynamic_part, self.force)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """I + (R - R_inf) T."""
-        return self.forces.identity_plus(self.system.moving)
+        """Return I + (R - R_inf) T."""
+        return self.forces.identity_plus(self.system.dynamic_part)
 
     def condense(self) -> np.ndarray:
         system = self.system
         if system.basis is not None:
-            return self.forces.identity_plus(system.moving_seen, system.basis)
+            return self.forces.identity_plus(system.dynamic_part_in_basis, system.basis)
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return change + respond(self.system.moving, self.forces.apply(change))
+        return change + respond(self.system.dynamic_part, self.forces.apply(change))
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
+    def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
         if system.matrix_free:
-            return gmres(self.apply, right, kernel.SHARP)
+            return gmres(self.apply, right_side, kernel.SHARP)
         factors = self._factors
         if system.basis is not None:
-            drive = respond(system.moving, self.forces.apply(right)) @ system.basis
-            return right - solve_factored(factors, drive) @ system.basis.T
-        return solve_factored(factors, right)
+            response = respond(system.dynamic_part, self.forces.apply(right_side)) @ system.basis
+            return right_side - solve_factored(factors, response) @ system.basis.T
+        return solve_factored(factors, right_side)
 
     @property
     def sign(self) -> float:
-        """Sign of det J; nan where J is not formed."""
+        """Return the sign of det J; nan if J is not formed."""
         return np.nan if self.system.matrix_free else super().sign
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
         return self._derivative(self)
 
-    def gap_of(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap that belongs to a change of s."""
+    def gap_change(self, change: np.ndarray) -> np.ndarray:
+        """Return the change of g for a change of s."""
         return self.system.gap(change, self.forces.apply(change))
 
-    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap if the contact force were changed."""
-        moved = self.solve(-respond(self.system.moving, change))
-        return self.system.gap(self.gap_of(moved), change)
+    def gap_change_by_force(self, change: np.ndarray) -> np.ndarray:
+        """Return the change of g for a change of the contact force's coefficients."""
+        unknown_change = self.solve(-respond(self.system.dynamic_part, change))
+        return self.system.gap(self.gap_change(unknown_change), change)
 
 
-# --- what solves it -------------------------------------------------------------------------------
+# --- the motion -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, repr=False)
 class Wave:
-    """u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
+    """Motion u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
-    Its attributes are those of :class:`fenics_crack.PeriodicSolution`.
+    For the attributes see :class:`fenics_crack.PeriodicSolution`.
     """
 
     frequency = hertz_of()
@@ -321,123 +351,144 @@ class Wave:
 
     @cached_property
     def residual(self) -> np.ndarray | None:
-        """R_inf, the residual flexibility, which responds quasi-statically to contact forces:
-        (n_rows, n_rows) [m/N]; None without. Rows are those of the pairs, with friction of their
-        normals and behind them of their tangents."""
+        """R_inf, the residual flexibility: (n_rows, n_rows) [m/N], or None.
+
+        It responds quasi-statically to contact forces. Rows are the pairs; with friction the
+        normals come first, then the tangents.
+        """
         if self.static_above is None:
             return None
-        return all_modes(self.seen).static_part(self.static_above)
+        return all_modes(self.row_structure).static_part(self.static_above)
 
     @cached_property
-    def seen(self) -> Structure:
-        """The structure with its rows as pairs."""
+    def row_structure(self) -> Structure:
+        """The structure with its gap rows as pairs."""
         return add_friction_pairs(self.contact, self.structure)
 
     @property
     def gap_rows(self) -> np.ndarray:
-        """Coefficients of the gaps of all rows: (2H+1, n_rows) [m]."""
-        return _beside(self.gap_coefficients, self.tangential_gap_coefficients)
+        """Coefficients of the gaps in all rows: (2H+1, n_rows) [m]."""
+        return _join_rows(self.gap_coefficients, self.tangential_gap_coefficients)
 
     @property
     def force_rows(self) -> np.ndarray:
-        """Coefficients of the forces on all rows: (2H+1, n_rows) [N]."""
-        return _beside(self.force_coefficients, self.tangential_force_coefficients)
+        """Coefficients of the forces in all rows: (2H+1, n_rows) [N]."""
+        return _join_rows(self.force_coefficients, self.tangential_force_coefficients)
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """lambda(s) with a residual flexibility, or with friction."""
+        """Integrals of lambda(s) with a residual flexibility, or with friction."""
         assert self.contact is not None
-        found, rows = self.residual, self.seen.n_pairs
-        residual = np.zeros((rows, rows)) if found is None else found
+        residual_or_none, n_rows = self.residual, self.row_structure.n_pairs
+        residual = np.zeros((n_rows, n_rows)) if residual_or_none is None else residual_or_none
         return coupled_integrals(self.contact, self.harmonics, residual)
 
     @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
-        """Coefficients of s = g + R_inf lambda, the gaps of all rows less their quasi-static part:
-        (2H+1, n_rows)."""
+        """Coefficients of s = g + R_inf lambda: (2H+1, n_rows) [m].
+
+        s is the gap in all rows without its quasi-static part.
+        """
         if self.residual is None:
             return self.gap_rows
         return self.gap_rows + self.force_rows @ self.residual
 
     def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """1, cos, sin, ... at phases (n,) of the response, (n, 2H+1), by which coefficients are
-        multiplied; gaps [m] and contact forces [N] of all rows there: (n, n_rows) each."""
-        return self._with(fourier_basis_for(self.gap_coefficients, phase), phase)
+        """Return Fourier basis, gaps and contact forces at phases (n,) of the response.
 
-    def over_period(self, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same at the instants i T / count."""
-        phase = 2.0 * np.pi / count * np.arange(count)
-        return self._with(fourier_basis_over_period(self.harmonics, count), phase)
+        Returns
+        -------
+        basis : (n, 2H+1)
+            1, cos, sin, ..., the factors of coefficients.
+        gap, force : (n, n_rows) [m], [N]
+        """
+        return self._gaps_and_forces_at(fourier_basis_for(self.gap_coefficients, phase), phase)
 
-    def _with(
-        self, values: np.ndarray, phase: np.ndarray
+    def over_period(self, n_instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the same as :meth:`at_phase` at n instants i T / n."""
+        phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
+        return self._gaps_and_forces_at(
+            fourier_basis_over_period(self.harmonics, n_instants), phase
+        )
+
+    def _gaps_and_forces_at(
+        self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the basis (n, 2H+1), and gaps and forces (n, n_rows) at its instants."""
         contact = self.contact
-        slow = values @ self.slow_gap_coefficients
+        slow_gap = basis @ self.slow_gap_coefficients
         if contact is None:
-            return values, slow, np.zeros_like(slow)
+            return basis, slow_gap, np.zeros_like(slow_gap)
         if friction_of(contact) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
-            force = self._integrals.at(self.slow_gap_coefficients, phase)[0]
+            force = self._integrals.forces_at(self.slow_gap_coefficients, phase)[0]
         elif self.residual is not None:
-            force = self._integrals.forces(slow)
+            force = self._integrals.forces_in_time(slow_gap)
         elif not is_rigid(contact):
-            force = contact.force(slow)
+            force = contact.force(slow_gap)
         else:
             assert contact.weight is not None
-            force = np.maximum(0.0, contact.weight * slow + values @ self.force_coefficients)
-        return values, slow if self.residual is None else slow - force @ self.residual, force
+            force = np.maximum(0.0, contact.weight * slow_gap + basis @ self.force_coefficients)
+        return basis, slow_gap if self.residual is None else slow_gap - force @ self.residual, force
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps [m] and contact forces [N] of all rows at times [s]: (len(time), n_rows) each."""
+        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each."""
         _, gap, force = self.at_phase(self.base_omega * np.atleast_1d(time))
         return gap, force
 
     def gap(self, time: np.ndarray) -> np.ndarray:
-        """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
-        once, s(t) - R_inf lambda(s(t)), with its kinks."""
+        """Return g at times [s]: (len(time), n_pairs) [m].
+
+        With a residual flexibility it is s(t) - R_inf lambda(s(t)), with kinks.
+        """
         if self.residual is None:
             return evaluate(self.gap_coefficients, self.base_omega, time)
         return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
-        constraint of uncoupled pairs, eps max(0, g + lambda / eps) of the waves."""
+        """Return the contact force at times [s]: (len(time), n_pairs) [N].
+
+        It is lambda(g(t)) or lambda(s(t)); for a constraint of uncoupled pairs, eps max(0, g +
+        lambda / eps) of the waves.
+        """
         return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 
     def tangential_gap(self, time: np.ndarray) -> np.ndarray:
-        """g_t of contact with friction at times [s]: (len(time), n_pairs) [m]."""
+        """Return g_t of contact with friction at times [s]: (len(time), n_pairs) [m]."""
         self._check_friction()
         return self.gaps_and_forces(time)[0][:, self.structure.n_pairs :]
 
     def tangential_force(self, time: np.ndarray) -> np.ndarray:
-        """lambda_t of contact with friction at times [s]: (len(time), n_pairs) [N]."""
+        """Return lambda_t of contact with friction at times [s]: (len(time), n_pairs) [N]."""
         self._check_friction()
         return self.gaps_and_forces(time)[1][:, self.structure.n_pairs :]
 
     def sticking_places(self, time: np.ndarray) -> np.ndarray:
-        """h of contact with friction, the place in the tangential gap where a pair sticks or would,
-        at times [s]: (len(time), n_pairs) [m]."""
+        """Return h of contact with friction at times [s]: (len(time), n_pairs) [m].
+
+        h is the tangential gap at which a pair sticks, or would stick.
+        """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)
-        return self._integrals.at(self.slow_gap_coefficients, self.base_omega * time)[1]
+        return self._integrals.forces_at(self.slow_gap_coefficients, self.base_omega * time)[1]
 
     def _check_friction(self) -> None:
         if friction_of(self.contact) is None:
             raise InputError("contact", self.contact, "CoulombFriction")
 
     def coordinates(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
-        values, _, force = self.at_phase(self.base_omega * np.atleast_1d(time))
-        found = values @ self.displacement_coefficients
+        """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m]."""
+        basis, _, force = self.at_phase(self.base_omega * np.atleast_1d(time))
+        displacement = basis @ self.displacement_coefficients
         if self.static_above is not None:
-            # The quasi-static part follows the forces as they are, with their kinks.
-            moved = all_modes(self.seen).static_displacement(self.static_above)
-            found -= (force - values @ self.force_rows) @ moved.T
-        return found
+            # The quasi-static part follows the forces in time, with their kinks.
+            static_response = all_modes(self.row_structure).static_displacement(self.static_above)
+            displacement -= (force - basis @ self.force_rows) @ static_response.T
+        return displacement
 
 
-def _beside(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
+def _join_rows(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
+    """Return normal and tangential columns side by side."""
     return normal if tangential is None else np.hstack([normal, tangential])
 
 
@@ -445,13 +496,30 @@ def _beside(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
 
 
 class CompiledEquations(Equations):
-    """F(s, p) = 0 of contact pairs, from R_inf, 1/k (n_pairs,), g_lin (2H+1, n_pairs) without the
-    part of modes and R_k - R_inf, or what it follows from, at p = 0.
+    """Equations F(s, p) = 0 of contact pairs in the kernel.
 
-    Along p grow g_lin by ``linear_rate`` and ln k by ``growth``; ``softness`` |1 - p|^3 [m/N] is in
-    series with each pair. ``coupled``: R_inf has more than a diagonal; ``basis``: U where modes are
-    fewer than coupled pairs; ``formed``: J is formed, else solutions take products with it, and its
-    sign is nan.
+    Parameters
+    ----------
+    residual : (n_pairs, n_pairs) [m/N] or None
+        R_inf.
+    springs : (n_pairs,) [m/N]
+        1/k.
+    linear : (2H+1, n_pairs) [m]
+        g_lin at p = 0, without the part of modes if ``compliance`` has modes.
+    compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
+        R_k - R_inf at p = 0, or modes from which it follows.
+    has_coupled_pairs : bool
+        True if R_inf has more than a diagonal.
+    basis : (n_pairs, n) or None
+        U, with fewer modes than coupled pairs.
+    forms_jacobian : bool
+        False: solutions take products with J, and its sign is nan.
+    linear_rate : (2H+1, n_pairs) [m], optional
+        Change of g_lin per unit of p.
+    growth : float
+        Change of ln k per unit of p.
+    softness : float [m/N]
+        Compliance in series with each pair at p = 0; it falls like |1 - p|^3.
     """
 
     def __init__(
@@ -461,57 +529,60 @@ class CompiledEquations(Equations):
         linear: np.ndarray,
         compliance: np.ndarray | Mapping[str, Any],
         *,
-        coupled: bool = False,
+        has_coupled_pairs: bool = False,
         basis: np.ndarray | None = None,
-        formed: bool = True,
+        forms_jacobian: bool = True,
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
         softness: float = 0.0,
     ) -> None:
         self.shape = linear.shape
-        harmonics, pairs = self.shape[0] // 2, self.shape[1]
+        harmonics, n_pairs = self.shape[0] // 2, self.shape[1]
         if isinstance(compliance, np.ndarray):
-            matrices = shaped(compliance, harmonics + 1, pairs, pairs, kind=complex)
+            matrices = shaped(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
-        gaps = pairs if basis is None else basis.shape[1]
-        at_once = np.zeros((pairs, pairs)) if residual is None else residual
+        n_columns = n_pairs if basis is None else basis.shape[1]
+        static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
         rate = np.zeros_like(linear) if linear_rate is None else linear_rate
-        seen = Struct(
-            "seen_structure", harmonics=harmonics, pairs=pairs, linear=shaped(linear, *self.shape),
-            linear_rate=shaped(rate, *self.shape), **compliance,
+        structure = Struct(
+            "seen_structure", harmonics=harmonics, pairs=n_pairs,
+            linear=shaped(linear, *self.shape), linear_rate=shaped(rate, *self.shape), **compliance,
         )  # fmt: skip
-        self._given = Struct(
-            "contact_pairs", seen=seen, growth=growth, softness=softness, coupled=coupled,
-            residual=shaped(at_once, pairs, pairs), springs=shaped(springs, pairs), seen_gaps=gaps,
-            formed=formed, basis=None if basis is None else shaped(basis, pairs, gaps),
+        self._kernel_input = Struct(
+            "contact_pairs", seen=structure, seen_gaps=n_columns, growth=growth, softness=softness,
+            residual=shaped(static_compliance, n_pairs, n_pairs),
+            springs=shaped(springs, n_pairs), coupled=has_coupled_pairs, formed=forms_jacobian,
+            basis=None if basis is None else shaped(basis, n_pairs, n_columns),
         )  # fmt: skip
-        self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
+        self._point = owned(
+            kernel.new_contact_point(self._kernel_input.at), kernel.free_contact_point
+        )
         self.function_table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        """The equations at a point."""
+        """Return the equations at a point."""
         return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
 
-    def evaluated(self, at: CompiledPoint) -> Any:
-        """The kernel's equations, evaluated at a point.
+    def evaluate_at(self, point: CompiledPoint) -> Any:
+        """Return the kernel's functions, evaluated at a point.
 
-        Raises ConvergenceError where an instant has no forces.
+        Raises ConvergenceError if an instant has no forces.
         """
-        if self._last_linearisation is None or self._last_linearisation() is not at:
+        if self._last_linearisation is None or self._last_linearisation() is not point:
             if not self.check_outcome(
-                self.run(self.function_table.evaluate, pointer(at.unknown), at.parameter)
+                self.run(self.function_table.evaluate, pointer(point.unknown), point.parameter)
             ):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            self._last_linearisation = ref(at)
+            self._last_linearisation = ref(point)
         return self.function_table
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        found = CompiledPoint(self, unknown, parameter)
-        self._last_linearisation = ref(found)
-        return found
+        point = CompiledPoint(self, unknown, parameter)
+        self._last_linearisation = ref(point)
+        return point
 
     def largest_compliance(self, parameter: float) -> float:
-        """Largest sum of abs(R_k - R_inf) over a row of it at a parameter [m/N]."""
+        """Return the largest row sum of abs(R_k - R_inf) at a parameter [m/N]."""
         self._last_linearisation = None
         compliance = float(kernel.largest_moving(self._point, parameter))
         if not math.isfinite(compliance):
@@ -520,41 +591,41 @@ class CompiledEquations(Equations):
 
 
 class CompiledPoint(Linearisation):
-    """:class:`CompiledEquations` at a point; evaluated again where the kernel has left it."""
+    """:class:`CompiledEquations` at a point, evaluated again if the kernel has left it."""
 
     def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:
         self.system, self.unknown, self.parameter = system, unknown, parameter
 
     @property
     def residual(self) -> np.ndarray:
-        found = np.empty_like(self.unknown)
-        at = self.system.evaluated(self)
-        at.residual(at, pointer(found))
-        return found
+        residual = np.empty_like(self.unknown)
+        functions = self.system.evaluate_at(self)
+        functions.residual(functions, pointer(residual))
+        return residual
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        found = np.array(right, dtype=float, order="C")
-        if found.size != self.unknown.size:
-            raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
-        at = self.system.evaluated(self)
-        at.sharp = kernel.SHARP
-        at.solve(at, pointer(found))
-        return found
+    def solve(self, right_side: np.ndarray) -> np.ndarray:
+        solution = np.array(right_side, dtype=float, order="C")
+        if solution.size != self.unknown.size:
+            raise ValueError(f"{solution.size} numbers instead of {self.unknown.size}")
+        functions = self.system.evaluate_at(self)
+        functions.sharp = kernel.SHARP
+        functions.solve(functions, pointer(solution))
+        return solution
 
     @property
     def by_parameter(self) -> np.ndarray:
-        found = np.empty_like(self.unknown)
-        at = self.system.evaluated(self)
-        at.by_parameter(at, pointer(found))
-        return found
+        derivative = np.empty_like(self.unknown)
+        functions = self.system.evaluate_at(self)
+        functions.by_parameter(functions, pointer(derivative))
+        return derivative
 
     @property
     def sign(self) -> float:
-        at = self.system.evaluated(self)
-        return float(at.sign(at))
+        functions = self.system.evaluate_at(self)
+        return float(functions.sign(functions))
 
 
-def by_friction(at: ContactPoint) -> np.ndarray:
-    """Derivative of F by the share of the coefficient of friction."""
-    assert isinstance(at.forces, FrictionForces)
-    return respond(at.system.moving, at.forces.by_share())
+def by_friction(point: ContactPoint) -> np.ndarray:
+    """Return the derivative of F by the friction coefficient's factor."""
+    assert isinstance(point.forces, FrictionForces)
+    return respond(point.system.dynamic_part, point.forces.by_friction_factor())

@@ -1,19 +1,19 @@
-"""The error of a solution, estimated from the solution itself.
+"""Errors of a solution, estimated from the solution itself.
 
-What an approximation leaves out acts on the gaps through the linearised equation. With the Jacobian
-J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
+An approximation acts on the gaps through the linearised equation. With the Jacobian J of F(g) = g +
+R b(g) - g_lin at the solution, and a disturbance d of b,
 
     delta g = -J^-1 R d.
 
-- truncation: d are the harmonics left out, of equations that have them;
-- sampling: d is the difference between the contact integrals used and finer or exact ones; by
-  collocation this is the aliasing;
-- reduction: R lacks delta R, of which a share is known from a larger basis: R d becomes
-  (delta R b - delta g_lin) / share.
+- truncation: d has the truncated harmonics, by equations that have these harmonics
+- sampling: d is the difference between the contact integrals used and finer or exact ones; with
+collocation this is the aliasing
+- reduction: R lacks delta R, and a larger basis has a share of delta R. R d becomes (delta R b -
+delta g_lin) / share
 
-Truncation is assessed by the exact flow (:mod:`assessment`); where that is not at
-hand it, and reduction where pairs have a residual flexibility, are the change by Newton's method
-with more harmonics, or with the modes of the larger basis.
+The exact flow gives the truncation error (:mod:`assessment`). Without a flow, it is the change by
+Newton's method with more harmonics. Likewise, with a residual flexibility the reduction error is
+the change with the modes of the larger basis.
 
 Source of the test of the second step: Deuflhard, Newton Methods for Nonlinear Problems, 2004,
 section 2.1.1, with the monitor |simplified step| / |step|.
@@ -29,7 +29,13 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
-from fenics_crack.balance.more_modes import UNKNOWN, Errors, left_out, loaded, reference_of
+from fenics_crack.balance.more_modes import (
+    UNKNOWN,
+    Errors,
+    modal_truncation_errors,
+    motion_at_load,
+    reference_of,
+)
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.contact import REGULAR, is_regular, is_rigid, with_penalty
@@ -44,40 +50,43 @@ from fenics_crack.numerics.newton import motion_square, solve_robustly
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
-ENOUGH = SearchOptions.harmonics[-1]
-"""Harmonics of the load's frequency from which on two solutions show the change due to modes: on 14
-plates next to a resonance 0.3 to 3 times that of orbits; with 20 harmonics from a hundredth on."""
+ENOUGH_HARMONICS = SearchOptions.harmonics[-1]
+"""Harmonics of the load's frequency at which two solutions show the change due to modes.
+
+On 14 plates next to a resonance it is 0.3 to 3 times that of orbits; with 20 harmonics from a
+hundredth on.
+"""
 NOT_CONFIRMED = "not confirmed by an orbit"
-"""Mark of an error whose part by truncation is stated without an orbit."""
+"""Mark of an error whose truncation part is stated without an orbit."""
 ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
-"""Parts of a total error; of equal ones the first is reported."""
+"""Parts of a total error; of equal parts the first is reported."""
 
 
 @dataclass(frozen=True, repr=False)
 class ErrorReport(Described):
-    """Estimated errors of the gap, relative to the root mean square of B^T u, to which its means
-    contribute no more than all else.
+    """Estimated errors of the gap, relative to the root mean square of B^T u.
 
-    An estimate of 1 says that the error is not known: the better equations that it is assessed by
-    were not solved, or lead to another motion.
+    In that mean square the mean gaps contribute no more than all else. An estimate of 1 means that
+    the error is unknown: the better equations were not solved, or lead to another motion.
 
     Attributes
     ----------
     residual : float
-        Of the algebraic system, and of B^T u - g0 - g after expansion to the structure; the larger.
+        Residual of the algebraic system, or of B^T u - g0 - g after expansion to the structure; the
+        larger.
     truncation : float
         Harmonics above H left out.
     sampling : float
-        Contact integrals by samples; 0 for exact ones.
+        Contact integrals by samples; 0 for exact integrals.
     reduction : float
-        Modes left out of a reduced structure; 0 for a whole one.
+        Modes left out in a reduced structure; 0 otherwise.
     penetration : float
-        Penetration that the contact law lets happen; not an error of the solution of that law.
+        Penetration that the contact law permits; not an error of the solution for that law.
     displacement : float
-        Of the displacement at the load, in the direction of what vibrates of it, likewise relative
-        to its own: truncation and reduction. Usually much smaller than those of the gap.
+        Truncation and reduction error of the displacement at the load, along the vibrating load. It
+        is relative to that displacement, and usually much smaller than the errors of the gap.
     confirmed : bool
-        False where the truncation is three times a predicted one, as no exact orbit was found.
+        False if the truncation error is three times a prediction, because no exact orbit was found.
     """
 
     residual: float = 0.0
@@ -90,7 +99,7 @@ class ErrorReport(Described):
 
     @property
     def total(self) -> float:
-        """Sum of the errors made in solving the law given (without the penetration)."""
+        """Return the sum of the errors in solving the given law, without the penetration."""
         return self.residual + self.truncation + self.sampling + self.reduction
 
     @property
@@ -105,14 +114,17 @@ class ErrorReport(Described):
 
     @property
     def largest_part(self) -> str:
-        """Name of the largest part of the total; of those that are as large the first."""
+        """Return the name of the largest part of the total.
+
+        Of equal parts the first is named.
+        """
         return max(ERROR_PARTS, key=lambda name: getattr(self, name))
 
     def to_dict(self) -> dict[str, Any]:
-        """All of them by their names, and the total."""
+        """Return the errors by their names, and the total."""
         return {
-            name: value
-            for name, value in (asdict(self) | {"total": self.total}).items()
+            name: error
+            for name, error in (asdict(self) | {"total": self.total}).items()
             if name != "confirmed"
         }
 
@@ -121,53 +133,67 @@ class ErrorReport(Described):
 
     def _title(self) -> str:
         return ", ".join(
-            f"{name} {value:.2g}"
-            + (" (unknown)" if value >= UNKNOWN and name != "penetration" else "")
-            for name, value in self.to_dict().items()
+            f"{name} {error:.2g}"
+            + (" (unknown)" if error >= UNKNOWN and name != "penetration" else "")
+            for name, error in self.to_dict().items()
         ) + ("" if self.confirmed else f" ({NOT_CONFIRMED})")
 
 
 def estimate_errors(
-    at: ContactPoint, known: Assessment, problem: Problem, *, search: bool, converged: bool
+    point: ContactPoint, assessment: Assessment, problem: Problem, *, search: bool, converged: bool
 ) -> ErrorReport:
-    """Estimate the errors of a solution, given as the equations there and by what the exact flow
-    says of it; with ``search`` its orbit is looked for (collective). Of equations that are not
-    solved it has their residual, and that no error is known."""
-    structure, wave = problem.structure, known.wave
-    expanded = problem.seen.gap_of(wave.displacement_coefficients)
+    """Estimate the errors of a solution (collective).
+
+    With ``search``, the orbit of the solution is searched for. If the equations are not solved, the
+    report has their residual, and the errors are unknown.
+
+    Parameters
+    ----------
+    point : ContactPoint
+        Equations at the solution.
+    assessment : Assessment
+        Assessment by the exact flow.
+    problem : Problem
+    search, converged : bool
+    """
+    structure, wave = problem.structure, assessment.wave
+    expanded_gap = problem.row_structure.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
-        return relative_size(change, at, problem.seen.clearance)
+        return relative_size(change, point, problem.row_structure.clearance)
 
-    residual, penetration = relative(at.residual), relative(_penetration(at, problem))
+    residual, penetration = relative(point.residual), relative(_penetration(point, problem))
     if not converged:
         return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
-    finer, sampling = at.system.integrals.finer(), 0.0
-    if finer is not None:
-        sampling = relative(at.gap_by_force(finer.force(at.unknown) - at.force))
-    if known.affordable:  # better equations differ by what harmonics and samples leave out
-        error, at_load = known.errors(search=search)
+    finer_integrals, sampling = point.system.integrals.refine(), 0.0
+    if finer_integrals is not None:
+        sampling = relative(
+            point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
+        )
+    if assessment.affordable:  # includes the sampling error
+        error, load_error = assessment.errors(search=search)
     else:
-        error, at_load = _beyond_truncation(at, wave)
+        error, load_error = _truncation_errors(point, wave)
     truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
-    exactly = known.affordable and search and structure.light_lips
-    more, few = known.more_modes if exactly else None, problem.few_harmonics(ENOUGH)
-    if exactly and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
-        lost = UNKNOWN, UNKNOWN  # nor is it known what more modes make of a motion that is not
-    elif more and (more.orbit or problem.harmonics < few):
-        lost = more.errors or (UNKNOWN, UNKNOWN)
+    can_use_orbits = assessment.affordable and search and structure.light_lips
+    more_modes = assessment.more_modes if can_use_orbits else None
+    min_harmonics = problem.response_harmonics(ENOUGH_HARMONICS)
+    if can_use_orbits and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
+        modal_errors = UNKNOWN, UNKNOWN  # without an orbit the effect of more modes is unknown, too
+    elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics):
+        modal_errors = more_modes.errors or (UNKNOWN, UNKNOWN)
     else:
-        lost = _lost_in_reduction(at, wave, problem)
-        if exactly and any(lost):  # modes above all harmonics are static in both solutions
-            lost = max(lost[0], truncation), max(lost[1], at_load)
+        modal_errors = _reduction_errors(point, wave, problem)
+        if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
+            modal_errors = max(modal_errors[0], truncation), max(modal_errors[1], load_error)
     return ErrorReport(
-        residual=max(residual, relative(expanded - at.gap)),
+        residual=max(residual, relative(expanded_gap - point.gap)),
         truncation=truncation,
         sampling=sampling,
-        reduction=lost[0],
+        reduction=modal_errors[0],
         penetration=penetration,
-        displacement=min(at_load + lost[1], UNKNOWN),
-        confirmed=not (known.affordable and search) or known.orbit is not None,
+        displacement=min(load_error + modal_errors[1], UNKNOWN),
+        confirmed=not (assessment.affordable and search) or assessment.orbit is not None,
     )
 
 
@@ -175,102 +201,139 @@ NOT_ESTIMATED = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, ma
 """Report of a solution whose errors were not requested."""
 
 
-def beside(found: Wave, better: Wave) -> ErrorReport:
-    """The report of a solution without contact force, by the change to that of the reference of
-    its structure (collective)."""
-    closing = better.gap_coefficients.copy()
-    closing[0] += found.structure.clearance
-    size = mean_square(better.gap_coefficients - found.gap_coefficients)
-    gap = math.sqrt(size / moving_mean_square(closing))
-    at_load = _at_load(found, better.structure, better.displacement_coefficients)
-    reduction, displacement = left_out(found.structure, (gap, at_load))
+def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorReport:
+    """Return the report of a linear solution, by its change to the reference's solution
+    (collective).
+
+    The reference is that of the solution's reduced structure.
+    """
+    gap_motion = reference_solution.gap_coefficients.copy()
+    gap_motion[0] += solution.structure.clearance
+    change_square = mean_square(reference_solution.gap_coefficients - solution.gap_coefficients)
+    gap_error = math.sqrt(change_square / moving_mean_square(gap_motion))
+    load_error = _change_at_load(
+        solution, reference_solution.structure, reference_solution.displacement_coefficients
+    )
+    reduction, displacement = modal_truncation_errors(solution.structure, (gap_error, load_error))
     return ErrorReport(reduction=reduction, displacement=displacement)
 
 
-def _at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
-    """Change of the displacement at the load to that of a structure, relative to its root mean
-    square, to which its mean contributes no more than all else (collective)."""
-    known = loaded(wave.structure, wave.displacement_coefficients)
-    change = mean_square(loaded(structure, displacement) - known)
-    return math.sqrt(change / moving_mean_square(known)) if known.any() else 0.0
+def _change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
+    """Return the relative change of the displacement at the load (collective).
 
-
-def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -> float:
-    """Root mean square of a change of the gap relative to what moves of B^T u = g + g0; 0 where
-    this is rounding, beside what it would be without contact."""
-    closing, free = at.gap.copy(), at.system.compliance.linear_gap.copy()
-    closing[0] += clearance
-    free[0] += clearance
-    rounding = NEGLIGIBLE**2 * mean_square(free)
-    still = mean_square(closing) <= rounding  # crack faces that the load presses together
-    return 0.0 if still else math.sqrt(mean_square(change) / moving_mean_square(closing))
-
-
-def _beyond_truncation(at: ContactPoint, wave: Wave) -> Errors:
-    """Return the change due to K > H harmonics: for laws and structures whose exact flow is not at
-    hand. They are four times as many, or as many as leave the equations small, but at least twice.
-
-    Steps are found by elimination: iterative solutions of these equations do not converge where
-    many pairs are stiff, unless these have a residual flexibility.
+    The displacement with another structure is compared with that of the wave. The change is
+    relative to the root mean square, in which the mean contributes no more than all else.
     """
-    kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
-    harmonics = max(2 * kept, kept + 4, min(4 * kept, (MAX_DENSE_SIZE // pairs - 1) // 2))
-    wide = at.system.widened(harmonics)
-    return _change(at, wave, wide, resize_harmonics(at.unknown, harmonics), wave.structure)
+    motion = motion_at_load(wave.structure, wave.displacement_coefficients)
+    change = mean_square(motion_at_load(structure, displacement) - motion)
+    return math.sqrt(change / moving_mean_square(motion)) if motion.any() else 0.0
 
 
-def _change(
-    at: ContactPoint, wave: Wave, better: ContactSystem, start: np.ndarray, structure: Structure
+def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
+    """Return the root mean square of a gap's change, relative to that of B^T u = g + g0.
+
+    It is 0 if B^T u is rounding in comparison with its value without contact.
+    """
+    gap_motion, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
+    gap_motion[0] += clearance
+    linear_gap[0] += clearance
+    rounding = NEGLIGIBLE**2 * mean_square(linear_gap)
+    is_still = mean_square(gap_motion) <= rounding  # the load presses the crack faces together
+    return 0.0 if is_still else math.sqrt(mean_square(change) / moving_mean_square(gap_motion))
+
+
+def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
+    """Return the change due to K > H harmonics, if no exact flow is known.
+
+    K is four times H, or less if the equations would not be small, but at least twice H. Steps are
+    found by elimination. Iterative solutions of these equations do not converge with many stiff
+    pairs, unless pairs have a residual flexibility.
+    """
+    kept_harmonics, n_pairs = point.system.integrals.harmonics, point.unknown.shape[1]
+    harmonics = max(
+        2 * kept_harmonics,
+        kept_harmonics + 4,
+        min(4 * kept_harmonics, (MAX_DENSE_SIZE // n_pairs - 1) // 2),
+    )
+    larger_system = point.system.with_harmonics(harmonics)
+    return _change_by_better_system(
+        point, wave, larger_system, resize_harmonics(point.unknown, harmonics), wave.structure
+    )
+
+
+def _change_by_better_system(
+    base_point: ContactPoint,
+    wave: Wave,
+    better_system: ContactSystem,
+    start: np.ndarray,
+    structure: Structure,
 ) -> Errors:
-    """Return the change from a solution to that of better equations, of a structure, by Newton's
-    method from a start; :data:`UNKNOWN` where that does not arrive."""
-    first = better.linearise(start)
+    """Return the change from a solution to that of better equations, by Newton's method.
+
+    ``structure`` is that of the better equations. The errors are :data:`UNKNOWN` if Newton's method
+    fails.
+    """
+    start_point = better_system.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    sharp = max(COARSE_TOLERANCE * float(np.linalg.norm(first.residual)) / size, ROUNDING)
-    near = solve_robustly(better, start, 1.0, tolerance=sharp)
-    if near is None:
+    tolerance = max(COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / size, ROUNDING)
+    end_point = solve_robustly(better_system, start, 1.0, tolerance=tolerance)
+    if end_point is None:
         return UNKNOWN, UNKNOWN
-    point, rows = better.linearise(near.unknown), len(at.force)
-    gap = relative_size(point.gap - first.gap, at, wave.seen.clearance)
-    force = at.force + (point.force - first.force)[:rows]
-    at_load = _at_load(wave, structure, better.compliance.displacement(force))
-    return min(gap, UNKNOWN), min(at_load, UNKNOWN)
+    better_point, n_rows = better_system.linearise(end_point.unknown), len(base_point.force)
+    gap_error = relative_size(
+        better_point.gap - start_point.gap, base_point, wave.row_structure.clearance
+    )
+    force = base_point.force + (better_point.force - start_point.force)[:n_rows]
+    load_error = _change_at_load(wave, structure, better_system.compliance.displacement(force))
+    return min(gap_error, UNKNOWN), min(load_error, UNKNOWN)
 
 
-def _lost_in_reduction(at: ContactPoint, wave: Wave, problem: Problem) -> Errors:
-    """Return the errors due to the modes left out, by the reference of the reduced structure."""
-    reference, residual = reference_of(wave), at.system.residual
+def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Errors:
+    """Return the modal truncation errors, by the reference of the reduced structure."""
+    reference, residual = reference_of(wave), point.system.residual
     if reference is None:
         return 0.0, 0.0
     cutoff = np.inf if residual is None else problem.cutoff
-    other, start = replace(problem, structure=reference, static_above=cutoff), at.gap
-    if at.system.integrals.coupled:
+    reference_problem, start = replace(problem, structure=reference, static_above=cutoff), point.gap
+    if point.system.integrals.has_coupled_pairs:
         assert residual is not None
-        if is_rigid(problem.contact) and not is_regular(all_modes(other.seen).static_part(cutoff)):
-            nearly = len(residual) / (REGULAR * np.trace(residual))  # a constraint to rounding
-            other = replace(other, contact=with_penalty(problem.contact, float(nearly)))
-    system = other.system(other.compliance())
+        if is_rigid(problem.contact) and not is_regular(
+            all_modes(reference_problem.row_structure).static_part(cutoff)
+        ):
+            # With this stiffness the penalty is numerically a constraint.
+            max_stiffness = len(residual) / (REGULAR * np.trace(residual))
+            reference_problem = replace(
+                reference_problem, contact=with_penalty(problem.contact, float(max_stiffness))
+            )
+    system = reference_problem.system(reference_problem.compliance())
     if system.residual is not None:
-        start = start + at.force @ system.residual
-    return left_out(problem.structure, _change(at, wave, system, start, reference))
+        start = start + point.force @ system.residual
+    return modal_truncation_errors(
+        problem.structure, _change_by_better_system(point, wave, system, start, reference)
+    )
 
 
-def _penetration(at: ContactPoint, problem: Problem) -> np.ndarray:
-    """Coefficients whose mean square is that of max(g, 0)."""
-    integrals, count = at.system.integrals, max(512, 8 * len(at.gap))
-    if integrals.coupled:  # g has more harmonics than are kept
-        inside = (at.force * integrals.springs)[:, : problem.structure.n_pairs]
-        return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
-    inside = np.maximum(sample_period(at.gap, count), 0.0)
-    return np.sqrt(np.mean(inside**2, axis=0, keepdims=True))
+def _penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
+    """Return one coefficient per pair, whose mean square is that of max(g, 0)."""
+    integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
+    if integrals.has_coupled_pairs:  # g has more than H harmonics
+        penetration = (point.force * integrals.springs)[:, : problem.structure.n_pairs]
+        return np.sqrt(
+            penetration[:1] ** 2 + 0.5 * np.sum(penetration[1:] ** 2, axis=0, keepdims=True)
+        )
+    penetration = np.maximum(sample_period(point.gap, n_instants), 0.0)
+    return np.sqrt(np.mean(penetration**2, axis=0, keepdims=True))
 
 
 def mean_square(coefficients: np.ndarray) -> float:
-    """Mean over the period of the sum of squares (Parseval), rows a0, a1, b1, ...."""
+    """Return the mean over the period of the sum of squares (Parseval).
+
+    Rows are a0, a1, b1, ...
+    """
     return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
 
 
 def moving_mean_square(coefficients: np.ndarray) -> float:
-    """The same, to which means contribute no more than all else; never zero."""
-    moving, means = 0.5 * np.sum(coefficients[1:] ** 2), np.sum(coefficients[0] ** 2)
-    return motion_square(float(moving), float(means))
+    """Return the mean square in which means contribute no more than all else; never zero."""
+    vibration, means = 0.5 * np.sum(coefficients[1:] ** 2), np.sum(coefficients[0] ** 2)
+    return motion_square(float(vibration), float(means))

@@ -1,14 +1,14 @@
 """Fourier coefficients of contact forces with friction, by alternating between frequency and time.
 
-The gaps s (2 n_pairs: normals, then tangents) of N instants are marched period after period: at
-each instant the forces follow from s and from the places h where pairs stuck until then,
+The gaps s at N instants are marched period after period; rows are n_pairs normals, then the
+tangents. At each instant the forces follow from s, and from the places h at which pairs stuck until
+then:
 
-    lambda = L (s - [0; h]),        h = g_t of pairs that do not stick,
+    lambda = L (s - [0; h]),        h = g_t for pairs that do not stick
 
-(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The march ends where h repeats,
-when it has forgotten where it began, but for pairs that stick all the time: these are tied where
-the gaps were at first, or where they slipped last. The derivative goes through its last two
-periods, h with it.
+(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The march ends when h repeats: its
+beginning is then forgotten. Pairs that stick all the time are the exception. They stay at their
+first gap, or at their last slip. The derivative goes through the last two periods, h with it.
 
 Source: Cameron and Griffin, Journal of Applied Mechanics 56 (1989) 149-154.
 """
@@ -35,144 +35,184 @@ from fenics_crack.numerics.fourier import (
 def coupled_integrals(
     law: ContactLaw, harmonics: int, residual: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
-    """The integrals of pairs that R_inf couples; with friction of normals and tangents."""
-    kind = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
-    return kind(law, harmonics, residual=residual, samples=samples)
+    """Return the integrals for pairs that R_inf couples.
+
+    With friction, R_inf has rows of normals and then of tangents.
+    """
+    integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
+    return integrals_class(law, harmonics, residual=residual, samples=samples)
 
 
 SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
-"""Instants for each harmonic, and at least."""
-TURNS = 20
-"""Maximum periods of a march. Pairs that never all slip or open at once keep a ninth of where it
-began from period to period (an edge crack in flap): rounding is left of it after twelve."""
+"""Instants per harmonic, and the least number of instants."""
+MAX_PERIODS = 20
+"""Maximum periods of a march.
+
+Pairs that never all slip or open at once keep a ninth of the initial difference per period (an edge
+crack in flap). After twelve periods only rounding is left.
+"""
 
 
 @dataclass(frozen=True)
 class FrictionIntegrals(ContactIntegrals):
-    """Forces of normals and tangents that R_inf (2 n_pairs, 2 n_pairs) couples.
+    """Forces on normals and tangents that R_inf (2 n_pairs, 2 n_pairs) couples.
 
     Attributes
     ----------
     samples : int or None
-        N; None: 32 H, or 128 where that is more.
-    share : float
-        Of the coefficient of friction, that of the law times this.
+        N; None: 32 H, or 128 if that is more.
+    friction_factor : float
+        Factor of the law's friction coefficient.
     """
 
     samples: int | None = field(default=None, kw_only=True)
-    share: float = field(default=1.0, kw_only=True)
+    friction_factor: float = field(default=1.0, kw_only=True)
     sets: FrictionSets = field(init=False, repr=False, compare=False)
-    coupled: ClassVar[bool] = True
+    has_coupled_pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         friction = friction_of(self.law)
         assert self.residual is not None and friction is not None
-        share = np.multiply(self.share, friction.coefficient)
-        object.__setattr__(self, "sets", FrictionSets(self.compliance, share))
+        coefficient = np.multiply(self.friction_factor, friction.coefficient)
+        object.__setattr__(self, "sets", FrictionSets(self.compliance, coefficient))
 
     @cached_property
     def compliance(self) -> np.ndarray:
-        """D = R_inf + I/k, and the softness in series: (2 n_pairs, 2 n_pairs) [m/N]."""
+        """Return D = R_inf + I/k plus the series softness: (2 n_pairs, 2 n_pairs) [m/N]."""
         assert self.residual is not None
         softness = self.springs + self.softness * self.unit
         return np.ascontiguousarray(self.residual + np.diag(softness))
 
     @cached_property
     def springs(self) -> np.ndarray:
-        """1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
+        """Return 1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
         assert self.residual is not None
         return spring_compliances(self.law, len(self.residual) // 2)
 
     @property
     def instants(self) -> int:
-        """N."""
+        """N, the instants per period."""
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
     def march(self, gap: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return forces, states, places and origins for values (n, 2 n_pairs) of a period's gaps.
+        """March through the gaps (n, 2 n_pairs) of a period until the state repeats.
 
         Raises as :meth:`FrictionSets.solve`.
-        """
-        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], max_periods=TURNS)
 
-    def forces(self, gap: np.ndarray) -> np.ndarray:
+        Returns
+        -------
+        forces : (n, 2 n_pairs) [N]
+        states : (n, n_pairs)
+            Contact state of each pair.
+        places : (n, n_pairs) [m]
+            h.
+        origins : (n_pairs,)
+            Instant at which each pair last did not stick, or 0.
+        """
+        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], max_periods=MAX_PERIODS)
+
+    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]
 
-    def at(self, gap: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (n, 2 n_pairs) [N] and places h (n, n_pairs) [m] at phases (n,) of a wave of gaps,
-        (2H+1, 2 n_pairs)."""
-        count, turn = self.instants, 2.0 * np.pi
-        every = np.concatenate([turn / count * np.arange(count), np.mod(phase, turn)])
-        values = np.concatenate([sample_period(gap, count), evaluate(gap, 1.0, phase)])
-        _, first, place = np.unique(every, return_index=True, return_inverse=True)
-        forces, _, places, _ = self.march(values[first])
-        asked = place[count:]
-        return forces[asked], places[asked]
+    def forces_at(self, gap: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return forces and sticking places at phases (n,).
+
+        Parameters
+        ----------
+        gap : (2H+1, 2 n_pairs) [m]
+            Coefficients of the gaps.
+        phase : (n,) [rad]
+
+        Returns
+        -------
+        forces : (n, 2 n_pairs) [N]
+        places : (n, n_pairs) [m]
+            h.
+        """
+        n_instants, turn = self.instants, 2.0 * np.pi
+        phases = np.concatenate([turn / n_instants * np.arange(n_instants), np.mod(phase, turn)])
+        gap_samples = np.concatenate([sample_period(gap, n_instants), evaluate(gap, 1.0, phase)])
+        _, first_index, position = np.unique(phases, return_index=True, return_inverse=True)
+        forces, _, places, _ = self.march(gap_samples[first_index])
+        requested_position = position[n_instants:]
+        return forces[requested_position], places[requested_position]
 
     def linearise(self, gap: np.ndarray) -> FrictionForces:
         return FrictionForces(self, gap)
 
-    def finer(self) -> Self:
+    def refine(self) -> Self:
         return replace(self, samples=4 * self.instants)
 
-    def widened(self, harmonics: int) -> Self:
+    def with_harmonics(self, harmonics: int) -> Self:
         return replace(self, harmonics=harmonics, samples=None)
 
 
 class FrictionForces(CoupledForces):
-    """At a wave of gaps."""
+    """Friction and contact forces for gaps given by coefficients."""
 
     def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
-        self._integrals, self._rows = integrals, gap.shape
-        values = sample_period(gap, integrals.instants)
-        self._forces, self.states, self.places, self._origins = integrals.march(values)
-        self.force = fourier_coefficients(self._forces, integrals.harmonics)
+        self._integrals, self._shape = integrals, gap.shape
+        gap_samples = sample_period(gap, integrals.instants)
+        self._force_samples, self.states, self.places, self._origins = integrals.march(gap_samples)
+        self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return self._of_values(sample_period(change, self._integrals.instants))
+        return self._force_change(sample_period(change, self._integrals.instants))
 
-    def _of_values(self, values: np.ndarray) -> np.ndarray:
-        values, found = np.ascontiguousarray(values), np.empty_like(self._forces)
-        arrays = map(pointer, (self.states, self._origins, values, found))
-        if kernel.friction_changes(self._integrals.sets.handle, len(values), *arrays):
+    def _force_change(self, gap_changes: np.ndarray) -> np.ndarray:
+        """Return the forces' change for a change of the gaps at the instants.
+
+        Parameters
+        ----------
+        gap_changes : (N, 2 n_pairs) [m]
+
+        Returns
+        -------
+        (2H+1, 2 n_pairs) [N]
+        """
+        gap_changes = np.ascontiguousarray(gap_changes)
+        force_changes = np.empty_like(self._force_samples)
+        arrays = map(pointer, (self.states, self._origins, gap_changes, force_changes))
+        if kernel.friction_changes(self._integrals.sets.handle, len(gap_changes), *arrays):
             raise MemoryError("friction")
-        return fourier_coefficients(found, self._integrals.harmonics)
+        return fourier_coefficients(force_changes, self._integrals.harmonics)
 
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        rows, pairs = self._rows
-        seen = np.eye(pairs) if basis is None else np.ascontiguousarray(basis)
-        count, n = self._integrals.instants, seen.shape[1]
-        phase = 2.0 * np.pi / count * np.arange(count)
-        values = fourier_basis(phase, np.arange(1, rows // 2 + 1))
-        means = 2.0 / count * values
-        means[:, 0] *= 0.5
-        found = np.empty((rows, n, rows * n))
+        n_rows, n_pair_rows = self._shape
+        basis_matrix = np.eye(n_pair_rows) if basis is None else np.ascontiguousarray(basis)
+        n_instants, n_columns = self._integrals.instants, basis_matrix.shape[1]
+        phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
+        waves = fourier_basis(phase, np.arange(1, n_rows // 2 + 1))
+        weighted_waves = 2.0 / n_instants * waves
+        weighted_waves[:, 0] *= 0.5
+        tangent = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
-            self._integrals.sets.handle, count, pointer(self.states), pointer(self._origins), rows,
-            pointer(values), pointer(means), n, pointer(seen), pointer(found),
+            self._integrals.sets.handle, n_instants, pointer(self.states),
+            pointer(self._origins), n_rows, pointer(waves), pointer(weighted_waves), n_columns,
+            pointer(basis_matrix), pointer(tangent),
         ):  # fmt: skip
             raise MemoryError("friction")
-        return found
+        return tangent
 
     def by_softness(self) -> np.ndarray:
-        return self._of_values(-self._integrals.unit * self._forces)
+        return self._force_change(-self._integrals.unit * self._force_samples)
 
     def by_stiffness(self) -> np.ndarray:
-        return self._of_values(self._forces * self._integrals.springs)
+        return self._force_change(self._force_samples * self._integrals.springs)
 
-    def by_share(self) -> np.ndarray:
-        """Derivative of the coefficients by the share of the coefficient of friction.
+    def by_friction_factor(self) -> np.ndarray:
+        """Return the coefficients' derivative by the factor of the friction coefficient.
 
-        With lambda = E x, f = E' x of pairs that slip, and D E x = s - h there, it is f and what
-        changes - D f of the gaps make of the forces.
+        With lambda = E x, f = E' x for pairs that slip, and D E x = s - h there, the derivative is
+        f plus the forces due to a change -D f of the gaps.
         """
-        integrals, pairs = self._integrals, self._rows[1] // 2
+        integrals, n_pairs = self._integrals, self._shape[1] // 2
         friction = friction_of(integrals.law)
         assert friction is not None
         signs = 1.0 * (self.states == kernel.SLIP_UP) - (self.states == kernel.SLIP_DOWN)
-        found = np.zeros_like(self._forces)
-        found[:, pairs:] = signs * friction.coefficient * self._forces[:, :pairs]
+        slip_force = np.zeros_like(self._force_samples)
+        slip_force[:, n_pairs:] = signs * friction.coefficient * self._force_samples[:, :n_pairs]
         compliance = integrals.compliance
-        return fourier_coefficients(found, integrals.harmonics) + self._of_values(
-            -found @ compliance
+        return fourier_coefficients(slip_force, integrals.harmonics) + self._force_change(
+            -slip_force @ compliance
         )

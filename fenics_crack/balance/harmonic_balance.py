@@ -1,23 +1,23 @@
-"""Steady vibration with contact: linear solution, harmonic balance, and a solution to a tolerance.
+"""Steady vibration with contact: linear solution, harmonic balance, and solution to a tolerance.
 
-The unknowns are the Fourier coefficients of the gaps (:mod:`contact_system`); the equations are
+The unknowns are the Fourier coefficients of the gaps (:mod:`contact_system`). The equations are
 balanced by projection on the same functions, with the contact force integrated exactly or from
-samples; or all displacements (``block_system``).
-Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
+samples. A second form has all displacements as unknowns (``block_system``). Other forms are kept
+for comparison in ``benchmarks/laboratory.py``.
 
 **To a tolerance** the solution is an exact orbit. Harmonic balance with few harmonics finds a
-motion, and shooting the orbit next to it (:mod:`fenics_crack.motion.search`). Its coefficients
-solve
+motion, and shooting finds the orbit next to it (:mod:`fenics_crack.motion.search`). The orbit's
+coefficients solve
 
-    u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
+    u_k = A_k^-1 (c_k - B b_k),    with b_k the coefficients of lambda(g(t)),
 
-for every k: as many of them are kept as the tolerance requires, by the distance of their sum from
-the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
-twice the modes; the modes of a large structure are doubled until that is small.
-The search is independent of the tolerance, so that a tighter one never gives a worse solution.
+for every k. As many are kept as the tolerance requires, by the distance of their sum from the
+orbit. The modal truncation error is the distance to the orbit of the reduction's reference, which
+has twice the modes. The modes of a large structure are doubled until that error is small. The
+search is independent of the tolerance, so that a tighter tolerance never gives a worse solution.
 
-Laws and structures without an exact flow, and motions whose orbit is not found, take as many
-harmonics as bring the estimated error down.
+If there is no exact flow, or no orbit is found, harmonics are added until the estimated error is
+small enough.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, beside
+from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, error_against_reference
 from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
@@ -74,48 +74,49 @@ from fenics_crack.numerics.newton import relative_to_motion
 def solve_linear(
     structure: Structure, omega: float, *, harmonics: int | None = None
 ) -> PeriodicSolution:
-    """Steady vibration with crack faces that pass through each other, A u = c (collective).
+    """Return the steady vibration if crack faces pass through each other, A u = c (collective).
 
     Parameters
     ----------
     structure, omega
         As in :class:`fenics_crack.Problem`.
     harmonics : int, optional
-        H; all beyond those of the load are zero. Default: 5, or as many as the load has.
+        H; harmonics above those of the load are zero. Default: 5, or as many as the load has.
 
     Returns
     -------
     PeriodicSolution
-        Without contact force. Its report has what a reduction leaves out.
+        Without contact force. Its report has the modal truncation error of a reduced structure.
 
     Raises
     ------
     InputError
         omega or harmonics cannot be used.
     ConvergenceError
-        An undamped structure is at resonance, or one that is not held has a mean load.
+        An undamped structure is at resonance, or a structure that is not held has a mean load.
 
     Examples
     --------
     >>> linear = fc.solve_linear(structure, 2000.0)
     """
     check_omega(omega)
-    least = least_harmonics(structure, 1)
-    harmonics = max(Problem.harmonics, least) if harmonics is None else harmonics
-    check_count("harmonics", harmonics, least)
-    solution = _without_contact(structure, omega, harmonics)
+    min_harmonics = least_harmonics(structure, 1)
+    harmonics = max(Problem.harmonics, min_harmonics) if harmonics is None else harmonics
+    check_count("harmonics", harmonics, min_harmonics)
+    solution = _linear_solution(structure, omega, harmonics)
 
     @cache
     def estimate() -> ErrorReport:
         reference = reference_of(solution)
         if reference is None:
             return ErrorReport()
-        return beside(solution, _without_contact(reference, omega, harmonics))
+        return error_against_reference(solution, _linear_solution(reference, omega, harmonics))
 
     return replace(solution, estimate=estimate)
 
 
-def _without_contact(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
+def _linear_solution(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
+    """Return the linear solution without its report (collective)."""
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
     for k in range(len(load)):
@@ -129,18 +130,18 @@ def _without_contact(structure: Structure, omega: float, harmonics: int) -> Peri
 def linear_response(
     structure: Structure, dof: int, omega: np.ndarray, *, lips: str = "open"
 ) -> np.ndarray:
-    """Amplitudes of a dof at load frequencies with crack faces that stay open, or that stay bonded.
+    """Return amplitudes of a dof with all crack faces open, or all bonded.
 
-    Bonded faces have no relative normal motion and slide without friction, as those of
-    :func:`fenics_crack.solve_modes`. Mean loads, preload and clearance play no part, nor do
-    a load's harmonics above the first: :func:`fenics_crack.solve_linear` takes them all.
+    Bonded faces have no relative normal motion and slide without friction, as in
+    :func:`fenics_crack.solve_modes`. Mean loads, preload, clearance and the load's harmonics above
+    the first play no part; :func:`fenics_crack.solve_linear` takes them all.
 
     Parameters
     ----------
     structure : Structure
         Small, or reduced.
     dof : int
-        Whose displacement.
+        Dof whose displacement is returned.
     omega : (n,) [rad/s]
         Load frequencies.
     lips : "open" or "tied"
@@ -154,40 +155,40 @@ def linear_response(
     Raises
     ------
     InputError
-        The structure is not small, lips is none of these, or omega cannot be used.
+        The structure is not small, lips is neither state, or omega cannot be used.
 
     Examples
     --------
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    given = numbers(omega)
-    if given.ndim != 1 or not np.all(np.isfinite(given) & (given >= 0.0)):
+    frequencies = numbers(omega)
+    if frequencies.ndim != 1 or not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
     load = load_coefficients(structure, 1, 1)
     row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
-    found = np.full(len(given), np.inf)
-    for place, one in enumerate(given):
+    amplitudes = np.full(len(frequencies), np.inf)
+    for index, frequency in enumerate(frequencies):
         with contextlib.suppress(ConvergenceError):
-            at = ModalCompliance(structure, float(one), load)
-            force = np.zeros_like(at.linear_gap)
+            compliance = ModalCompliance(structure, float(frequency), load)
+            force = np.zeros_like(compliance.linear_gap)
             if lips == "tied" and structure.n_pairs:
-                gap = to_complex(at.linear_gap)
-                gap[1] = np.linalg.lstsq(at.matrices[1], gap[1], rcond=None)[0]
+                gap = to_complex(compliance.linear_gap)
+                gap[1] = np.linalg.lstsq(compliance.matrices[1], gap[1], rcond=None)[0]
                 force[1:] = from_complex(gap)[1:]
-            found[place] = np.hypot(*at.seen_through(row, force)[1:, 0])
-    return found
+            amplitudes[index] = np.hypot(*compliance.selected_displacement(row, force)[1:, 0])
+    return amplitudes
 
 
 def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:
-    """Complex displacement under a load (n_local,)."""
+    """Return the complex displacement under a load (n_local,): (n_local,) [m]."""
     if not structure.light_lips:
-        with DynamicStiffness(structure, omega) as block:
-            return block.solve(load[None] if omega > 0.0 else load.real[None])[0]
+        with DynamicStiffness(structure, omega) as stiffness:
+            return stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
     modes = all_modes(structure)
     receptance = modes.receptance(np.array([omega]))[0]
-    moved = modes.respond(receptance, load @ modes.shapes)
-    return moved @ modes.shapes.T + load @ modes.static_loads
+    response = modes.respond(receptance, load @ modes.shapes)
+    return response @ modes.shapes.T + load @ modes.static_loads
 
 
 def solve_harmonic_balance(
@@ -204,7 +205,7 @@ def solve_harmonic_balance(
     residual_tolerance: float = Solver.residual_tolerance,
     throw: bool = True,
 ) -> PeriodicSolution:
-    """Steady periodic vibration with contact between the crack faces (collective).
+    """Return the steady periodic vibration with contact between crack faces (collective).
 
     The coefficients of u(t) solve A u + B b(g) = c, the equation of motion M u'' + C u' + K u +
     B lambda(g) = f(t), g = B^T u - g0, projected on the mean and the first H harmonics: b are the
@@ -275,8 +276,8 @@ def solve_harmonic_balance(
             raise InputError("tolerance", tolerance, "left out with form = 'block'")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        few = Problem.harmonics
-        harmonics = few if tolerance is None else few * subharmonic
+        default_harmonics = Problem.harmonics
+        harmonics = default_harmonics if tolerance is None else default_harmonics * subharmonic
         harmonics = max(harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
@@ -291,32 +292,32 @@ def solve_harmonic_balance(
 
 
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
-    """Raise InputError unless a solution can be where a problem's solution is sought from."""
+    """Raise InputError unless the search for a problem's solution can begin at ``initial``."""
     structure, subharmonic = problem.structure, problem.subharmonic
     fitting_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
-    has = initial.structure.n_dofs, initial.structure.n_pairs
-    gaps_only = structure.light_lips and has[1] == structure.n_pairs
-    if not gaps_only and has != (structure.n_dofs, structure.n_pairs):
+    initial_size = initial.structure.n_dofs, initial.structure.n_pairs
+    needs_gaps_only = structure.light_lips and initial_size[1] == structure.n_pairs
+    if not needs_gaps_only and initial_size != (structure.n_dofs, structure.n_pairs):
         allowed = f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs"
-        raise InputError("initial", f"{has[0]} dofs, {has[1]} pairs", allowed)
+        raise InputError("initial", f"{initial_size[0]} dofs, {initial_size[1]} pairs", allowed)
     if subharmonic % initial.subharmonic:
         allowed = f"of a subharmonic that divides {subharmonic}"
         raise InputError("initial", f"subharmonic {initial.subharmonic}", allowed)
 
 
 FIRST_MODES = 10
-"""Modes of the first attempt for a large structure; at most as many as exact orbits may have."""
+"""Modes of the first attempt for a large structure, limited by what exact orbits may have."""
 MAX_HARMONICS = 500
-"""Maximum harmonics solved for, or kept of an orbit, for each period of the load."""
+"""Maximum harmonics solved for, or kept from an orbit, per period of the load."""
 
 
-def modes_tried(
-    structure: Structure, first: int = FIRST_MODES, most: int = MAX_MODES_FOR_MONODROMY
+def mode_counts(
+    structure: Structure, first_modes: int = FIRST_MODES, max_modes: int = MAX_MODES_FOR_MONODROMY
 ) -> list[int]:
-    """Numbers of modes of a large structure: few, and twice as many each time."""
-    most = min(max(first, most), structure.n_dofs)
-    doublings = max(0, math.ceil(math.log2(most / first)))
-    return [min(first * 2**power, most) for power in range(doublings + 1)]
+    """Return ascending numbers of modes for a large structure, doubled each time."""
+    max_modes = min(max(first_modes, max_modes), structure.n_dofs)
+    doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
+    return [min(first_modes * 2**power, max_modes) for power in range(doublings + 1)]
 
 
 def solve_to_tolerance(
@@ -327,135 +328,169 @@ def solve_to_tolerance(
     structures: Iterable[Structure] | None = None,
     modes_key: str = "",
 ) -> PeriodicSolution:
-    """The solution with few modes and harmonics that meet a tolerance, no fewer harmonics than the
-    problem has; else the best one, or the error that says how far it is from what was
-    requested.
+    """Return a solution with few modes and harmonics that meet a tolerance (collective).
 
-    ``structures`` are those with more and more modes, each made when it is needed (collective); by
-    itself only a structure of many dofs is reduced. ``modes_key`` is what a scene calls the number
-    of modes.
+    It has no fewer harmonics than the problem. If the tolerance is missed, the best solution is
+    returned, or an error states by how much.
+
+    Parameters
+    ----------
+    solver : Solver
+    tolerance : float
+    initial : PeriodicSolution, optional
+        Start of the search.
+    structures : iterable of Structure, optional
+        Reductions with more and more modes, each made on demand. Default: a structure with many
+        dofs is reduced, another one is not.
+    modes_key : str
+        Key of the number of modes in a scene, for messages.
     """
-    whole = solver.problem.structure
-    if structures is None and (is_small(whole) or isinstance(whole, ReducedStructure)):
-        structures = [whole]
+    whole_structure = solver.problem.structure
+    if structures is None and (
+        is_small(whole_structure) or isinstance(whole_structure, ReducedStructure)
+    ):
+        structures = [whole_structure]
     elif structures is None:
-        reduced_to = partial(reduce_structure, whole, method="massless")
-        structures = (reduced_to(modes=modes) for modes in modes_tried(whole))
-    best = None
+        reduce = partial(reduce_structure, whole_structure, method="massless")
+        structures = (reduce(modes=modes) for modes in mode_counts(whole_structure))
+    best_solution = None
     for structure in structures:
         solver = replace(solver, problem=replace(solver.problem, structure=structure))
-        last = _solved(solver, tolerance, initial)
-        last = last.reported(whole.comm.bcast(last.report))
-        if best is None or last.report.total < best.report.total:
-            best = last
-        if not (last.converged and lacks_modes(last, tolerance)):
+        solution = _solve_structure(solver, tolerance, initial)
+        solution = solution.reported(whole_structure.comm.bcast(solution.report))
+        if best_solution is None or solution.report.total < best_solution.report.total:
+            best_solution = solution
+        if not (solution.converged and lacks_modes(solution, tolerance)):
             break
-        initial = last if structure.light_lips else None
-    assert best is not None
-    return _told(solver, best, tolerance, modes_key)
+        initial = solution if structure.light_lips else None
+    assert best_solution is not None
+    return _with_tolerance_status(solver, best_solution, tolerance, modes_key)
 
 
-def lacks_modes(found: PeriodicSolution, tolerance: float) -> bool:
-    """Return True if a solution misses a tolerance, and its modes leave more than half of that."""
-    return found.report.total > tolerance and found.report.reduction > tolerance / 2.0
+def lacks_modes(solution: PeriodicSolution, tolerance: float) -> bool:
+    """Return True if a solution misses a tolerance mainly for lack of modes.
+
+    The modal truncation error is then more than half of the tolerance.
+    """
+    return solution.report.total > tolerance and solution.report.reduction > tolerance / 2.0
 
 
 def solve_beside(
     problem: Problem,
-    near: PeriodicSolution | None,
+    neighbour: PeriodicSolution | None,
     tolerance: float | None = None,
     *,
     error: bool = True,
 ) -> PeriodicSolution:
-    """The solution of a problem of a small structure, sought from that of another one, with its
-    ``error`` or without.
+    """Return a small structure's solution, sought from a neighbouring solution.
 
-    With a tolerance it is the orbit next to that, with no fewer harmonics than the problem has, and
-    as many as bring what harmonics leave out below it.
+    Without a tolerance, ``error`` decides whether errors are estimated. With a tolerance, the
+    solution is the orbit next to the neighbour. It has no fewer harmonics than the problem, and as
+    many as bring the truncation error below the tolerance.
 
     Raises
     ------
     InputError
         The contact is so stiff that rounding leaves nothing of its force.
     ConvergenceError
-        There is no solution, or not to the tolerance.
+        There is no solution, or none to the tolerance.
     """
     if tolerance is None:
-        found = Solver(problem).solve(near)
-        return found if error else found.reported(NOT_ESTIMATED)
-    solution = _solved(Solver(problem), tolerance, near)
-    if not (left := solution.report.truncation) <= tolerance:
-        size = f"the estimated truncation error, {left:.1e} with H = {solution.harmonics},"
-        missed = f"{size} stays above {tolerance:g}; {solution.status}"
-        raise ConvergenceError(f"harmonic balance at {problem.omega:g} rad/s: {missed}")
+        balanced_solution = Solver(problem).solve(neighbour)
+        return balanced_solution if error else balanced_solution.reported(NOT_ESTIMATED)
+    solution = _solve_structure(Solver(problem), tolerance, neighbour)
+    if not (truncation := solution.report.truncation) <= tolerance:
+        size = f"the estimated truncation error, {truncation:.1e} with H = {solution.harmonics},"
+        message = f"{size} stays above {tolerance:g}; {solution.status}"
+        raise ConvergenceError(f"harmonic balance at {problem.omega:g} rad/s: {message}")
     return solution
 
 
-def _goal(tolerance: float, reduction: float) -> float:
-    """Return the error allowed for harmonics and samples: what modes leave, at most half of it."""
-    left = tolerance - reduction
-    return min(left, tolerance / 2.0) if left > 0.0 else tolerance / 2.0
+def _error_goal(tolerance: float, reduction: float) -> float:
+    """Return the error allowed for harmonics and samples.
+
+    It is the tolerance less the modal truncation error, at most half of the tolerance.
+    """
+    remaining_error = tolerance - reduction
+    return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0
 
 
-def _told(
-    solver: Solver, found: PeriodicSolution, tolerance: float, modes_key: str
+def _with_tolerance_status(
+    solver: Solver, solution: PeriodicSolution, tolerance: float, modes_key: str
 ) -> PeriodicSolution:
-    """The solution with the word of what it took or what it lacks; or the error that says so."""
-    report, structure = found.report, found.structure
-    if not found.converged:
-        return found
-    lips, kept, more, each = as_massless_structure(structure), "", modes_key or "modes", 1
+    """Return a solution whose status states the choices, or what the tolerance needs.
+
+    Raises ConvergenceError if the tolerance is missed and the solver throws.
+    """
+    report, structure = solution.report, solution.structure
+    if not solution.converged:
+        return solution
+    massless_part = as_massless_structure(structure)
+    kept_modes = ""
+    modes_remedy = modes_key or "modes"
+    n_sectors = 1
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
-        kept = f", {size}"
-        if lips is not None:
-            kept = f", {lips.n_modes} modes ({size})"
-            if isinstance(lips.whole, Wheel):
-                more, each = modes_key or "families", lips.whole.sector.count
-            more += f" {2 * lips.n_modes // each}, in about twice the time"
+        kept_modes = f", {size}"
+        if massless_part is not None:
+            kept_modes = f", {massless_part.n_modes} modes ({size})"
+            if isinstance(massless_part.whole, Wheel):
+                modes_remedy = modes_key or "families"
+                n_sectors = massless_part.whole.sector.count
+            modes_remedy += f" {2 * massless_part.n_modes // n_sectors}, in about twice the time"
     if report.total <= tolerance:
-        chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
-        return replace(found, status=f"{found.status}; {chosen}")
-    helps = {
-        more: report.reduction,
+        choice = f"chosen for an error of {tolerance:g}: H = {solution.harmonics}{kept_modes}"
+        return replace(solution, status=f"{solution.status}; {choice}")
+    remedies = {
+        modes_remedy: report.reduction,
         "more damping, which needs fewer harmonics": report.truncation + report.sampling,
         "a larger tolerance, as the error is rounding": report.residual,
     }
     size = "unknown" if report.unknown else percent(report.total)
-    missed = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
-    missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
+    message = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
+    message += f"{max(remedies, key=remedies.__getitem__)} (H = {solution.harmonics}{kept_modes})"
     if solver.throw:
-        missed += f"; {found.status}; throw = False returns it"
-        raise ConvergenceError(f"harmonic balance at {found.omega:g} rad/s: {missed}")
-    return replace(found, status=f"{missed}; {found.status}")
+        message += f"; {solution.status}; throw = False returns it"
+        raise ConvergenceError(f"harmonic balance at {solution.omega:g} rad/s: {message}")
+    return replace(solution, status=f"{message}; {solution.status}")
 
 
-def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) -> PeriodicSolution:
-    """The solution of a structure as it is."""
+def _solve_structure(
+    solver: Solver, tolerance: float, initial: PeriodicSolution | None
+) -> PeriodicSolution:
+    """Return the solution of a structure with the modes it has."""
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
-        return _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
-    balanced, found = _sought(solver, flow, initial)
-    if found.orbit is not None:
-        kept = solution_of_orbit(problem, found.orbit, tolerance, initial)
-        way = f"{found.reason}, from H = {balanced[-1].harmonics}" if balanced else found.reason
-        return replace(kept, status=way + _told_of_others(found), others=found.other_orbits)
-    if balanced:
-        initial = balanced[-1]
+        return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
+    solutions, search = _search_orbit_from_solutions(solver, flow, initial)
+    if search.orbit is not None:
+        orbit_solution = solution_of_orbit(problem, search.orbit, tolerance, initial)
+        origin = (
+            f"{search.reason}, from H = {solutions[-1].harmonics}" if solutions else search.reason
+        )
+        return replace(
+            orbit_solution,
+            status=origin + _describe_other_orbits(search),
+            others=search.other_orbits,
+        )
+    if solutions:
+        initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
-    near = _by_harmonics(solver, tolerance, _begun(solver, problem).solve(initial))
-    tried = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
-    status = f"no exact orbit found from H = {tried}; {found.reason}; {near.status}"
-    return replace(near, status=status)
+    solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
+    orders = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
+    status = f"no exact orbit found from H = {orders}; {search.reason}; {solution.status}"
+    return replace(solution, status=status)
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
 def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
-    """Search for an exact orbit from harmonic-balance solutions with more and more harmonics, all
-    sought from an initial one, whose orbit is the first then.
+    """Search for an exact orbit from harmonic-balance solutions.
+
+    The solutions have more and more harmonics, and are all sought from ``initial``. If that has an
+    orbit, the orbit is tried first.
 
     Raises
     ------
@@ -463,45 +498,46 @@ def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> 
         There is no exact flow.
     """
     flow = exact_flow(problem.structure, problem.contact)
-    return _sought(Solver(problem, throw=False), flow, initial)[1]
+    return _search_orbit_from_solutions(Solver(problem, throw=False), flow, initial)[1]
 
 
-def _sought(
+def _search_orbit_from_solutions(
     solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
 ) -> tuple[list[PeriodicSolution], OrbitSearch]:
-    """The same, and these solutions."""
-    problem, balanced = solver.problem, list[PeriodicSolution]()
+    """Return harmonic-balance solutions, and the search for an orbit from them."""
+    problem, solutions = solver.problem, list[PeriodicSolution]()
 
     def guesses() -> Iterator[np.ndarray]:
         if initial is not None and initial.orbit is not None:
-            known = initial.orbit
-            if initial.structure is problem.structure and known.subharmonic == problem.subharmonic:
-                yield known.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+            orbit = initial.orbit
+            if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
+                yield orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
         for count in SearchOptions.harmonics:
-            few = problem.with_harmonics(problem.few_harmonics(count))
-            near = _begun(solver, few).attempt(initial, wholly=False)[1]
-            if near.converged:
-                balanced.append(near)
-                yield near.assessment.states
+            start_problem = problem.with_harmonics(problem.response_harmonics(count))
+            solution = _solver_for(solver, start_problem).attempt(initial, wholly=False)[1]
+            if solution.converged:
+                solutions.append(solution)
+                yield solution.assessment.states
 
-    orbit = search_orbit(
+    search = search_orbit(
         flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
     )
-    return balanced, orbit
+    return solutions, search
 
 
-def _begun(solver: Solver, problem: Problem) -> Solver:
+def _solver_for(solver: Solver, problem: Problem) -> Solver:
+    """Return the solver for another problem, and report progress."""
     begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
 
 
-def _told_of_others(found: OrbitSearch) -> str:
-    """Describe the other orbits that were found."""
-    words = []
-    for other in found.other_orbits:
-        size = quantity(other.amplitude(), "m")
-        words.append(f"{'stable' if other.is_stable else 'unstable'}, amplitude {size}")
-    return f"; other orbits at this frequency: {'; '.join(words)}" if words else ""
+def _describe_other_orbits(search: OrbitSearch) -> str:
+    """Return a description of the other orbits that the search met."""
+    descriptions = []
+    for orbit in search.other_orbits:
+        size = quantity(orbit.amplitude(), "m")
+        descriptions.append(f"{'stable' if orbit.is_stable else 'unstable'}, amplitude {size}")
+    return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""
 
 
 def solution_of_orbit(
@@ -510,62 +546,87 @@ def solution_of_orbit(
     tolerance: float,
     initial: PeriodicSolution | None = None,
 ) -> PeriodicSolution:
-    """The solution with the fewest harmonics of an orbit that meet a tolerance, no fewer than a
-    problem has; its errors are those of the coefficients left out, and of the modes. One nearby
-    makes it faster."""
-    most = MAX_HARMONICS * problem.subharmonic
-    known = orbit.coefficients(problem.few_harmonics(SearchOptions.harmonics[-1]))
-    more: MoreModes | None = None
+    """Return an orbit's solution with the fewest harmonics that meet a tolerance.
+
+    It has no fewer harmonics than the problem. Its errors are due to the coefficients left out, and
+    to the modes. A neighbouring solution ``initial`` makes it faster.
+    """
+    max_harmonics = MAX_HARMONICS * problem.subharmonic
+    coefficients = orbit.coefficients(problem.response_harmonics(SearchOptions.harmonics[-1]))
+    more_modes: MoreModes | None = None
 
     def wave_with(harmonics: int) -> PeriodicSolution:
-        nonlocal known
-        if 2 * harmonics + 1 > len(known.gap):
-            known = orbit.coefficients(harmonics)
-        return wave_of(problem.with_harmonics(harmonics), orbit, known, more)
+        nonlocal coefficients
+        if 2 * harmonics + 1 > len(coefficients.gap):
+            coefficients = orbit.coefficients(harmonics)
+        return wave_of(problem.with_harmonics(harmonics), orbit, coefficients, more_modes)
 
-    more = wave_with(problem.few_harmonics(SearchOptions.harmonics[0])).assessment.more_modes
-    if more and initial and initial.structure is problem.structure:
-        other = initial.assessment.more_modes
-        more = replace(more, inverse=other.hint if other else None)
-    reduction, at_load = _lost(problem, wave_with, more)
-    goal = _goal(tolerance, reduction)
-    fewer, found = 0, wave_with(problem.harmonics)
-    while not found.assessment.distance <= goal and found.harmonics < most:
-        fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
-    if fewer:
-        counts, near = range(found.harmonics), lambda n: wave_with(n).assessment.distance <= goal
-        found = wave_with(bisect_left(counts, True, fewer + 1, key=near))
-    gap, known_errors = orbit.gap, found.assessment.errors()
-    closing = gap + problem.structure.clearance
+    more_modes = wave_with(
+        problem.response_harmonics(SearchOptions.harmonics[0])
+    ).assessment.more_modes
+    if more_modes and initial and initial.structure is problem.structure:
+        initial_modes = initial.assessment.more_modes
+        more_modes = replace(
+            more_modes, inverse=initial_modes.orbit_inverse if initial_modes else None
+        )
+    reduction, load_error = _modal_truncation_errors(problem, wave_with, more_modes)
+    goal = _error_goal(tolerance, reduction)
+    too_few_harmonics, solution = 0, wave_with(problem.harmonics)
+    while not solution.assessment.distance <= goal and solution.harmonics < max_harmonics:
+        too_few_harmonics = solution.harmonics
+        solution = wave_with(min(2 * solution.harmonics, max_harmonics))
+    if too_few_harmonics:
+        harmonics = bisect_left(
+            range(solution.harmonics),
+            True,
+            too_few_harmonics + 1,
+            key=lambda count: wave_with(count).assessment.distance <= goal,
+        )
+        solution = wave_with(harmonics)
+    gap, errors = orbit.gap, solution.assessment.errors()
+    gap_motion = gap + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
-        truncation=known_errors[0],
+        truncation=errors[0],
         reduction=reduction,
-        penetration=relative_to_motion(np.maximum(gap, 0.0), closing),
-        displacement=min(known_errors[1] + at_load, UNKNOWN),
+        penetration=relative_to_motion(np.maximum(gap, 0.0), gap_motion),
+        displacement=min(errors[1] + load_error, UNKNOWN),
     )
-    return replace(found.reported(report), iterations=orbit.iterations)
+    return replace(solution.reported(report), iterations=orbit.iterations)
 
 
 def wave_of(
-    problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients, more: MoreModes | None = None
+    problem: Problem,
+    orbit: PeriodicOrbit,
+    coefficients: OrbitCoefficients,
+    more_modes: MoreModes | None = None,
 ) -> PeriodicSolution:
-    """An orbit's motion with the harmonics of a problem."""
+    """Return an orbit's motion with the harmonics of a problem."""
     rows = slice(2 * problem.harmonics + 1)
-    wave = problem.wave_of(known.displacement[rows], known.gap[rows], known.force[rows])
-    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more=more))
+    wave = problem.wave_of(
+        coefficients.displacement[rows], coefficients.gap[rows], coefficients.force[rows]
+    )
+    return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more_modes=more_modes))
 
 
-def _lost(
+def _modal_truncation_errors(
     problem: Problem, wave_with: Callable[[int], PeriodicSolution], more: MoreModes | None
 ) -> tuple[float, float]:
-    """Return the modal truncation error of the gap, and of the displacement at the load, of an
-    orbit, known by its motion with more modes, or by its waves with some harmonics."""
+    """Return the modal truncation errors of an orbit.
+
+    They follow from the motion with more modes, if that has an orbit. Otherwise they follow from
+    harmonic balance with some harmonics.
+
+    Returns
+    -------
+    gap, displacement : float
+        Relative errors; the displacement is the one at the load.
+    """
     structure = problem.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     if more is None or more.orbit is None:
-        many = problem.few_harmonics(SearchOptions.harmonics[-1])
+        many = problem.response_harmonics(SearchOptions.harmonics[-1])
         balance = Solver(problem.with_harmonics(many))
         solution = balance.attempt(wave_with(many), wholly=False, more=more)[1]
         if solution.converged:
@@ -576,39 +637,47 @@ def _lost(
 # --- by harmonics ---------------------------------------------------------------------------------
 
 
-def _by_harmonics(solver: Solver, tolerance: float, found: PeriodicSolution) -> PeriodicSolution:
-    """The best solution, with as many harmonics as bring the estimated error of one down."""
-    best = found
-    while found.converged and not _enough(found, tolerance):
-        harmonics = min(2 * found.harmonics, MAX_HARMONICS)
-        finer = _begun(solver, solver.problem.with_harmonics(harmonics))
-        found = finer.attempt(found, wholly=False)[1]
-        if found.converged and found.report.total < best.report.total:
-            best = found
-    return best
+def _raise_harmonics(
+    solver: Solver, tolerance: float, solution: PeriodicSolution
+) -> PeriodicSolution:
+    """Return the best solution while harmonics are doubled until the error is small."""
+    best_solution = solution
+    while solution.converged and not _has_enough_harmonics(solution, tolerance):
+        harmonics = min(2 * solution.harmonics, MAX_HARMONICS)
+        finer_solver = _solver_for(solver, solver.problem.with_harmonics(harmonics))
+        solution = finer_solver.attempt(solution, wholly=False)[1]
+        if solution.converged and solution.report.total < best_solution.report.total:
+            best_solution = solution
+    return best_solution
 
 
-def _enough(found: PeriodicSolution, tolerance: float) -> bool:
-    """Return True if no more harmonics are needed, or allowed; samples go with them."""
-    left = found.report.truncation + found.report.sampling
-    unknown = left >= UNKNOWN and found.harmonics >= SearchOptions.harmonics[-1] * found.subharmonic
-    enough = left <= _goal(tolerance, found.report.reduction)
-    return enough or unknown or found.harmonics >= MAX_HARMONICS
+def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
+    """Return True if no more harmonics are needed, or allowed.
+
+    Samples are added with harmonics.
+    """
+    error = solution.report.truncation + solution.report.sampling
+    is_unknown = (
+        error >= UNKNOWN
+        and solution.harmonics >= SearchOptions.harmonics[-1] * solution.subharmonic
+    )
+    meets_goal = error <= _error_goal(tolerance, solution.report.reduction)
+    return meets_goal or is_unknown or solution.harmonics >= MAX_HARMONICS
 
 
 # --- friction on solids ---------------------------------------------------------------------------
 
 
 def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -> ContactLaw:
-    """Return a law with the lines along which a solid's pairs slide without friction (collective).
+    """Return a law with the lines along which a solid's pairs slide (collective).
 
-    Friction acts along one line for each pair, that along which it slides the most in the vibration
-    without friction: with the sum over a period of
+    Friction acts along one line for each pair, the main direction of sliding in the vibration
+    without friction. This direction is the first eigenvector of the sum over a period
 
-        A_i = sum lambda_n,i dg_i dg_i^T,      dg_i: change of its two tangential gaps,
+        A_i = sum lambda_n,i dg_i dg_i^T,      dg_i: change of the two tangential gaps of pair i.
 
-    its first eigenvector. Where sliding turns, ``turning``, the root of the ratio of the sums of
-    the pairs' second and first eigenvalues, is the share that friction across the lines would have.
+    If sliding turns, ``turning`` is the share that friction across the lines would have. It is the
+    root of a ratio: the pairs' second eigenvalues, summed, over the first ones.
 
     Parameters
     ----------
@@ -617,7 +686,7 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
     omega : float [rad/s]
         Frequency of the load.
     contact : ContactLaw
-        With friction; a law without, or with lines, or for a plate, is returned as it is.
+        With friction. A law without friction, with lines, or for a plate is returned unchanged.
 
     Returns
     -------
@@ -637,48 +706,68 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
 
 
 def along_lines(
-    structure: Structure, contact: ContactLaw, without: Callable[[ContactLaw], ObservedMotion]
+    structure: Structure,
+    contact: ContactLaw,
+    frictionless_motion: Callable[[ContactLaw], ObservedMotion],
 ) -> ContactLaw:
-    """Return a law with the lines of a solid's pairs, by the motion under its normal law
-    (collective)."""
+    """Return a law with the sliding lines of a solid's pairs (collective).
+
+    They follow from the motion under its normal law.
+    """
     friction, tangents = friction_of(contact), structure.tangential
     if friction is None or friction.direction is not None or tangents is None:
         return contact
     if tangents.shape[1] == structure.n_pairs:
         return contact
-    direction, turning = sliding_of(without(friction.law))
+    direction, turning = sliding_of(frictionless_motion(friction.law))
     return replace(friction, direction=direction, turning=turning)
 
 
 def motion_without_friction(
     structure: Structure, omega: float, law: ContactLaw, subharmonic: int = 1
 ) -> PeriodicOrbit | PeriodicSolution:
-    """The exact orbit without friction, or else the solution next to which none is found
-    (collective)."""
+    """Return the exact orbit without friction (collective).
+
+    If no orbit is accepted, the harmonic-balance solution is returned.
+    """
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
-    few = problem.with_harmonics(problem.few_harmonics(problem.harmonics))
-    found = Solver(few).solve()
-    known = found.assessment
-    return known.orbit if known.accepted and known.orbit is not None else found
+    start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
+    solution = Solver(start_problem).solve()
+    assessment = solution.assessment
+    return assessment.orbit if assessment.is_accepted and assessment.orbit is not None else solution
 
 
 def sliding_of(
     motion: ObservedMotion, direction: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
-    """Lines (n_pairs,) [rad] along which pairs slide in a motion of a structure with two tangential
-    gaps a pair, or given ones, and the turning of sliding about them (collective)."""
+    """Return the lines along which pairs slide, and how much sliding turns (collective).
+
+    Parameters
+    ----------
+    motion : ObservedMotion
+        Motion of a structure with two tangential gaps per pair.
+    direction : (n_pairs,) [rad], optional
+        Lines; default: the main directions of sliding.
+
+    Returns
+    -------
+    direction : (n_pairs,) [rad]
+    turning : float
+        Root of the sum over pairs of A across the lines, over A along them
+        (:func:`slide_along_lines`).
+    """
     tangents = motion.structure.tangential
     assert tangents is not None
     [record] = motion.records(tangents.T.toarray())
     pairs = motion.structure.n_pairs
-    slide, force = record.motion.reshape(len(record.motion), 2, pairs), record.force[:, :pairs]
-    moved = np.roll(slide, -1, axis=0) - slide
+    slip, force = record.motion.reshape(len(record.motion), 2, pairs), record.force[:, :pairs]
+    slip_change = np.roll(slip, -1, axis=0) - slip
     weight = np.maximum(0.5 * (np.roll(force, -1, axis=0) + force), 0.0)
-    work = np.einsum("tip,tjp,tp->pij", moved, moved, weight)
+    work = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, weight)
     if direction is None:
-        first = np.linalg.eigh(work)[1][:, :, 1]
-        direction = np.arctan2(first[:, 1], first[:, 0])
+        main_axes = np.linalg.eigh(work)[1][:, :, 1]
+        direction = np.arctan2(main_axes[:, 1], main_axes[:, 0])
     line = np.array([np.cos(direction), np.sin(direction)])
-    along = float(np.einsum("ip,jp,pij->", line, line, work))
-    across = max(float(np.trace(work, axis1=1, axis2=2).sum()) - along, 0.0)
-    return direction, math.sqrt(across / along) if along > 0.0 else 0.0
+    work_along = float(np.einsum("ip,jp,pij->", line, line, work))
+    work_across = max(float(np.trace(work, axis1=1, axis2=2).sum()) - work_along, 0.0)
+    return direction, math.sqrt(work_across / work_along) if work_along > 0.0 else 0.0

@@ -1,14 +1,14 @@
-"""Exact orbits of one structure in many cases: at other frequencies, loads, dampings, clearances.
+"""Exact orbits of one structure in many cases: other frequencies, loads, dampings, clearances.
 
-Neighbouring cases have neighbouring orbits. The contact forces grow with the gaps, so that a load
-and a clearance that are multiplied alike multiply the orbit: over the load's factor it depends on
+Neighbouring cases have neighbouring orbits. Contact forces grow with the gaps: a common factor of
+load and clearance multiplies the orbit. Divided by the load's factor, the orbit depends on
 
     x = omega, damping, sign of the load, clearance / load,
 
-each scaled by its spread, frequencies by the width of the resonance next to their middle. Cases are
-taken from the middle of them outwards. Newton's method (:mod:`fenics_crack.motion.orbit`) begins
-where the plane through the orbits of the nearest cases before leads, then with that of the nearest
-one; where it finds none, or an unstable one, the case is sought as a single solution is.
+each scaled by its range, and frequencies by the width of the resonance next to their middle. Cases
+are taken from the middle outwards. Newton's method (:mod:`fenics_crack.motion.orbit`) begins on the
+plane through the orbits of the nearest earlier cases, and then at the nearest orbit. If no stable
+orbit is found, the case is solved like a single one.
 """
 
 from __future__ import annotations
@@ -41,42 +41,44 @@ from fenics_crack.motion.orbit import (
 from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import relative_to_motion
 
-NEAREST, BEFORE = 16, 8
-"""Nearest cases among which neighbours are, and as many as a plane goes through."""
-SAMPLES = 256
-"""Least instants of a period that an orbit's numbers are from: a coefficient of order 20 is off by
-less than a hundredth of itself."""
-SHORT = 1e-10
-"""Relative length of a step behind which an orbit is found."""
-VARIED = "omega", "load", "damping", "clearance"
-WORDS = "status", "reason", "verdict"
-NUMBERS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
+N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
+"""Nearest cases searched for neighbours, and neighbours that a plane goes through."""
+MIN_SAMPLES = 256
+"""Least instants per period for an orbit's numbers.
+
+A coefficient of order 20 is then accurate to a hundredth.
+"""
+STEP_TOLERANCE = 1e-10
+"""Relative length of the last Newton step for an orbit."""
+PARAMETERS = "omega", "load", "damping", "clearance"
+TEXT_COLUMNS = "status", "reason", "verdict"
+NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
 
 
 @dataclass(frozen=True, repr=False)
 class ManyOrbits(Tabular):
-    """Exact orbits of many cases; what is not known of one is nan, or "".
+    """Exact orbits of many cases; unknown entries are nan, or "".
 
     Attributes
     ----------
     omega, load, damping, clearance : (n,)
-        Cases: frequency of the load [rad/s], factors of the load and of the damping, clearance [m]
-        added to that of every pair.
+        Cases: frequency of the load [rad/s], factors of load and damping, and the clearance [m]
+        added to every pair.
     status : (n,) str
-        "neighbour", "alone": found from neighbours' orbits, or as a single solution is; "lost": no
-        orbit was found; "refused": the case cannot be.
+        "neighbour": found from neighbours' orbits; "alone": found like a single solution; "lost":
+        no orbit was found; "refused": the case cannot exist.
     reason : (n,) str
-        In words, of cases found alone, lost or refused.
+        Explanation for cases found alone, lost or refused.
     amplitude : (n,) [m]
         Half the peak-to-peak displacement of the watched dof.
     opening : (n,) [m]
-        Largest of any pair.
+        Largest opening of any pair.
     closed_share : (n,)
         Part of the period in which a pair is closed, mean over the pairs.
     multiplier : (n,)
         Largest modulus of the Floquet multipliers.
     verdict : (n,) str
-        "stable", "unstable", or "undecided" where that is 1 to rounding.
+        "stable", "unstable", or "undecided" if the multiplier is 1 to rounding.
     truncation : (n,)
         Relative error of the gap due to the harmonics above H.
     states : (n, 2 n_modes)
@@ -101,18 +103,21 @@ class ManyOrbits(Tabular):
     states: np.ndarray
 
     def problem(self, case: int) -> Problem:
-        """The problem of a case, with H harmonics; InputError where it cannot be."""
-        omega, load, damping, clearance = (float(getattr(self, name)[case]) for name in VARIED)
-        varied = self.structure.varied(load=load, damping=damping, clearance=clearance)
-        return Problem(varied, omega, self.contact, self.harmonics)
+        """Return the problem of a case, with H harmonics.
+
+        Raises InputError if the case cannot exist.
+        """
+        omega, load, damping, clearance = (float(getattr(self, name)[case]) for name in PARAMETERS)
+        structure = self.structure.varied(load=load, damping=damping, clearance=clearance)
+        return Problem(structure, omega, self.contact, self.harmonics)
 
     def orbit(self, case: int) -> PeriodicOrbit:
-        """The orbit of a case.
+        """Return the orbit of a case.
 
         Raises
         ------
         ConvergenceError
-            None was found.
+            No orbit was found.
         """
         if not self.verdict[case]:
             raise ConvergenceError(f"case {case}: {self.reason[case]}")
@@ -121,8 +126,8 @@ class ManyOrbits(Tabular):
         return orbit_from(flow, problem.omega, self.states[case], 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns of all that is (n,)."""
-        return {one.name: getattr(self, one.name).tolist() for one in fields(self)[3:-1]}
+        """Return the columns (n,)."""
+        return {column.name: getattr(self, column.name).tolist() for column in fields(self)[3:-1]}
 
     def _title(self) -> str:
         return f"{len(self.omega)} cases, {np.sum(self.verdict == '')} without an orbit"
@@ -138,7 +143,7 @@ def solve_many(
     clearance: float | np.ndarray = 0.0,
     harmonics: int = 20,
 ) -> ManyOrbits:
-    """Exact orbits of a structure in many cases, each with its verdict and its error by harmonics.
+    """Return exact orbits of a structure in many cases, with verdicts and errors.
 
     Parameters
     ----------
@@ -148,16 +153,16 @@ def solve_many(
         Load frequencies.
     contact : ContactLaw
     load, damping : float or (n,)
-        Factors of the structure's.
+        Factors of the structure's load and damping.
     clearance : float or (n,) [m]
-        Added to that of every pair.
+        Clearance added to every pair.
     harmonics : int
-        H, whose error is stated.
+        H of the truncation error.
 
     Returns
     -------
     ManyOrbits
-        A case that cannot be solved has its ``status`` and ``reason``; it stops no other.
+        A case without a solution has a ``status`` and a ``reason``; it stops no other case.
 
     Raises
     ------
@@ -169,106 +174,134 @@ def solve_many(
     >>> many = fc.solve_many(structure, 2000.0, contact, damping=np.linspace(0.5, 2.0, 20))
     >>> lost = np.flatnonzero(many.status == "lost")
     """
-    given = [numbers(one) for one in (omega, load, damping, clearance)]
-    shapes = {one.shape for one in given} - {()}
+    arguments = [numbers(argument) for argument in (omega, load, damping, clearance)]
+    shapes = {argument.shape for argument in arguments} - {()}
     if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
-        words = ", ".join(str(one.shape) for one in given)
-        raise InputError("omega, load, damping, clearance", words, "numbers and arrays (n,)")
-    cases = np.array(np.broadcast_arrays(*given), dtype=float)
-    Problem(structure, 1.0, contact, harmonics)  # raises what concerns all
-    count, flow = cases.shape[1], exact_flow(structure, contact)
-    columns: dict[str, Any] = dict(zip(VARIED, cases, strict=True))
-    columns |= {name: np.full(count, "", dtype=object) for name in WORDS}
-    columns |= {name: np.full(count, np.nan) for name in NUMBERS}
-    columns["states"] = np.full((count, flow.size), np.nan)
-    many = ManyOrbits(structure, contact, harmonics, **columns)
-    watched = rows_of(structure, [structure.watched_dof])
-    for case, before, x in _ordered(many, flow):
+        shapes_in_words = ", ".join(str(argument.shape) for argument in arguments)
+        raise InputError(
+            "omega, load, damping, clearance", shapes_in_words, "numbers and arrays (n,)"
+        )
+    cases = np.array(np.broadcast_arrays(*arguments), dtype=float)
+    Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
+    n_cases, flow = cases.shape[1], exact_flow(structure, contact)
+    columns: dict[str, Any] = dict(zip(PARAMETERS, cases, strict=True))
+    columns |= {name: np.full(n_cases, "", dtype=object) for name in TEXT_COLUMNS}
+    columns |= {name: np.full(n_cases, np.nan) for name in NUMBER_COLUMNS}
+    columns["states"] = np.full((n_cases, flow.size), np.nan)
+    solved_cases = ManyOrbits(structure, contact, harmonics, **columns)
+    watched_rows = rows_of(structure, [structure.watched_dof])
+    for case, neighbours, offsets in _order_cases(solved_cases, flow):
         try:
-            problem = many.problem(case)
-            orbit = _sought(many, case, problem, before, x)
-            for name, value in _numbers(problem, orbit, watched).items():
-                columns[name][case] = value
+            problem = solved_cases.problem(case)
+            orbit = _find_orbit_of_case(solved_cases, case, problem, neighbours, offsets)
+            for name, number in _orbit_numbers(problem, orbit, watched_rows).items():
+                columns[name][case] = number
         except (ConvergenceError, InputError, np.linalg.LinAlgError) as error:
-            many.status[case] = "refused" if isinstance(error, InputError) else "lost"
-            many.reason[case] = str(error)
-    return many
+            solved_cases.status[case] = "refused" if isinstance(error, InputError) else "lost"
+            solved_cases.reason[case] = str(error)
+    return solved_cases
 
 
-def _ordered(many: ManyOrbits, flow: ContactFlow) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Cases from the middle outwards, with those before among the nearest ones, the nearest first,
-    and how far these are: (k, d). It does not matter where those that cannot be are."""
-    size = np.where(many.load == 0.0, 1.0, np.abs(many.load))
-    rows = [many.omega, many.damping, np.sign(many.load), many.clearance / size]
-    rows.append(np.abs(flow.clearance).max() / size)
+def _order_cases(
+    cases: ManyOrbits, flow: ContactFlow
+) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Yield cases from the middle outwards, each with its earlier neighbours.
+
+    Cases that cannot exist may stand anywhere in this order.
+
+    Yields
+    ------
+    case : int
+    neighbours : (k,) int
+        Earlier ones among the nearest cases, the nearest first.
+    offsets : (k, d)
+        Scaled parameters x of the neighbours, less those of the case.
+    """
+    load_size = np.where(cases.load == 0.0, 1.0, np.abs(cases.load))
+    rows = [cases.omega, cases.damping, np.sign(cases.load), cases.clearance / load_size]
+    rows.append(np.abs(flow.clearance).max() / load_size)
     x = np.nan_to_num(np.array(rows).T, nan=0.0, posinf=0.0, neginf=0.0)
-    spread, middle = np.ptp(x, axis=0), np.median(x, axis=0)
-    nearest = int(np.abs(flow.modes.squares - middle[0] ** 2).argmin())
-    width = middle[1] * flow.modes.damping_force(np.eye(flow.n_modes))[nearest, nearest]
-    spread[0] = min(spread[0], width) if width > 0.0 else spread[0]
-    x = (x - middle) / np.where(spread > 0.0, spread, 1.0)
+    scale, centre = np.ptp(x, axis=0), np.median(x, axis=0)
+    mode_index = int(np.abs(flow.modes.squares - centre[0] ** 2).argmin())
+    width = centre[1] * flow.modes.damping_force(np.eye(flow.n_modes))[mode_index, mode_index]
+    scale[0] = min(scale[0], width) if width > 0.0 else scale[0]
+    x = (x - centre) / np.where(scale > 0.0, scale, 1.0)
     order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")
-    near = cKDTree(x).query(x, min(NEAREST, len(x)))[1].reshape(len(x), -1)
+    nearest_cases = cKDTree(x).query(x, min(N_NEAREST_CASES, len(x)))[1].reshape(len(x), -1)
     rank = np.argsort(order)
     for case in order.tolist():
-        before = near[case][rank[near[case]] < rank[case]]
-        yield case, before, x[before] - x[case]
+        neighbours = nearest_cases[case][rank[nearest_cases[case]] < rank[case]]
+        yield case, neighbours, x[neighbours] - x[case]
 
 
-def _sought(
-    many: ManyOrbits, case: int, problem: Problem, before: np.ndarray, x: np.ndarray
+def _find_orbit_of_case(
+    cases: ManyOrbits, case: int, problem: Problem, neighbours: np.ndarray, offsets: np.ndarray
 ) -> PeriodicOrbit:
-    """The orbit of a case."""
+    """Return the orbit of a case, and set its status.
+
+    Raises ConvergenceError if no orbit is found.
+    """
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
-    known = (many.verdict[before] != "") & (many.load[before] != 0.0)
-    before, x = before[known][:BEFORE], x[known][:BEFORE]
-    states = many.states[before] * np.abs(many.load[case] / many.load[before])[:, None]
+    is_usable = (cases.verdict[neighbours] != "") & (cases.load[neighbours] != 0.0)
+    neighbours, offsets = neighbours[is_usable][:N_NEIGHBOURS], offsets[is_usable][:N_NEIGHBOURS]
+    states = cases.states[neighbours] * np.abs(cases.load[case] / cases.load[neighbours])[:, None]
     guesses = list(states[:1])
-    if len(states) > np.any(x, axis=0).sum() + 1:
-        weights = 1.0 / np.maximum(np.linalg.norm(x, axis=1), SHORT)[:, None]
-        rows = weights * np.column_stack([np.ones(len(x)), x])
+    if len(states) > np.any(offsets, axis=0).sum() + 1:
+        weights = 1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
+        rows = weights * np.column_stack([np.ones(len(offsets)), offsets])
         guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
-    found = (find_orbit(flow, problem.omega, state, step_tolerance=SHORT) for state in guesses)
-    orbit, many.status[case] = next(filter(None, found), None), "neighbour"
-    if (
-        orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE
-    ):  # 1 without damping
+    orbits = (
+        find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE) for state in guesses
+    )
+    orbit, cases.status[case] = next(filter(None, orbits), None), "neighbour"
+    # Without damping the largest modulus is 1.
+    if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
-        orbit, many.status[case], many.reason[case] = search.orbit, "alone", search.reason
+        orbit, cases.status[case], cases.reason[case] = search.orbit, "alone", search.reason
     if orbit is None:
         raise ConvergenceError(search.reason)
     return orbit
 
 
-def _numbers(problem: Problem, orbit: PeriodicOrbit, watched: np.ndarray) -> dict[str, Any]:
-    """What is said of an orbit."""
-    count, track = max(SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
-    samples = orbit.samples(np.arange(count) * orbit.period / count)
+def _orbit_numbers(
+    problem: Problem, orbit: PeriodicOrbit, watched_rows: np.ndarray
+) -> dict[str, Any]:
+    """Return an orbit's entries in the columns."""
+    n_instants, track = max(MIN_SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
+    samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
     motion = samples.displacement, samples.gaps, samples.forces
-    wave = problem.wave_of(*(fourier_coefficients(one, problem.harmonics) for one in motion))
-    change, moved = motion[1] - wave.over_period(count)[1], motion[0] @ watched.T
-    off = 0.0 if is_still(samples) else relative_to_motion(change, motion[1] + wave.seen.clearance)
+    wave = problem.wave_of(*(fourier_coefficients(rows, problem.harmonics) for rows in motion))
+    gap_error = motion[1] - wave.over_period(n_instants)[1]
+    displacement = motion[0] @ watched_rows.T
+    truncation = (
+        0.0
+        if is_still(samples)
+        else relative_to_motion(gap_error, motion[1] + wave.row_structure.clearance)
+    )
     multiplier = abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"
     return {
-        "amplitude": 0.5 * (_top(moved) + _top(-moved)),
-        "opening": max(0.0, _top(-samples.gap)),
+        "amplitude": 0.5
+        * (_interpolated_maximum(displacement) + _interpolated_maximum(-displacement)),
+        "opening": max(0.0, _interpolated_maximum(-samples.gap)),
         "closed_share": track.share(track.sets > 0),
         "multiplier": multiplier,
-        "truncation": off,
+        "truncation": truncation,
         "states": orbit.state,
         "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
     }
 
 
-def _top(values: np.ndarray) -> float:
-    """Largest value of columns over a period of equal parts, by the parabola through it and its
-    neighbours."""
-    place, column = np.unravel_index(values.argmax(), values.shape)
-    before, top, after = values[np.arange(place - 1, place + 2) % len(values), column]
-    bend = max(2.0 * top - before - after, sys.float_info.min)
-    return float(top + (after - before) ** 2 / (8.0 * bend))
+def _interpolated_maximum(values: np.ndarray) -> float:
+    """Return the largest value over equally spaced rows of a period.
+
+    A parabola goes through the largest value and its two neighbours in the column.
+    """
+    row, column = np.unravel_index(values.argmax(), values.shape)
+    previous, peak, subsequent = values[np.arange(row - 1, row + 2) % len(values), column]
+    curvature = max(2.0 * peak - previous - subsequent, sys.float_info.min)
+    return float(peak + (subsequent - previous) ** 2 / (8.0 * curvature))

@@ -1,16 +1,16 @@
 """Change of an exact motion due to the modes that a reduction truncates.
 
-The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). Those
-that crack faces without mass leave out begin as their statics have them, Lambda q = f - P lambda.
-The orbit that Newton's method finds from there gives the change exactly; without one, the motion to
-which one step of Newton's method for all its parts leads gives it linearly. The reference has a
-share of what is left out, so that
+The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). If crack
+faces have no mass, the further modes begin at their static coordinates, Lambda q = f - P lambda.
+From there Newton's method finds an orbit, which gives the change exactly. Without an orbit, one
+step of Newton's method for the whole motion gives the change linearly. The reference has a share of
+the truncated modes:
 
     e = |f - f_ref| / share.
 
-What answers quasi-statically has no damping. By Rayleigh's a M + b K it would dissipate, in a
-period, b times the integral of c'^T S c', c the coordinates without mass and S their stiffness: the
-reference has its share of that, too, as so much more damping of its modes.
+Quasi-static modes have no damping. By Rayleigh's a M + b K they would dissipate b times the
+integral of c'^T S c' per period, with c the coordinates without mass and S their stiffness. The
+reference has a share of that, as additional modal damping.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import relative_to_motion
 
 UNKNOWN = 1.0
-"""Relative error returned when no estimate exists."""
+"""Relative error that stands for an unknown error."""
 
 
 Errors = tuple[float, float]
@@ -50,84 +50,112 @@ Errors = tuple[float, float]
 
 
 def reference_of(wave: Wave) -> ReducedStructure | None:
-    """Return the reference of the reduced structure of a solution, which is damped more where what
-    the modes leave out has no damping; None where there is none."""
+    """Return the reference of a solution's reduced structure, or None.
+
+    The reference has more damping if the truncated modes have none.
+    """
     structure = wave.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return None
-    more = structure.share * _undamped(wave)
-    return structure.reference.varied(damping=1.0 + more) if more else structure.reference
+    extra_damping = structure.share * _neglected_dissipation(wave)
+    return (
+        structure.reference.varied(damping=1.0 + extra_damping)
+        if extra_damping
+        else structure.reference
+    )
 
 
-def _undamped(wave: Wave) -> float:
-    """Return the energy that Rayleigh damping would dissipate in what the modes leave out, relative
-    to what it dissipates in these; 0 with another damping."""
-    lips = as_massless_structure(wave.structure)
-    if lips is None or not isinstance(lips.original.damping, RayleighDamping):
+def _neglected_dissipation(wave: Wave) -> float:
+    """Return the dissipation of truncated modes by Rayleigh damping, relative to the modes kept.
+
+    It is 0 with another damping.
+    """
+    massless_part = as_massless_structure(wave.structure)
+    if massless_part is None or not isinstance(massless_part.original.damping, RayleighDamping):
         return 0.0
-    rows = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
-    modal, static = np.split(rows * wave.displacement_coefficients[1:], [lips.n_modes], axis=1)
-    lost = lips.original.damping.stiffness * np.sum(static @ lips.compliance * static)
-    return float(lost / max(np.sum(modal**2 @ lips.rate), NEGLIGIBLE * lost, 1e-300))
+    orders = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
+    modal_part, static_part = np.split(
+        orders * wave.displacement_coefficients[1:], [massless_part.n_modes], axis=1
+    )
+    neglected_energy = massless_part.original.damping.stiffness * np.sum(
+        static_part @ massless_part.compliance * static_part
+    )
+    return float(
+        neglected_energy
+        / max(np.sum(modal_part**2 @ massless_part.rate), NEGLIGIBLE * neglected_energy, 1e-300)
+    )
 
 
-def left_out(structure: Structure, changes: Errors) -> Errors:
-    """Return the errors due to the modes left out, by the changes to a structure's reference."""
+def modal_truncation_errors(structure: Structure, changes: Errors) -> Errors:
+    """Return the modal truncation errors from changes between a structure and its reference."""
     share = structure.share if isinstance(structure, ReducedStructure) else 1.0
     return min(changes[0] / share, UNKNOWN), min(changes[1] / share, UNKNOWN)
 
 
 @dataclass(frozen=True)
 class MoreModes:
-    """The motion of a solution on the flow of more modes."""
+    """Motion of a solution on the flow with more modes."""
 
     flow: ContactFlow
     """Flow with more modes."""
     wave: Wave
     """Harmonic-balance solution."""
-    fewer: PeriodicOrbit
-    """The nearest exact orbit, with the modes of its structure."""
+    nearest_orbit: PeriodicOrbit
+    """Nearest exact orbit, with the modes of the solution's structure."""
     inverse: Inverse | None = None
-    """(I - M)^-1 of a motion nearby, with which the search begins."""
+    """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
     def _states(self) -> np.ndarray:
-        """States of the nearest orbit at equal parts of its period, with what new modes have of its
-        load and contact forces."""
-        samples, flow = self.fewer.sampled, self.flow
-        count = self.fewer.flow.n_modes
-        shape, speed, places = np.split(samples.whole_states, [count, 2 * count], axis=1)
-        if as_massless_structure(self.wave.structure) is None:
-            return self._expanded(shape, speed, places)[:: INSTANTS_PER_PERIOD // SEGMENTS]
-        kept = shape.shape[1]
-        loads = (
-            fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
-            @ flow.modal_load[:, kept:]
-        )
-        loads = loads - samples.forces @ flow.modes.pairs[kept:].T
-        static = loads / flow.modes.squares[kept:]
-        rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * samples.time[1])
-        return np.hstack([shape, static, speed, rate, places])[:: INSTANTS_PER_PERIOD // SEGMENTS]
+        """Return states of the nearest orbit at equal parts of its period.
 
-    def _expanded(self, shape: np.ndarray, speed: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """States of the reference of modal ones of a structure with mass."""
+        New modes have their static coordinates under the load and the contact forces.
+        """
+        samples, flow = self.nearest_orbit.sampled, self.flow
+        n_modes = self.nearest_orbit.flow.n_modes
+        coordinates, speed, places = np.split(samples.whole_states, [n_modes, 2 * n_modes], axis=1)
+        if as_massless_structure(self.wave.structure) is None:
+            return self._reference_states(coordinates, speed, places)[
+                :: INSTANTS_PER_PERIOD // SEGMENTS
+            ]
+        n_kept = coordinates.shape[1]
+        modal_loads = (
+            fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
+            @ flow.modal_load[:, n_kept:]
+        )
+        modal_loads = modal_loads - samples.forces @ flow.modes.pairs[n_kept:].T
+        static_coordinates = modal_loads / flow.modes.squares[n_kept:]
+        static_rates = (
+            np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
+        ) / (2.0 * samples.time[1])
+        return np.hstack([coordinates, static_coordinates, speed, static_rates, places])[
+            :: INSTANTS_PER_PERIOD // SEGMENTS
+        ]
+
+    def _reference_states(
+        self, coordinates: np.ndarray, speed: np.ndarray, places: np.ndarray
+    ) -> np.ndarray:
+        """Return states of the reference, from modal states of a structure with mass."""
         structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
-        whole = structure.whole
-        moved = multiply(whole.mass, structure.basis)
-        map_to = whole.sum_over_ranks(reference.basis.T @ moved) @ self.fewer.flow.modes.shapes
-        return self.flow.state(shape @ map_to.T, speed @ map_to.T, places)
+        whole_structure = structure.whole
+        mass_times_basis = multiply(whole_structure.mass, structure.basis)
+        basis_change = (
+            whole_structure.sum_over_ranks(reference.basis.T @ mass_times_basis)
+            @ self.nearest_orbit.flow.modes.shapes
+        )
+        return self.flow.state(coordinates @ basis_change.T, speed @ basis_change.T, places)
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
-        """Next to the motion, as sharp as an estimated error takes; None where none is found."""
+        """Return the orbit to the accuracy of an error estimate, or None."""
         return None if isinstance(self.motion, MotionInArcs) else self.motion
 
     @cached_property
     def motion(self) -> PeriodicOrbit | None:
-        """The orbit, else the motion that one step of Newton's method leads to; None without both.
+        """Return the orbit, or else the motion after one step of Newton's method, or None.
 
-        The step is that for all parts of the nearest orbit's period together.
+        The step corrects all parts of the nearest orbit's period together.
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
         states, start_inverse = self._states, self.inverse
@@ -143,47 +171,63 @@ class MoreModes:
         return orbit
 
     @property
-    def hint(self) -> Inverse | None:
-        """(I - M)^-1, for the search of a motion nearby; None where there is none."""
+    def orbit_inverse(self) -> Inverse | None:
+        """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
             return self.orbit.inverse if self.orbit else None
         return None
 
     @property
     def errors(self) -> Errors | None:
-        """Errors by the motions with these modes and without them; None where it is not known. That
-        of the gaps is 0 where they move by rounding."""
+        """Return the modal truncation errors; None if they are unknown.
+
+        The gap's error is 0 if gaps move only by rounding.
+        """
         if self.motion is None:
             return None
-        few, many = self.fewer.sampled, self.motion.sampled
-        of_gap = relative_to_motion(many.gaps - few.gaps, few.gaps + self.wave.seen.clearance)
-        moved, more = (loaded(one.flow.structure, one.displacement) for one in (few, many))
-        at_load = relative_to_motion(more - moved, moved)
-        return left_out(self.wave.structure, (0.0 if is_still(few) else of_gap, at_load))
+        orbit_samples, motion_samples = self.nearest_orbit.sampled, self.motion.sampled
+        gap_error = relative_to_motion(
+            motion_samples.gaps - orbit_samples.gaps,
+            orbit_samples.gaps + self.wave.row_structure.clearance,
+        )
+        displacement, reference_displacement = (
+            motion_at_load(samples.flow.structure, samples.displacement)
+            for samples in (orbit_samples, motion_samples)
+        )
+        load_error = relative_to_motion(reference_displacement - displacement, displacement)
+        return modal_truncation_errors(
+            self.wave.structure, (0.0 if is_still(orbit_samples) else gap_error, load_error)
+        )
 
     def contradicts(self, verdict: str) -> str:
-        """Return in words how the orbit with these modes contradicts a verdict on stability; ""
-        where it agrees, or is not known."""
+        """Return in words how the orbit contradicts a verdict on stability.
+
+        Returns "" if it agrees, or is unknown.
+        """
         if verdict not in ("stable", "unstable") or self.orbit is None:
             return ""
-        size = float(abs(self.orbit.multipliers[0]))
-        other = "stable" if size < 1.0 else "unstable"
-        if other == verdict or abs(size - 1.0) <= MULTIPLIER_TOLERANCE:
+        modulus = float(abs(self.orbit.multipliers[0]))
+        orbit_verdict = "stable" if modulus < 1.0 else "unstable"
+        if orbit_verdict == verdict or abs(modulus - 1.0) <= MULTIPLIER_TOLERANCE:
             return ""
-        many = len(self.flow.modes.squares)
-        return f"with {many} modes the orbit is {other} (largest multiplier {size:.6g})"
+        n_modes = len(self.flow.modes.squares)
+        return (
+            f"with {n_modes} modes the orbit is {orbit_verdict} (largest multiplier {modulus:.6g})"
+        )
 
 
 def is_still(samples: Samples) -> bool:
-    """Return True if crack faces, which the load presses together, move by rounding only."""
-    slow = samples.states[:, : samples.flow.n_modes] @ samples.flow.modes.pairs
-    moved = samples.gaps + samples.flow.clearance
-    return bool(np.linalg.norm(moved) <= NEGLIGIBLE * np.linalg.norm(slow))
+    """Return True if crack faces, pressed together by the load, move by rounding only."""
+    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modes.pairs
+    gap_motion = samples.gaps + samples.flow.clearance
+    return bool(np.linalg.norm(gap_motion) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
 
 
-def loaded(structure: Structure, motion: np.ndarray) -> np.ndarray:
-    """Return a motion (n, n_local) at the load, in the direction of each of its parts that vibrate,
-    or of its mean if none does: (n, n_parts) (collective)."""
-    seen = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
-    seen[0] &= not seen[1:].any()
-    return structure.sum_over_ranks(motion @ structure.force[seen].T)
+def motion_at_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
+    """Return a motion (n, n_local) projected on the load's vibrating parts (collective).
+
+    If no part vibrates, the mean load is taken. The shape is (n, n_parts).
+    """
+    is_load_part = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    is_load_part[0] &= not is_load_part[1:].any()
+    return structure.sum_over_ranks(motion @ structure.force[is_load_part].T)

@@ -1,26 +1,27 @@
-"""The phase at the load, and the equations of a solution together with the frequency at which the
-displacement there has no part in phase with the load: the phase resonance.
+"""Phase resonance: equations of a motion whose displacement at the load has no part in phase with
+it.
 
-To the condensed equations F(s, v, w) = 0 (:mod:`contact_system`), w the load's frequency and v a
-factor of all of the load but its mean, one is added,
+The condensed equations F(s, v, w) = 0 (:mod:`contact_system`) have the load's frequency w, and a
+factor v for the vibrating part of the load. One equation is added:
 
-    Re P / Im P = 0,        P = f_k^H u_k,
+    Re P / Im P = 0,        P = f_k^H u_k.
 
-f_k and u_k being the complex coefficients of the harmonic that excites, the load's (of a wheel what
-acts on the watched blade) and the displacement's. Re P / Im P is linear in w next to a resonance of
-one mode. The Jacobian is bordered by one row and one column.
+f_k and u_k are complex coefficients of the harmonic k that excites: f_k of the load, on a wheel
+only on the watched blade, and u_k of the displacement. Re P / Im P is linear in w next to a
+resonance of one mode. The Jacobian is bordered by one row and one column.
 
-Contact of pairs that are open or closed is conewise linear: the motion is v times that under the
-load itself where the mean load and the clearance are 1 / v of theirs. These are all in the mean of
-the linear gap, so v has a part in F / v, of s / v, there alone, and none in P / v.
+Contact of pairs that are open or closed is conewise linear. The motion is therefore v times the
+motion under the load itself, with the mean load and the clearance divided by v. Both are in the
+mean of the linear gap alone. F / v, a function of s / v, thus depends on v in the mean only, and P
+/ v does not.
 
-Other modes beside it, and other harmonics, shift the phase. U(w) being the displacement along the
-load, on the response curve through the point,
+Other modes and other harmonics shift the phase. With U(w) the displacement along the load, on the
+response curve through the point,
 
-    d ln U / dw = -2 i / D       of one mode with the half-power width D,
+    d ln U / dw = -2 i / D       for one mode with the half-power width D.
 
-so that the real part beside the imaginary one is the distance to the top of the curve, over the
-width: twice of what the others shift.
+At a small distance d from the top of the curve, the real part of this derivative is 2 d / D of its
+imaginary part. Other modes are the reason for such a distance at the phase resonance.
 """
 
 from __future__ import annotations
@@ -41,149 +42,180 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.model.wheel import Wheel
 from fenics_crack.numerics.equations import Linearisation
 
-SEVERAL = 0.1
-"""Distance of the phase resonance from the top of the curve over the half-power width, from which
-on several modes answer: the amplitude is then 2 % below the top."""
+MAX_DISTANCE_TO_PEAK = 0.1
+"""Distance to the top of the response curve, over the half-power width, at which several modes
+count.
+
+The amplitude is then 2 % below the top.
+"""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The harmonic of a load that excites.
+    """Harmonic of a load that excites.
 
     Attributes
     ----------
     harmonic : int
         k.
-    rows : (2, n_dofs) [N]
-        Its cosine and sine parts; of a wheel those on the watched blade.
+    load_rows : (2, n_dofs) [N]
+        Cosine and sine parts of the load; on a wheel, those on the watched blade.
     """
 
     harmonic: int
-    rows: np.ndarray
+    load_rows: np.ndarray
 
     @classmethod
-    def of(cls, structure: Structure, harmonic: int) -> Drive:
-        """That of a structure."""
-        part, whole = slice(2 * harmonic - 1, 2 * harmonic + 1), structure.whole
-        if not isinstance(whole, Wheel):
-            return cls(harmonic, structure.force[part])
-        numbers = np.unique(whole.numbers[whole.first, ~whole.sector.dofs.is_next_sector])
-        dofs = numbers[np.any(whole.force[part, numbers], axis=0)]
+    def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
+        """Return a harmonic of a structure's load."""
+        rows, whole_structure = slice(2 * harmonic - 1, 2 * harmonic + 1), structure.whole
+        if not isinstance(whole_structure, Wheel):
+            return cls(harmonic, structure.force[rows])
+        blade_numbers = np.unique(
+            whole_structure.numbers[
+                whole_structure.first, ~whole_structure.sector.dofs.is_next_sector
+            ]
+        )
+        dofs = blade_numbers[np.any(whole_structure.force[rows, blade_numbers], axis=0)]
         blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
-        return cls(harmonic, whole.force[part, dofs] @ blade.T)
+        return cls(harmonic, whole_structure.force[rows, dofs] @ blade.T)
 
-    def power(self, at: ContactPoint, force: np.ndarray | None = None) -> complex:
-        """P [N m] at a point, or of other contact forces there."""
-        found = compliance_of(at).seen_through(self.rows, at.force if force is None else force)
-        return self._of(found)
+    def power(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
+        """Return P at a point, or with other contact forces there [N m]."""
+        displacement = compliance_of(point).selected_displacement(
+            self.load_rows, point.force if force is None else force
+        )
+        return self._power_of(displacement)
 
-    def power_by_omega(self, at: ContactPoint) -> complex:
-        """dP/dw for fixed contact forces."""
-        return self._of(compliance_of(at).seen_by_omega(self.rows, at.force))
+    def power_by_omega(self, point: ContactPoint) -> complex:
+        """Return dP/dw for fixed contact forces."""
+        return self._power_of(
+            compliance_of(point).selected_displacement_by_omega(self.load_rows, point.force)
+        )
 
-    def _of(self, waves: np.ndarray) -> complex:
-        """P of the coefficients (2H+1, 2) of both rows' products with a displacement."""
-        cosine, sine = waves[2 * self.harmonic - 1], waves[2 * self.harmonic]
+    def _power_of(self, coefficients: np.ndarray) -> complex:
+        """Return P from coefficients (2H+1, 2) of both load parts' work."""
+        cosine, sine = coefficients[2 * self.harmonic - 1], coefficients[2 * self.harmonic]
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])
 
 
-def compliance_of(at: ContactPoint) -> ModalCompliance:
-    """That of a small structure."""
-    assert isinstance(at.system.compliance, ModalCompliance)
-    return at.system.compliance
+def compliance_of(point: ContactPoint) -> ModalCompliance:
+    """Return the compliance of a small structure at a point."""
+    assert isinstance(point.system.compliance, ModalCompliance)
+    return point.system.compliance
 
 
 @dataclass(eq=False)
 class PhasePoint(Linearisation):
-    """The equations at a point: unknowns s over ``size`` v, and w over that of the problem.
+    """Equations at a point, whose unknowns are s and w.
+
+    s is divided by ``size`` times v, and w by the problem's frequency.
 
     Attributes
     ----------
     problem : Problem
-        What is balanced where v is 1, next to w.
-    at : ContactPoint
-        F of s / v where v is 1.
+        Problem at v = 1, with a frequency near w.
+    contact_point : ContactPoint
+        F at s / v, for v = 1.
     omega : float [rad/s]
         w.
-    inverse, change : float
+    inverse_load, inverse_load_rate : float
         1 / v, and its derivative by the parameter.
-    over_frequency, power_over_frequency : (2H+1, n_pairs), complex
+    unknown_by_frequency, power_by_frequency : (2H+1, n_pairs), complex
         ds/dw and dP/dw over v, along the response curve through the point.
     """
 
     problem: Problem
     drive: Drive
-    at: ContactPoint
+    contact_point: ContactPoint
     omega: float
     size: float
-    inverse: float = 1.0
-    change: float = 0.0
+    inverse_load: float = 1.0
+    inverse_load_rate: float = 0.0
 
     def __post_init__(self) -> None:
-        self.unknown = np.append(self.at.unknown / self.size, self.omega / self.problem.omega)
-        self.power = self.drive.power(self.at)
+        self.unknown = np.append(
+            self.contact_point.unknown / self.size, self.omega / self.problem.omega
+        )
+        self.power = self.drive.power(self.contact_point)
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
-        moved = self.at.residual.copy()
-        moved[0] += (1.0 - self.inverse) * self.at.system.linear[0]
-        return np.append(moved / self.size, self.power.real / self.power.imag)
+        contact_residual = self.contact_point.residual.copy()
+        contact_residual[0] += (1.0 - self.inverse_load) * self.contact_point.system.linear[0]
+        return np.append(contact_residual / self.size, self.power.real / self.power.imag)
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
-        found = np.zeros_like(self.unknown)
-        found[: len(self.at.gap[0])] = -self.change * self.at.system.linear[0] / self.size
-        return found
+        derivative = np.zeros_like(self.unknown)
+        derivative[: len(self.contact_point.gap[0])] = (
+            -self.inverse_load_rate * self.contact_point.system.linear[0] / self.size
+        )
+        return derivative
 
-    def _lag(self, change: complex) -> float:
-        """Change of Re P / Im P with P."""
+    def _phase_change(self, change: complex) -> float:
+        """Return the change of Re P / Im P for a change of P."""
         power = self.power
         return (change.real - power.real / power.imag * change.imag) / power.imag
 
-    def _power_by(self, change: np.ndarray) -> complex:
-        """Change of P with s."""
-        return self.drive.power(self.at, self.at.force + self.at.forces.apply(change)) - self.power
+    def _power_change(self, change: np.ndarray) -> complex:
+        """Return the change of P for a change of s."""
+        return (
+            self.drive.power(
+                self.contact_point,
+                self.contact_point.force + self.contact_point.forces.apply(change),
+            )
+            - self.power
+        )
 
     @cached_property
-    def over_frequency(self) -> np.ndarray:
-        return -self.at.solve(compliance_of(self.at).derivative("omega", self.at.force))
+    def unknown_by_frequency(self) -> np.ndarray:
+        return -self.contact_point.solve(
+            compliance_of(self.contact_point).derivative("omega", self.contact_point.force)
+        )
 
     @cached_property
-    def power_over_frequency(self) -> complex:
-        return self.drive.power_by_omega(self.at) + self._power_by(self.over_frequency)
+    def power_by_frequency(self) -> complex:
+        return self.drive.power_by_omega(self.contact_point) + self._power_change(
+            self.unknown_by_frequency
+        )
 
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        change = self.size * self.at.solve(right[:-1].reshape(self.at.unknown.shape))
-        left = right[-1] - self._lag(self._power_by(change))
-        rise = left / self._lag(self.power_over_frequency)
-        slow = (change + rise * self.over_frequency) / self.size
-        return np.append(slow, rise / self.problem.omega)
+    def solve(self, right_side: np.ndarray) -> np.ndarray:
+        change = self.size * self.contact_point.solve(
+            right_side[:-1].reshape(self.contact_point.unknown.shape)
+        )
+        remainder = right_side[-1] - self._phase_change(self._power_change(change))
+        omega_change = remainder / self._phase_change(self.power_by_frequency)
+        relative_change = (change + omega_change * self.unknown_by_frequency) / self.size
+        return np.append(relative_change, omega_change / self.problem.omega)
 
     @property
     def sign(self) -> float:
-        return self.at.sign * float(np.sign(self._lag(self.power_over_frequency)))
+        return self.contact_point.sign * float(np.sign(self._phase_change(self.power_by_frequency)))
 
     @property
     def width(self) -> float:
-        """D, the half-power width of one mode that would answer like this [rad/s]."""
-        return -2.0 / (self.power_over_frequency / self.power).imag
+        """Return D, the half-power width of one mode with this response [rad/s]."""
+        return -2.0 / (self.power_by_frequency / self.power).imag
 
     @property
-    def apart(self) -> float:
-        """Distance from here to the top of the response curve, over the width, as two modes would
-        have it."""
-        return 0.25 * self.width * (self.power_over_frequency / self.power).real
+    def distance_to_peak(self) -> float:
+        """Return the distance to the top of the response curve, over the width.
+
+        It follows from the derivative of P by the frequency.
+        """
+        return 0.25 * self.width * (self.power_by_frequency / self.power).real
 
     @cached_property
     def solution(self) -> PeriodicSolution:
-        """The motion, without a search for its exact orbit."""
+        """Return the motion, without a search for its exact orbit."""
         problem = replace(self.problem, omega=self.omega)
-        return solution_of(problem, self.at, status="phase resonance", search=False)
+        return solution_of(problem, self.contact_point, status="phase resonance", search=False)
 
 
 @dataclass(frozen=True, repr=False)
 class Resonance(Described):
-    """The phase resonance of a structure under its load.
+    """Phase resonance of a structure under its load.
 
     Attributes
     ----------
@@ -196,12 +228,12 @@ class Resonance(Described):
     width : float
         Half-power width in the unit of ``value``.
     apart : float
-        Distance to the top of the response curve over the width, as far as the point shows it.
+        Distance to the top of the response curve over the width, estimated at the resonance.
     solution : PeriodicSolution
-        The motion there.
+        Motion at the resonance.
     error : float
-        Estimated truncation error of the amplitude, relative to it; inf where it is not known,
-        nan without a tolerance.
+        Estimated truncation error of the amplitude, relative to it; inf if unknown, nan without a
+        tolerance.
     """
 
     value: float
@@ -214,12 +246,14 @@ class Resonance(Described):
 
     @property
     def several(self) -> bool:
-        """True if several modes shift the phase by more than a tenth of the width: the curve shows
-        where the largest response is."""
-        return not abs(self.apart) <= SEVERAL
+        """True if several modes shift the phase by more than a tenth of the width.
+
+        The response curve then shows the largest response.
+        """
+        return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK
 
     def to_dict(self) -> dict[str, Any]:
-        """Frequencies, the width, the distance to the top, the error and the amplitude."""
+        """Return frequencies, the width, the distance to the top, the error and the amplitude."""
         names = "value", "omega", "harmonic", "width", "apart", "several", "error"
-        found = {name: getattr(self, name) for name in names}
-        return with_frequency(found | {"amplitude": self.solution.amplitude()})
+        columns = {name: getattr(self, name) for name in names}
+        return with_frequency(columns | {"amplitude": self.solution.amplitude()})

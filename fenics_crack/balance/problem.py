@@ -1,26 +1,25 @@
-"""A problem of harmonic balance, all that a solution depends on; and the search for a solution.
+"""Problems of harmonic balance, and the search for their solutions.
 
-A search takes one start after the other, until Newton's method arrives or the work is done. A
-start gives guesses, and from each of them full Newton steps are taken, and then from where
-shortened steps lead from there:
+A problem holds all that a solution depends on. A search tries one strategy after the other, until
+Newton's method converges or the budget of iterations is spent. A strategy yields guesses. Newton's
+method takes full steps from a guess. If these fail, shortened steps lead to a second guess:
 
 near       a given solution
-fewer      the linear solution; with many unknowns or pairs that are seen through a static
-           compliance (:mod:`contact_system`) the solution with half the harmonics, which comes
-           from that with half of those, and so on, the first that is not found so by the path;
-           many from the exact orbit next to a solution with fewer, which is near whatever their
-           number
-without    with friction: the solution without
-orbit      the exact orbit next to the solution with fewer harmonics, or without friction; behind
-           the path where it has so many modes that a path takes less
-path       where the continuation in the compliance in series with every pair has its end,
-           followed by arc-length through its folds, from where the solution is unique and close to
-           the linear one; with friction that on which its coefficient grows
+fewer      the linear solution. With many unknowns, or with a static compliance in series
+           (:mod:`contact_system`), the solution with half the harmonics. The search for that
+           solution begins with half of its own harmonics, and so on; where full steps fail, the
+           path is followed. Many harmonics start from the exact orbit next to a solution with
+           fewer, which is near for any number
+without    with friction: the solution without friction
+orbit      the exact orbit next to the solution with fewer harmonics, or without friction. It comes
+           after the path if the structure has so many modes that a path costs less
+path       the end of a continuation in the compliance in series with every pair. The path begins
+           where the solution is unique and close to the linear one, and arc-length leads through
+           its folds. With friction the coefficient grows along it
 
 The path cannot return to soft contact, but several stiff pairs with little damping have thousands
-of folds on their way: all starts together take a certain number of iterations and no more. A gap
-rounded to eps |g| makes a contact force rounded to eps k |g|, which moves the gap by eps k R |g|:
-no residual can be smaller than that.
+of folds. All strategies share one budget of iterations. A gap rounded to eps |g| makes a contact
+force rounded to eps k |g|. That force moves the gap by eps k R |g|, and no residual can be smaller.
 """
 
 from __future__ import annotations
@@ -91,34 +90,32 @@ from fenics_crack.numerics.newton import (
 )
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
 
-BEYOND = 2.0
-"""Ratio to the highest harmonic above which modes are quasi-static."""
-ON_PATH = 15_000
-"""Unknowns of all points together that one call of the kernel computes of a curve: Ctrl-C waits for
-it, a second or two."""
-SINGULAR = (
+STATIC_CUTOFF_RATIO = 2.0
+"""Frequency above which modes are quasi-static, relative to the highest harmonic."""
+MAX_UNKNOWNS_PER_CALL = 15_000
+"""Unknowns that one kernel call computes along a curve, summed over points. Ctrl-C waits for the
+call, a second or two."""
+ALLOWED_IF_SINGULAR = (
     "'penalty', with a stiffness, as some pairs hardly give beside others: they lie on a strip too "
     "thin for no penetration at all, or no modes are left out; or cracks farther apart"
 )
-"""Allowed values where R_inf, the quasi-static compliance of a rigid contact, is singular to
-rounding."""
-WITHOUT_GIVE = (
+"""Remedies if R_inf, the quasi-static compliance of a rigid contact, is singular to rounding."""
+ALLOWED_WITHOUT_COMPLIANCE = (
     "a penalty with a tangential stiffness, or crack faces without mass, "
     "reduce_structure(structure, method='massless'): pairs that stick must give a little"
 )
-"""Allowed values where pairs with friction have nothing in series."""
-MATRICES_AT_A_TIME = 4
-"""Dense matrices of the size of the Jacobian that are held at a time, or stiffnesses of coupled
-pairs at all instants."""
-COMPILED = 7500
-"""Search budget: iterations of all initial guesses together, those of steps along a path that were
-too long, too; with 300 unknowns in the kernel: 5 to 8 s."""
+"""Remedies if pairs with friction have no compliance in series."""
+N_MATRICES_IN_MEMORY = 4
+"""Dense matrices with the size of the Jacobian in memory at once. For coupled pairs, stiffnesses at
+all instants."""
+MAX_KERNEL_ITERATIONS = 7500
+"""Search budget: iterations of all guesses together. Steps along a path that were too long count,
+too. With 300 unknowns in the kernel it takes 5 to 8 s."""
 MIN_COSTLY_UNKNOWNS = 200
-"""Unknowns below which an iteration takes no less time: integrals of the contact force are most of
-it."""
-RUBBING = 8e6
-"""The same with friction, times the instants and the unknowns of a step, at most those of which J
-is formed: 1 to 3 s."""
+"""Unknowns below which an iteration takes constant time, mostly for the contact integrals."""
+MAX_FRICTION_WORK = 8e6
+"""Search budget with friction: iterations times instants times unknowns. Unknowns count up to the
+largest Jacobian that is formed. It takes 1 to 3 s."""
 
 
 @dataclass(frozen=True)
@@ -179,13 +176,15 @@ class Problem:
 
     @property
     def least_harmonics(self) -> int:
-        """The highest harmonic of the load, in the response's order."""
+        """Return the highest harmonic of the load, counted in the response's order."""
         return least_harmonics(self.structure, self.subharmonic)
 
-    def few_harmonics(self, count: int) -> int:
-        """Harmonics of the response of a number of the load's frequency, or as many as the load
-        has."""
-        return max(count * self.subharmonic, self.least_harmonics)
+    def response_harmonics(self, load_harmonics: int) -> int:
+        """Return harmonics of the response that cover ``load_harmonics`` of the load.
+
+        At least the harmonics of the load itself are covered.
+        """
+        return max(load_harmonics * self.subharmonic, self.least_harmonics)
 
     @property
     def base_omega(self) -> float:
@@ -194,430 +193,537 @@ class Problem:
 
     @property
     def load(self) -> np.ndarray:
-        """c: coefficients of the load, (2H+1, n_local) [N]."""
+        """Return c, the load's coefficients: (2H+1, n_local) [N]."""
         return load_coefficients(self.structure, self.harmonics, self.subharmonic)
 
     @property
     def cutoff(self) -> float:
-        """Frequency above which modes are quasi-static, where there is a :attr:`residual`
-        [rad/s]."""
-        default = BEYOND * self.harmonics * self.base_omega
+        """Return the frequency above which modes are quasi-static [rad/s].
+
+        It matters only with a :attr:`residual` flexibility.
+        """
+        default = STATIC_CUTOFF_RATIO * self.harmonics * self.base_omega
         return default if self.static_above is None else self.static_above
 
     @property
     def static_cutoff(self) -> float | None:
-        """The same, None without a residual flexibility: the value that solutions keep."""
+        """Return :attr:`cutoff`, or None without a residual flexibility [rad/s].
+
+        Solutions keep this value.
+        """
         return None if self.residual is None else self.cutoff
 
     @cached_property
-    def seen(self) -> Structure:
-        """The structure with all gaps on which contact acts as its pairs: with friction normal and
-        tangential ones."""
+    def row_structure(self) -> Structure:
+        """Return the structure with one pair for each gap row.
+
+        Rows are the pairs' normal gaps; with friction, tangential gaps follow.
+        """
         return add_friction_pairs(self.contact, self.structure)
 
     @property
     def friction(self) -> bool:
-        """True if the tangential forces of pairs are balanced, too."""
+        """True if tangential forces are balanced, too."""
         return friction_of(self.contact) is not None
 
     @cached_property
     def residual(self) -> np.ndarray | None:
-        """R_inf, the residual flexibility in series with contact; None where there is none.
+        """Return R_inf, the residual flexibility in series with contact [m/N].
 
-        Crack faces with mass have one if the law is rigid, or so stiff against it that
-        they bounce at frequencies which H harmonics do not resolve."""
+        Crack faces with mass have R_inf if the law is rigid. They also have R_inf if the law is so
+        stiff that the faces bounce at frequencies beyond H harmonics. None: no residual
+        flexibility.
+        """
         structure, contact = self.structure, self.contact
         if self.friction:
             return self._residual_with_friction
-        light, rigid = structure.light_lips, is_rigid(contact)
-        projected = is_rigid(contact) and contact.weight is not None and not light
-        if projected or not is_small(structure):
+        has_light_faces, has_rigid_law = structure.light_lips, is_rigid(contact)
+        may_project = is_rigid(contact) and contact.weight is not None and not has_light_faces
+        if may_project or not is_small(structure):
             return None
-        found = all_modes(self.seen).static_part(self.cutoff)
-        if not light and not rigid:
-            asked = self.static_above is not None and np.any(found)
+        residual = all_modes(self.row_structure).static_part(self.cutoff)
+        if not has_light_faces and not has_rigid_law:
+            is_requested = self.static_above is not None and np.any(residual)
             # A penalty k is stiff from k R_inf = 100 on.
-            if not asked and not float(np.max(contact.stiffness * np.diag(found))) > 100.0:
+            if (
+                not is_requested
+                and not float(np.max(contact.stiffness * np.diag(residual))) > 100.0
+            ):
                 return None
-        if rigid and not is_regular(found):
-            if light:
-                raise InputError("contact law", "unilateral", SINGULAR)
+        if has_rigid_law and not is_regular(residual):
+            if has_light_faces:
+                raise InputError("contact law", "unilateral", ALLOWED_IF_SINGULAR)
             return None
-        return found
+        return residual
 
     @property
     def _residual_with_friction(self) -> np.ndarray | None:
-        """That of normals and tangents, which all see what they have in series."""
-        small, springs = (
-            is_small(self.structure),
-            spring_compliances(self.contact, self.structure.n_pairs),
-        )
-        found = all_modes(self.seen).static_part(self.cutoff) if small else None
-        at_once = np.diag(springs) if found is None else found + np.diag(springs)
-        if not np.all(springs) and not is_regular(at_once):
-            raise InputError("contact", self.contact, WITHOUT_GIVE)
-        return found
+        """Return R_inf of normal and tangential rows, or None [m/N].
 
-    def seen_alike(self, cutoff: float) -> Problem:
-        """The same for a family of problems: whether pairs have a residual flexibility, and that of
-        which modes, is settled for all of them by a frequency [rad/s]."""
-        highest = cutoff / (BEYOND * self.harmonics)
-        known = replace(self, static_above=None, omega=highest * self.subharmonic).residual
-        return replace(self, static_above=np.inf if known is None else cutoff)
+        Raises InputError if rows have no compliance in series.
+        """
+        has_few_dofs = is_small(self.structure)
+        springs = spring_compliances(self.contact, self.structure.n_pairs)
+        residual = all_modes(self.row_structure).static_part(self.cutoff) if has_few_dofs else None
+        series_compliance = np.diag(springs) if residual is None else residual + np.diag(springs)
+        if not np.all(springs) and not is_regular(series_compliance):
+            raise InputError("contact", self.contact, ALLOWED_WITHOUT_COMPLIANCE)
+        return residual
+
+    def with_common_cutoff(self, cutoff: float) -> Problem:
+        """Return a problem whose static modes are settled for a whole family.
+
+        The cutoff [rad/s] decides for every member whether pairs have a residual flexibility, and
+        which modes are static.
+        """
+        base_omega = cutoff / (STATIC_CUTOFF_RATIO * self.harmonics)
+        residual = replace(self, static_above=None, omega=base_omega * self.subharmonic).residual
+        return replace(self, static_above=np.inf if residual is None else cutoff)
 
     @property
-    def projected(self) -> bool:
-        """True if the constraint is balanced in frequency: that of pairs without coupling."""
+    def is_projected(self) -> bool:
+        """True if the constraint is balanced in frequency, for uncoupled pairs."""
         return is_rigid(self.contact) and self.residual is None and not self.friction
 
-    def weighted(self, compliance: Compliance) -> Problem:
-        """The same with the weight of a projection."""
+    def with_weight(self, compliance: Compliance) -> Problem:
+        """Return the problem with the weight of its projection, if it needs one."""
         contact = self.contact
-        if not (is_rigid(contact) and self.projected and contact.weight is None):
+        if not (is_rigid(contact) and self.is_projected and contact.weight is None):
             return self
         return replace(self, contact=replace(contact, weight=default_weight(compliance)))
 
     def system(self, compliance: Compliance) -> ContactSystem:
-        """The equations."""
-        return ContactSystem(compliance, self.weighted(compliance).integrals())
+        """Return the condensed equations."""
+        return ContactSystem(compliance, self.with_weight(compliance).integrals())
 
-    def wave(self, at: ContactPoint) -> Wave:
-        """The motion that belongs to a point of the equations (collective)."""
-        displacement = at.system.compliance.displacement(at.force)
-        return self.wave_of(displacement, at.gap, at.force)
+    def wave(self, point: ContactPoint) -> Wave:
+        """Return the motion at a point of the equations (collective)."""
+        displacement = point.system.compliance.displacement(point.force)
+        return self.wave_of(displacement, point.gap, point.force)
 
     def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
-        """The motion of coefficients of the displacement, and of the gaps and forces of all
-        rows."""
-        count = self.structure.n_pairs
-        tangential = (gap[:, count:], force[:, count:]) if self.friction else (None, None)
+        """Return the motion with given coefficients.
+
+        Parameters
+        ----------
+        displacement : (2H+1, n_local) [m]
+        gap, force : (2H+1, n_rows) [m], [N]
+            With friction, normal rows and then tangential ones.
+        """
+        n_pairs = self.structure.n_pairs
+        tangential = (gap[:, n_pairs:], force[:, n_pairs:]) if self.friction else (None, None)
         return Wave(
-            self.structure, self.omega, self.contact, displacement, gap[:, :count],
-            force[:, :count], self.subharmonic, self.static_cutoff, *tangential,
+            self.structure, self.omega, self.contact, displacement, gap[:, :n_pairs],
+            force[:, :n_pairs], self.subharmonic, self.static_cutoff, *tangential,
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
-        """Return the integrals of the contact force; those of a projection by its weight."""
+        """Return the integrals of the contact force.
+
+        A projected constraint uses its weight as the stiffness.
+        """
         contact, harmonics = self.contact, self.harmonics
         if self.residual is not None:
             return coupled_integrals(contact, harmonics, self.residual, self.samples)
         if self.friction:
-            nothing = np.zeros((self.seen.n_pairs,) * 2)
-            return coupled_integrals(contact, harmonics, nothing, self.samples)
+            zero_compliance = np.zeros((self.row_structure.n_pairs,) * 2)
+            return coupled_integrals(contact, harmonics, zero_compliance, self.samples)
         if is_rigid(contact):
             assert contact.weight is not None
-            each = np.eye(self.structure.n_pairs) / contact.weight
-            return ExactIntegrals(contact, harmonics, residual=each)
+            inverse_weight = np.eye(self.structure.n_pairs) / contact.weight
+            return ExactIntegrals(contact, harmonics, residual=inverse_weight)
         return contact_integrals(contact, harmonics, self.samples, self.subharmonic)
 
     def compliance(self) -> Compliance:
-        """Compliance at the multiples of the base frequency, to be destroyed (collective)."""
-        return dynamic_compliance(self.seen, self.base_omega, self.harmonics, self.subharmonic)
+        """Return the compliance at multiples of the base frequency (collective).
+
+        The caller destroys it.
+        """
+        return dynamic_compliance(
+            self.row_structure, self.base_omega, self.harmonics, self.subharmonic
+        )
 
     def with_harmonics(self, harmonics: int) -> Problem:
-        """The same with other harmonics."""
+        """Return the problem with another number of harmonics."""
         return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)
 
 
 def least_harmonics(structure: Structure, subharmonic: int) -> int:
-    """The highest harmonic of a structure's load, in the order of a response."""
+    """Return the highest harmonic of a structure's load, in the response's order."""
     return subharmonic * (len(structure.force) // 2)
 
 
 def check_memory(structure: Structure, harmonics: int) -> None:
-    """Raise InputError where the dense Jacobian of the equations would not fit, or of coupled pairs
-    what they are at all instants, and the vectors of solutions."""
-    pairs = structure.n_pairs
-    unknowns, order = (2 * harmonics + 1) * pairs, 2
-    numbers = MATRICES_AT_A_TIME * unknowns**2
-    if structure.light_lips:  # of an estimate too, with twice the harmonics
-        vectors = 2 * kernel.KRYLOV_MOST + 2  # those kept, and those of a solution
-        numbers, order = 2 * (2 * MATRICES_AT_A_TIME * pairs + vectors) * unknowns, 1
+    """Raise InputError if the equations would not fit into memory.
+
+    Uncoupled pairs need the dense Jacobian. Crack faces without mass need the stiffnesses at all
+    instants, and vectors of the iterative solver.
+    """
+    n_pairs = structure.n_pairs
+    n_unknowns, order = (2 * harmonics + 1) * n_pairs, 2
+    n_numbers = N_MATRICES_IN_MEMORY * n_unknowns**2
+    if structure.light_lips:  # an error estimate has twice the harmonics
+        n_vectors = 2 * kernel.KRYLOV_MOST + 2  # vectors kept, and those for a solution
+        n_numbers, order = 2 * (2 * N_MATRICES_IN_MEMORY * n_pairs + n_vectors) * n_unknowns, 1
     memory = machine_memory()
-    if 8 * numbers > 0.8 * memory:
-        fits = int(harmonics * (0.1 * memory / numbers) ** (1.0 / order))
-        needed, machine = (f"{size / 2**30:.0f}" for size in (8 * numbers, memory))
-        sizes = f"{unknowns} unknowns need {needed} GiB of this machine's {machine}"
-        raise InputError("harmonics", harmonics, f"at most {fits} with {pairs} pairs: {sizes}")
+    if 8 * n_numbers > 0.8 * memory:
+        max_harmonics = int(harmonics * (0.1 * memory / n_numbers) ** (1.0 / order))
+        needed_size, machine_size = (f"{size / 2**30:.0f}" for size in (8 * n_numbers, memory))
+        sizes = f"{n_unknowns} unknowns need {needed_size} GiB of this machine's {machine_size}"
+        raise InputError(
+            "harmonics", harmonics, f"at most {max_harmonics} with {n_pairs} pairs: {sizes}"
+        )
 
 
 # --- the search -----------------------------------------------------------------------------------
 
 
 Start = tuple[str, Iterator[np.ndarray]]
-"""Name of a starting strategy, and its initial guesses."""
+"""Name of a starting strategy, and an iterator over its guesses."""
 
 
 @dataclass
 class Search:
-    """The search for a solution of a system, and the record of the attempts."""
+    """Search for a solution of a system, with a record of its attempts."""
 
     system: ContactSystem
     problem: Problem
     """Problem that the system balances."""
     tolerance: float
     """Maximum |F| / |x| for acceptance; raised to the rounding error."""
-    share: float
+    budget_fraction: float
     """Fraction of the search budget that may be used."""
     remedy: str = (
         "other harmonics, a softer contact, more damping, or a neighbouring solution as initial"
     )
-    """Changes that may lead to a solution where no attempt does."""
+    """Changes that may lead to a solution, for the message after a failure."""
     converged: bool = False
     """True if the last attempt met the tolerance."""
     iterations: int = 0
     """Newton iterations, all attempts together."""
     orbit: PeriodicOrbit | None = None
-    """Exact orbit from whose coefficients the last attempt began."""
+    """Exact orbit whose coefficients were the last guess."""
     history: list[float] = field(default_factory=list)
-    """``|F|`` of every iteration by SNES: where the kernel has the equations, of a last attempt
-    when all have failed."""
+    """``|F|`` of every SNES iteration. With the equations in the kernel, SNES makes only a last
+    attempt after all others have failed."""
     attempts: list[str] = field(default_factory=list)
     """Attempts and their outcomes, in words."""
     _rounding: float = ROUNDING
-    _most: float = 0.0
-    _fewer: ContactPoint | None = None
+    _max_iterations: float = 0.0
+    _simpler_point: ContactPoint | None = None
 
     @property
     def status(self) -> str:
-        """All attempts, and a remedy where none led to a solution."""
+        """Return all attempts in words, with a remedy if none succeeded."""
         attempts = "; then ".join(self.attempts)
         if self.converged:
             return attempts
         return f"{attempts}; no solution in {self.iterations} iterations: try {self.remedy}"
 
     def solve(self, *starts: np.ndarray) -> Linearisation:
-        """The equations where Newton's method arrives, or where it was last, from solutions nearby
-        or from nothing.
+        """Return the equations at the solution, or at the last point reached.
 
-        Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
+        Parameters
+        ----------
+        *starts : (2H+1, n_rows) [m]
+            Neighbouring solutions, tried first.
+
+        Raises
+        ------
+        InputError
+            The contact is so stiff that rounding leaves nothing of its force.
         """
         system = self.system
         if system.residual is None:
             self._rounding = rounding_left(system.compliance, system.integrals.law)
             if self._rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._rounding)
-        self._most = self.share * _iterations(system)
-        at: Linearisation | None = None
-        with ExitStack() as held:
+        self._max_iterations = self.budget_fraction * _iteration_budget(system)
+        point: Linearisation | None = None
+        with ExitStack() as stack:
             snes = None
             if not can_solve_in_kernel(system):
-                snes = held.enter_context(Newton(system, self.history))
-            for name, guesses in self._starts(starts):
+                snes = stack.enter_context(Newton(system, self.history))
+            for name, guesses in self._strategies(starts):
                 begin(name)
-                before = self.iterations
+                iterations_before = self.iterations
                 for guess in guesses:
-                    at = self._newton(snes, guess)
-                    if self.converged or self._spent:
+                    point = self._take_newton_steps(snes, guess)
+                    if self.converged or self._is_spent:
                         break
-                self.tell(name, before)
+                self.record_attempt(name, iterations_before)
                 if self.converged:
                     break
-        at = at or system.linearise(np.zeros(system.shape), 1.0)
-        if not self.converged and snes is None and self.share == 1.0:  # for the record
-            before = self.iterations
+        point = point or system.linearise(np.zeros(system.shape), 1.0)
+        if not self.converged and snes is None and self.budget_fraction == 1.0:  # for the history
+            iterations_before = self.iterations
             with Newton(system, self.history) as snes:
-                at = self._newton(snes, at.unknown)
+                point = self._take_newton_steps(snes, point.unknown)
             if self.converged:
-                self.tell("full steps of SNES", before)
+                self.record_attempt("full steps of SNES", iterations_before)
             else:
-                self.iterations = before
-        return at
+                self.iterations = iterations_before
+        return point
 
-    def tell(self, name: str, before: int) -> None:
-        """Record the outcome of an initial guess."""
+    def record_attempt(self, name: str, iterations_before: int) -> None:
+        """Record the outcome of a strategy."""
         outcome = "converged" if self.converged else "failed"
-        self.attempts.append(f"{name}: {outcome} ({self.iterations - before} iterations)")
+        self.attempts.append(
+            f"{name}: {outcome} ({self.iterations - iterations_before} iterations)"
+        )
 
-    def _newton(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
-        """Return the point reached by full steps of SNES, or else of the kernel."""
+    def _take_newton_steps(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
+        """Return the point that full steps reach, by SNES or by the kernel."""
         if snes is not None:
-            at, self.converged, count = snes.solve(guess, 1.0, self.tolerance, self._at_once)
-            self.iterations += count
-            return at
-        found = self._steps(self.system, guess)
-        self.converged = found is not None
-        return self.system.linearise(guess, 1.0) if found is None else found
+            point, self.converged, n_iterations = snes.solve(
+                guess, 1.0, self.tolerance, self._iterations_per_guess
+            )
+            self.iterations += n_iterations
+            return point
+        kernel_point = self._take_full_steps(self.system, guess)
+        self.converged = kernel_point is not None
+        return self.system.linearise(guess, 1.0) if kernel_point is None else kernel_point
 
-    def _steps(
-        self, system: ContactSystem, guess: np.ndarray, tolerance: float = 0.0, at: float = 1.0
+    def _take_full_steps(
+        self,
+        system: ContactSystem,
+        guess: np.ndarray,
+        tolerance: float = 0.0,
+        parameter: float = 1.0,
     ) -> Linearisation | None:
-        """Return the point reached by full steps, to a tolerance that is larger than the search's,
-        or at a point of the path; None where they do not converge."""
-        most, sharp = self._at_once, max(self.tolerance, tolerance)
-        found = solve_at(system, guess, at, tolerance=sharp, iterations=most)
-        self.iterations += most if found is None else found.iterations
-        return None if found is None else found.linearisation
+        """Return the point that full steps of the kernel reach, or None.
+
+        Parameters
+        ----------
+        tolerance : float
+            Used if it is larger than the tolerance of the search.
+        parameter : float
+            Position on the path; 1 is the law itself.
+        """
+        max_iterations, step_tolerance = self._iterations_per_guess, max(self.tolerance, tolerance)
+        path_point = solve_at(
+            system, guess, parameter, tolerance=step_tolerance, iterations=max_iterations
+        )
+        self.iterations += max_iterations if path_point is None else path_point.iterations
+        return None if path_point is None else path_point.linearisation
 
     @property
-    def _at_once(self) -> int:
-        """Iterations that a guess may take, which with many harmonics and friction are few."""
-        return min(MAX_FULL_STEPS, math.ceil(self.share * _iterations(self.system)))
+    def _iterations_per_guess(self) -> int:
+        """Return the most iterations per guess; few with many harmonics and friction."""
+        return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
 
     @property
-    def _spent(self) -> bool:
-        return self.iterations >= self._most
+    def _is_spent(self) -> bool:
+        """True if the budget of iterations is spent."""
+        return self.iterations >= self._max_iterations
 
-    # --- the starts -------------------------------------------------------------------------------
+    # --- the strategies ---------------------------------------------------------------------------
 
-    def _starts(self, starts: Sequence[np.ndarray]) -> Iterator[Start]:
-        """Yield the initial guesses in the order in which they are tried."""
+    def _strategies(self, guesses: Sequence[np.ndarray]) -> Iterator[Start]:
+        """Yield strategies in their order."""
         system, problem = self.system, self.problem
-        for start in starts:
-            yield "full Newton steps", self._near(system, start)
+        for guess in guesses:
+            yield "full Newton steps", self._guesses_near(system, guess)
         if problem.friction:
-            yield "from contact without friction", self._add_friction(problem)
+            yield "from contact without friction", self._guesses_without_friction(problem)
         else:
-            many = system.residual is not None or system.size > kernel.MANY
-            enough = problem.least_harmonics if many else problem.harmonics
-            counts = halved(problem.harmonics, enough)
-            name = "from fewer harmonics" if many else "full Newton steps"
-            yield name, self._climb(problem, counts)
+            is_large = system.residual is not None or system.size > kernel.MANY
+            min_harmonics = problem.least_harmonics if is_large else problem.harmonics
+            counts = halve_harmonics(problem.harmonics, min_harmonics)
+            name = "from fewer harmonics" if is_large else "full Newton steps"
+            yield name, self._guesses_by_harmonics(problem, counts)
         quantity = "coefficient of friction" if problem.friction else "contact compliance"
-        rest = [(f"continuation in the {quantity}", self._path(system))] * (not self._spent)
-        if self.share == 1.0 and system.integrals.coupled and problem.harmonics <= self._many:
+        strategies = [
+            (f"continuation in the {quantity}", self._guesses_by_continuation(system))
+        ] * (not self._is_spent)
+        if (
+            self.budget_fraction == 1.0
+            and system.integrals.has_coupled_pairs
+            and problem.harmonics <= self._min_harmonics_for_orbit_start
+        ):
             flow = flow_of(problem.structure, problem.contact)
-            late = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
-            rest.insert(len(rest) * late, ("from an exact orbit", self._next_to_orbit(problem)))
-        yield from rest
+            is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
+            strategies.insert(
+                len(strategies) * is_orbit_last,
+                ("from an exact orbit", self._guesses_from_orbit(problem)),
+            )
+        yield from strategies
 
     @property
-    def _many(self) -> int:
-        """Harmonics from which on an exact orbit is sought first."""
-        return self.problem.few_harmonics(SearchOptions.harmonics[-1])
+    def _min_harmonics_for_orbit_start(self) -> int:
+        """Return the number of harmonics above which an exact orbit is tried first."""
+        return self.problem.response_harmonics(SearchOptions.harmonics[-1])
 
-    def _near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
-        """A guess, and where steps from there lead that are shortened where the residual would
-        grow."""
+    def _guesses_near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield a guess, then the point that shortened steps reach from it."""
         yield guess
-        if self._spent:
+        if self._is_spent:
             return
         point = solve_robustly(system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False)
         self.iterations += MAX_STALLED_STEPS if point is None else point.iterations
         if point is not None:
             yield point.unknown
 
-    def _climb(self, problem: Problem, counts: list[int]) -> Iterator[np.ndarray]:
-        """Guesses for the last of some numbers of harmonics: the solution with the number before,
-        for the first the linear one; where one is not found it is left out."""
+    def _guesses_by_harmonics(self, problem: Problem, counts: list[int]) -> Iterator[np.ndarray]:
+        """Yield guesses for the last of ascending numbers of harmonics.
+
+        Each solution starts the next one, and the linear solution starts the first. A number
+        without a solution is skipped. Many harmonics try an exact orbit first.
+        """
+        orbit_harmonics = self._min_harmonics_for_orbit_start
         for count in counts:
-            if self._many < count <= 2 * self._many:
-                yield from self._next_to_orbit(problem)
-            system, before, at = self.system, self.iterations, self._fewer
+            if orbit_harmonics < count <= 2 * orbit_harmonics:
+                yield from self._guesses_from_orbit(problem)
+            system = self.system
+            iterations_before = self.iterations
+            simpler_point = self._simpler_point
             if count != counts[-1]:
-                few = resized_compliance(system.compliance, count)
-                system = problem.with_harmonics(count).system(few)
-            start = system.linear if at is None else system.slow(at.gap, at.force)
+                resized = resized_compliance(system.compliance, count)
+                system = problem.with_harmonics(count).system(resized)
+            guess = (
+                system.linear
+                if simpler_point is None
+                else system.slow_gap(simpler_point.gap, simpler_point.force)
+            )
             if system is self.system:
-                yield from self._near(system, start)
+                yield from self._guesses_near(system, guess)
                 continue
-            found = self._nearly(system, self._near(system, start))
-            self._most += self.iterations - before  # these cost little
-            if found is None and not system.matrix_free:
-                found = self._nearly(system, self._path(system, 0.5))
-            self._fewer = found or at
+            point = self._solve_coarsely(system, self._guesses_near(system, guess))
+            # Iterations with fewer harmonics cost little: they do not count.
+            self._max_iterations += self.iterations - iterations_before
+            if point is None and not system.matrix_free:
+                point = self._solve_coarsely(system, self._guesses_by_continuation(system, 0.5))
+            self._simpler_point = point or simpler_point
 
-    def _nearly(self, system: ContactSystem, guesses: Iterator[np.ndarray]) -> ContactPoint | None:
-        """The first of some guesses from which full steps arrive, to the accuracy of a guess."""
-        found = (self._steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
-        return next((system.linearise(one.unknown) for one in found if one is not None), None)
+    def _solve_coarsely(
+        self, system: ContactSystem, guesses: Iterator[np.ndarray]
+    ) -> ContactPoint | None:
+        """Return the first point that full steps reach to a coarse tolerance, or None."""
+        points = (self._take_full_steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
+        return next(
+            (system.linearise(point.unknown) for point in points if point is not None), None
+        )
 
-    def _add_friction(self, problem: Problem) -> Iterator[np.ndarray]:
-        """The solution without friction, with the forces that belong to it."""
-        free, system = replace(problem, contact=normal_law(problem.contact)), self.system
-        compliance = free.compliance()
+    def _guesses_without_friction(self, problem: Problem) -> Iterator[np.ndarray]:
+        """Yield the solution without friction, corrected by its contact forces."""
+        frictionless, system = replace(problem, contact=normal_law(problem.contact)), self.system
+        compliance = frictionless.compliance()
         try:
-            search = Search(free.system(compliance), free, self.tolerance, 0.5 * self.share)
-            at = search.solve()
+            search = Search(
+                frictionless.system(compliance),
+                frictionless,
+                self.tolerance,
+                0.5 * self.budget_fraction,
+            )
+            point = search.solve()
         finally:
             compliance.destroy()
         self.iterations += search.iterations
-        self._most += search.iterations  # these cost little
+        self._max_iterations += search.iterations  # they cost little and do not count
         if not search.converged:
             return
         force = np.zeros(system.shape)
-        force[:, : at.unknown.shape[1]] = search.system.integrals.force(at.unknown)
-        self._fewer = system.linearise(system.linear - respond(system.moving, force))
-        if problem.harmonics > self._many:
-            yield from self._next_to_orbit(problem)
-        yield self._fewer.unknown
+        force[:, : point.unknown.shape[1]] = search.system.integrals.force(point.unknown)
+        self._simpler_point = system.linearise(system.linear - respond(system.dynamic_part, force))
+        if problem.harmonics > self._min_harmonics_for_orbit_start:
+            yield from self._guesses_from_orbit(problem)
+        yield self._simpler_point.unknown
 
-    def _next_to_orbit(self, problem: Problem) -> Iterator[np.ndarray]:
-        """The slow gap of the exact orbit next to the solution with fewer harmonics, or from rest;
-        where it does not take long to find."""
-        flow, at = flow_of(problem.structure, problem.contact), self._fewer
+    def _guesses_from_orbit(self, problem: Problem) -> Iterator[np.ndarray]:
+        """Yield guesses near an exact orbit.
+
+        The search for the orbit begins at a simpler solution, if there is one, and otherwise at
+        rest. Nothing is yielded without an exact flow, or if the search would take long.
+        """
+        flow, simpler_point = flow_of(problem.structure, problem.contact), self._simpler_point
         omega, periods, guesses = problem.omega, problem.subharmonic, list[np.ndarray]()
         if flow is None or not is_affordable(flow, omega, periods):
             return
-        if at is not None:
-            moved = self.system.compliance.displacement(
-                resize_harmonics(at.force, problem.harmonics)
+        if simpler_point is not None:
+            displacement = self.system.compliance.displacement(
+                resize_harmonics(simpler_point.force, problem.harmonics)
             )
-            guesses.append(wave_states(flow, moved, problem.base_omega))
+            guesses.append(wave_states(flow, displacement, problem.base_omega))
         self.orbit = search_orbit(flow, omega, guesses, periods, prefer_stable=False).orbit
         if self.orbit is not None:
-            known = self.orbit.coefficients(problem.harmonics)
-            self._most += self._at_once
+            coefficients = self.orbit.coefficients(problem.harmonics)
+            self._max_iterations += self._iterations_per_guess
             self.remedy = "a tolerance, which takes the exact orbit that was found"
-            yield from self._near(self.system, self.system.slow(known.gap, known.force))
+            yield from self._guesses_near(
+                self.system, self.system.slow_gap(coefficients.gap, coefficients.force)
+            )
         self.orbit = None
 
-    def _path(self, system: ContactSystem, share: float = 1.0) -> Iterator[np.ndarray]:
-        """The end of the continuation in the contact compliance, or with friction in its
-        coefficient, by a share of the iterations left; one that goes as far beyond is left."""
-        begun: Linearisation | None = self._fewer
+    def _guesses_by_continuation(
+        self, system: ContactSystem, budget_fraction: float = 1.0
+    ) -> Iterator[np.ndarray]:
+        """Yield the end of the path in the contact compliance.
+
+        With friction the coefficient is the path's parameter. The path may take ``budget_fraction``
+        of the iterations that remain.
+        """
+        start_point: Linearisation | None = self._simpler_point
         if self.problem.friction:
             system = system.along_friction()
         else:
-            system = system.softened()
-            begun = self._steps(system, system.linear, at=0.0)
-        if begun is None:
+            system = system.along_softness()
+            start_point = self._take_full_steps(system, system.linear, parameter=0.0)
+        if start_point is None:
             return
-        left = 1 + max(0, int(share * (self._most - self.iterations)))
-        most = self.iterations + left
-        at_once = min(PathOptions.points_per_call, 1 + left // MAX_STALLED_STEPS)
+        max_steps = 1 + max(0, int(budget_fraction * (self._max_iterations - self.iterations)))
+        max_iterations = self.iterations + max_steps
+        points_per_call = min(PathOptions.points_per_call, 1 + max_steps // MAX_STALLED_STEPS)
         options = replace(
-            HOMOTOPY_OPTIONS, rounding=self._rounding, max_steps=left, points_per_call=at_once
+            HOMOTOPY_OPTIONS,
+            rounding=self._rounding,
+            max_steps=max_steps,
+            points_per_call=points_per_call,
         )
-        path = Path(system, point_on_path(system, begun.unknown, 0.0), options, [Target(1.0)])
+        path = Path(system, point_on_path(system, start_point.unknown, 0.0), options, [Target(1.0)])
         for point in path.points():
             self.iterations += point.iterations
-            if self.iterations >= most:
+            if self.iterations >= max_iterations:
                 return
         if path.end_reason is EndReason.REACHED:
             yield path.last_point.unknown
 
 
-def halved(harmonics: int, enough: int) -> list[int]:
-    """Numbers of harmonics, each about half of the next, down to one that is enough."""
+def halve_harmonics(harmonics: int, min_harmonics: int) -> list[int]:
+    """Return ascending numbers of harmonics, each about half of the next.
+
+    The first is ``min_harmonics``, the last is ``harmonics``.
+    """
     counts = [harmonics]
-    while counts[0] > enough:
-        counts.insert(0, max((counts[0] + 1) // 2, enough))
+    while counts[0] > min_harmonics:
+        counts.insert(0, max((counts[0] + 1) // 2, min_harmonics))
     return counts
 
 
 def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
-    """Return the rounding error of |F| / |x| of uncoupled pairs, by the largest k R.
+    """Return the rounding error of |F| / |x| for uncoupled pairs.
 
-    Raises InputError where that is nothing of the contact force.
+    It follows from the largest k R. Raises InputError if rounding leaves nothing of the contact
+    force.
     """
-    stiffest, seen = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
-    most = COARSE_TOLERANCE / (MACHINE_EPSILON * float(seen[0].max(initial=1e-300)))
-    if not stiffest < most:
-        allowed = f"at most {most:.2g} N/m on this structure, beyond which rounding leaves nothing"
-        allowed += "; UnilateralConstraint is the limit"
-        raise InputError("contact stiffness", stiffest, allowed)
-    return residual_rounding(stiffest * float(seen.max(initial=0.0)))
+    max_stiffness, row_sums = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
+    stiffness_limit = COARSE_TOLERANCE / (MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300)))
+    if not max_stiffness < stiffness_limit:
+        allowed = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
+        allowed += "leaves nothing; UnilateralConstraint is the limit"
+        raise InputError("contact stiffness", max_stiffness, allowed)
+    return residual_rounding(max_stiffness * float(row_sums.max(initial=0.0)))
 
 
-def _iterations(system: ContactSystem) -> float:
-    """Return the iterations that a search may take: they cost like the square of many unknowns
-    where the kernel has them."""
+def _iteration_budget(system: ContactSystem) -> float:
+    """Return the number of iterations that a search may take.
+
+    Iterations in the kernel with many unknowns cost like the square of their number.
+    """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
-        return RUBBING / (integrals.instants * system.work)
-    dense = COMPILED * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
+        return MAX_FRICTION_WORK / (integrals.instants * system.work)
+    kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
-        return dense
-    interpreted = COMPILED / 5  # in Python, in the same time
-    return interpreted if system.matrix_free else min(interpreted, dense)
+        return kernel_limit
+    python_limit = MAX_KERNEL_ITERATIONS / 5  # Python takes five times as long
+    return python_limit if system.matrix_free else min(python_limit, kernel_limit)

@@ -1,4 +1,4 @@
-"""A periodic solution: Fourier coefficients, what can be asked of them, and how it is found."""
+"""Periodic solution: Fourier coefficients, its properties, and its solver."""
 
 from __future__ import annotations
 
@@ -29,33 +29,34 @@ from fenics_crack.numerics.fourier import evaluate, resize_harmonics, sample_per
 
 @dataclass(frozen=True, repr=False)
 class Stability(Described):
-    """Floquet multipliers and what follows from them.
+    """Floquet multipliers and the verdict on stability.
 
     Attributes
     ----------
     multipliers : (2n,) complex
-        Largest modulus first; of an irregular motion the growth of a small disturbance in a period,
-        and nan.
+        Largest modulus first. For an irregular motion: the growth of a small disturbance in a
+        period, and nan.
     verdict : "stable", "unstable", "irregular" or "undecided"
-        Verdict on the nearest exact orbit; of a smooth law, of the linear flow along it. Irregular:
-        no orbit was found, and a small disturbance of the exact motion that begins with the
-        solution grows.
+        Verdict on the nearest exact orbit; for a smooth law, on the linear flow along the solution.
+        Irregular: no orbit was found, and a small disturbance of the exact motion that begins with
+        the solution grows.
     uncertainty : float
-        Of the largest modulus; nan where the multipliers are those of the solution: they decide
-        nothing.
+        Uncertainty of the largest modulus. nan: the multipliers are those of the solution and
+        decide nothing.
     refined : bool
         True if these are the multipliers of an exact orbit.
     distance : float
-        From the solution to this orbit, in the gaps over the period, relative to what moves of
-        B^T u as the estimated errors are: what the error was found to be. nan: no orbit.
+        Relative distance from the solution to this orbit, in the gaps over the period. It is
+        relative to the moving part of B^T u, like the estimated errors, and is the actual error.
+        nan: no orbit.
     reason : str
-        Why no orbit decides; "" where one does.
+        Why no orbit decides; "" if an orbit does.
     from_rest : str
-        Outcome of the motion from rest, where that was integrated and it does not settle to the
-        solution; else "".
+        Outcome of the motion from rest, if it was integrated and does not settle to the solution;
+        else "".
     rest_amplitude : float [m]
-        Half the peak-to-peak displacement of the watched dof to which it settles, over all periods
-        of the load after which it repeats itself; nan: it does not.
+        Half the peak-to-peak displacement of the watched dof to which that motion settles, over all
+        periods of the load after which it repeats itself. nan: it does not settle.
     """
 
     multipliers: np.ndarray
@@ -68,16 +69,16 @@ class Stability(Described):
     rest_amplitude: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """The verdict, and the multiplier of largest modulus."""
-        largest = complex(self.multipliers[0])
-        found = {"verdict": self.verdict, "modulus": abs(largest)}
-        found |= {"real": largest.real, "imaginary": largest.imag}
-        return found | {one.name: getattr(self, one.name) for one in fields(self)[2:]}
+        """Return the verdict, and the multiplier of largest modulus."""
+        leading = complex(self.multipliers[0])
+        columns = {"verdict": self.verdict, "modulus": abs(leading)}
+        columns |= {"real": leading.real, "imaginary": leading.imag}
+        return columns | {entry.name: getattr(self, entry.name) for entry in fields(self)[2:]}
 
     def _title(self) -> str:
-        because = f" ({self.reason})" if self.reason else ""
-        largest = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
-        return f"{self.verdict}{because}, {largest}, uncertainty {self.uncertainty:.2g}"
+        reason = f" ({self.reason})" if self.reason else ""
+        multiplier = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        return f"{self.verdict}{reason}, {multiplier}, uncertainty {self.uncertainty:.2g}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,7 +95,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         Law between the crack faces; None for the linear solution with crack faces that pass through
         each other.
     displacement_coefficients : (2H+1, n_local) [m]
-        Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
+        Rows a0, a1, b1, ..., aH, bH; columns are the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]
         g = B^T u - g0, in the same order, on every rank; g > 0: penetration.
     force_coefficients : (2H+1, n_pairs) [N]
@@ -102,10 +103,11 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     subharmonic : int
         The response has this many times the load's period.
     static_above : float or None
-        Modes of higher frequencies [rad/s] respond quasi-statically to contact forces, as all that
-        a massless reduction truncates does (:class:`fenics_crack.Problem`); None: none does.
+        Modes of higher frequencies [rad/s] respond quasi-statically to contact forces, as do all
+        modes that a massless reduction truncates (:class:`fenics_crack.Problem`). None: no mode
+        does.
     tangential_gap_coefficients : (2H+1, n_pairs) [m] or None
-        g_t = B_t^T u of contact with friction, likewise.
+        g_t = B_t^T u for contact with friction, likewise.
     tangential_force_coefficients : (2H+1, n_pairs) [N] or None
         Friction force, likewise.
     converged : bool
@@ -113,15 +115,15 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     status : str
         Attempts and their outcomes, in words.
     iterations : int
-        Newton iterations, all attempts together.
+        Newton iterations of all attempts.
     stability : Stability or None
         Set by :func:`fenics_crack.floquet`.
     others : tuple of PeriodicOrbit
-        Exact orbits at the same frequency that were met when this one was sought.
+        Other exact orbits at this frequency that the search met.
     assessment : Assessment
         Assessment by the exact flow: the predicted error, and the nearest orbit.
     estimate : callable
-        Gives the :attr:`report`.
+        Returns the :attr:`report`.
     """
 
     converged: bool = True
@@ -136,133 +138,151 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     def __post_init__(self) -> None:
         if self.assessment is None or not self.assessment.is_of(self):
-            wave = Wave(**{one.name: getattr(self, one.name) for one in fields(Wave)})
+            wave = Wave(**{entry.name: getattr(self, entry.name) for entry in fields(Wave)})
             object.__setattr__(self, "assessment", Assessment(wave))
 
     @property
     def report(self) -> ErrorReport:
-        """Estimated errors, relative to the gap's amplitude; computed when first requested, of a
-        structure of many dofs with the solution."""
+        """Return the estimated errors, relative to the gap's amplitude.
+
+        They are computed on first request; for a structure with many dofs, together with the
+        solution.
+        """
         return self.estimate()
 
     def reported(self, report: ErrorReport) -> PeriodicSolution:
-        """The same with a report."""
+        """Return this solution with another report."""
         return replace(self, estimate=lambda: report)
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
-        """The exact orbit whose Fourier coefficients these are; None where they are balanced."""
-        return self.assessment.own
+        """Return the exact orbit with these Fourier coefficients.
+
+        It is None if the coefficients are balanced.
+        """
+        return self.assessment.exact_orbit
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
-        """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
-        (collective)."""
+        """Return displacements at times [s]: (len(time), len(dofs)) [m] (collective).
+
+        None stands for the watched dof.
+        """
         if self.residual is None:
             return evaluate(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
 
     def function(self, time: float) -> Any:
-        """Displacement at a time [s] as DOLFINx's Function, on the space of the mesh: for
-        ParaView, and for further forms (collective)."""
+        """Return the displacement at a time [s] as DOLFINx's Function (collective).
+
+        It is on the space of the mesh, for ParaView and for further forms.
+        """
         check_number("time", time)
         return self.structure.function(self.coordinates(np.array([time]))[0])
 
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
-        """The motion, at as many instants as :meth:`instants` has; at as many as are given all
-        numbers are from these."""
-        friction, moved = coefficient_of(self.contact), None
+        """Yield the motion of rows at the instants of :meth:`instants`.
+
+        With ``instants`` given, all numbers follow from that many instants.
+        """
+        friction, static_response = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            moved = rows @ all_modes(self.seen).static_displacement(self.static_above)
-        waves = self.structure.sum_over_ranks(self._moving @ rows.T)
+            static_response = rows @ all_modes(self.row_structure).static_displacement(
+                self.static_above
+            )
+        waves = self.structure.sum_over_ranks(self._vibrating_coefficients @ rows.T)
 
-        def at(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return seen(*self.at_phase(TURN * parts))
+        def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            return with_displacement(*self.at_phase(TURN * fractions))
 
-        def seen(
-            values: np.ndarray, gap: np.ndarray, force: np.ndarray
+        def with_displacement(
+            basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            motion = values @ waves
-            if moved is not None:
-                motion -= (force - values @ self.force_rows) @ moved.T
+            motion = basis @ waves
+            if static_response is not None:
+                motion -= (force - basis @ self.force_rows) @ static_response.T
             return motion, gap, force
 
-        count = instants or len(self.instants())
-        parts = np.arange(count) / count
-        motion, gap, force = seen(*self.over_period(count))
+        n_instants = instants or len(self.instants())
+        fractions = np.arange(n_instants) / n_instants
+        motion, gap, force = with_displacement(*self.over_period(n_instants))
         yield Record(
-            self.omega, self.subharmonic, self.period * parts, waves, motion, gap, force,
+            self.omega, self.subharmonic, self.period * fractions, waves, motion, gap, force,
             structure=self.structure,
             friction=friction,
-            # Forces of friction follow from those before.
-            evaluate=at if friction is None else None,
+            # Friction forces follow from earlier ones.
+            evaluate=evaluate_at if friction is None else None,
             exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 
     @property
-    def _moving(self) -> np.ndarray:
-        """Coefficients of the displacement without the rounding of what is still."""
+    def _vibrating_coefficients(self) -> np.ndarray:
+        """Return the displacement's coefficients; only the mean if nothing vibrates."""
         rows = self.displacement_coefficients
         return resize_harmonics(rows[:1], self.harmonics) if self.still else rows
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
-        """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
-        return self.structure.values_at(self._moving, dofs)
+        """Return the displacement's coefficients at dofs: (2H+1, len(dofs)) [m] (collective)."""
+        return self.structure.values_at(self._vibrating_coefficients, dofs)
 
     @cached_property
     def breathes(self) -> bool:
-        """True if a pair of the crack faces closes and opens again within the period."""
+        """True if a pair closes and opens again within the period."""
         time = self.instants()
         # The force of a smoothed law is never 0.
-        seen = self.contact_force if is_unilateral(self.contact) else self.gap
-        closed = seen(time) > 0.0
-        return bool(np.any(closed.any(axis=0) & ~closed.all(axis=0)))
+        signal = self.contact_force if is_unilateral(self.contact) else self.gap
+        is_closed = signal(time) > 0.0
+        return bool(np.any(is_closed.any(axis=0) & ~is_closed.all(axis=0)))
 
     @cached_property
     def still(self) -> bool:
-        """True if nothing vibrates: the load is steady, and what moves is rounding (collective)."""
+        """True if the load is steady and only rounding moves (collective)."""
         rows = self.displacement_coefficients
-        parts = self.structure.force[1:], rows[1:], rows[:1]
-        sizes = self.structure.sum_over_ranks(np.array([np.sum(part**2) for part in parts]))
+        coefficients = self.structure.force[1:], rows[1:], rows[:1]
+        sizes = self.structure.sum_over_ranks(np.array([np.sum(part**2) for part in coefficients]))
         return bool(sizes[0] == 0.0 and sizes[1] <= NEGLIGIBLE**2 * sizes[2])
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]
-        (collective)."""
+        """Return the displacement of the whole structure's dofs (collective).
+
+        The shape is (len(time), n_local) [m], for this rank's dofs.
+        """
         return self.structure.expand(self.coordinates(time))
 
     def instants(self) -> np.ndarray:
-        """Equally spaced times [s] over the period, at which extremes are looked for: 1024, or 8 H
-        where that is more."""
-        count = max(1024, 8 * self.harmonics)
-        return np.linspace(0.0, self.period, count, endpoint=False)
+        """Return equally spaced times over the period, to search for extremes [s].
+
+        They are 1024, or 8 H if that is more.
+        """
+        n_instants = max(1024, 8 * self.harmonics)
+        return np.linspace(0.0, self.period, n_instants, endpoint=False)
 
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Frequency, extremes of the contact, errors, and how the solution was found."""
-        found: dict[str, Any] = {
+        """Return the frequency, extremes of the contact, errors, and the status."""
+        columns: dict[str, Any] = {
             "omega": float(self.omega),
             "harmonics": self.harmonics,
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        found |= self.faces
-        found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
-        found["penetration_share"] = found.pop("penetration_error")
+        columns |= self.faces
+        columns |= {f"{name}_error": error for name, error in self.report.to_dict().items()}
+        columns["penetration_share"] = columns.pop("penetration_error")
         if self.stability is not None:
-            found["verdict"] = self.stability.verdict
-            found["multiplier"] = float(abs(self.stability.multipliers[0]))
-        found |= {"converged": self.converged, "iterations": int(self.iterations)}
-        return with_frequency(found) | {"status": str(self.status)}
+            columns["verdict"] = self.stability.verdict
+            columns["multiplier"] = float(abs(self.stability.multipliers[0]))
+        columns |= {"converged": self.converged, "iterations": int(self.iterations)}
+        return with_frequency(columns) | {"status": str(self.status)}
 
     def _title(self) -> str:
-        found = self.to_dict()
+        columns = self.to_dict()
         parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
         if self.subharmonic > 1:
             parts.append(f"period of {self.subharmonic} loads")
-        parts.append(counted(found["pairs"], "pair"))
-        if found["pairs"]:
-            parts.append(f"opening {quantity(found['opening'], 'm')}")
+        parts.append(counted(columns["pairs"], "pair"))
+        if columns["pairs"]:
+            parts.append(f"opening {quantity(columns['opening'], 'm')}")
         if self.contact is None:
             parts.append("linear")
         elif self.report.estimated:
@@ -275,31 +295,39 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
 def solution_of(
     problem: Problem,
-    at: ContactPoint,
+    point: ContactPoint,
     *,
     status: str,
     converged: bool = True,
     search: bool = True,
     known: Assessment | None = None,
 ) -> PeriodicSolution:
-    """The solution that belongs to a point of the condensed equations, by default with the motion
-    that follows from it (collective), else with the one that is ``known``.
+    """Return the solution at a point of the condensed equations (collective).
 
-    With ``search`` its error is by its exact orbit; else it is what is predicted without.
+    Parameters
+    ----------
+    problem : Problem
+    point : ContactPoint
+    status : str
+    converged : bool
+    search : bool
+        True: the error is that of its exact orbit. False: the error is the predicted one.
+    known : Assessment, optional
+        Assessment with the motion; default: the motion at the point.
     """
-    known = known or Assessment(problem.wave(at))
-    how = {"search": search, "converged": converged}
-    estimate = partial(estimate_errors, at, known, problem, **how)
-    found = PeriodicSolution(
+    known = known or Assessment(problem.wave(point))
+    options = {"search": search, "converged": converged}
+    estimate = partial(estimate_errors, point, known, problem, **options)
+    solution = PeriodicSolution(
         **vars(known.wave),
         status=status,
         converged=converged,
         assessment=known,
         estimate=cache(estimate),
     )
-    if not is_small(problem.structure):  # its factors do not stay
-        found.estimate()
-    return found
+    if not is_small(problem.structure):  # factors are not kept
+        solution.estimate()
+    return solution
 
 
 @dataclass(frozen=True)
@@ -313,8 +341,15 @@ class Solver:
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
 
     def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
-        """Solve from a solution nearby, or from the linear one (collective); InputError where
-        nothing converged and the law's tangent is not the slope of its force."""
+        """Solve from a neighbouring solution, or from the linear one (collective).
+
+        Raises
+        ------
+        InputError
+            Nothing converged, and the law's tangent is not the slope of its force.
+        ConvergenceError
+            Nothing converged, and ``throw`` is True.
+        """
         search, solution = self.attempt(initial)
         if not search.converged:
             self._check_slope(solution.gap_coefficients)
@@ -323,13 +358,15 @@ class Solver:
             raise ConvergenceError(f"harmonic balance {case}: {search.status}", search.history)
         return solution
 
-    def _check_slope(self, last: np.ndarray) -> None:
-        """Raise InputError unless a law of one's own has the right tangent along the last gaps, by
-        their coefficients (2H+1, n_pairs), and along those against them."""
+    def _check_slope(self, coefficients: np.ndarray) -> None:
+        """Raise InputError unless a user's law has the right tangent.
+
+        It is checked along gaps (2H+1, n_pairs), given by coefficients, and along their negatives.
+        """
         if is_unilateral(self.problem.contact):
             return
-        gap = sample_period(last, 4 * len(last))
-        with np.errstate(all="ignore"):  # they may be far beyond what the law is meant for
+        gap = sample_period(coefficients, 4 * len(coefficients))
+        with np.errstate(all="ignore"):  # gaps may be far outside the law's range
             check_slope(self.problem.contact, np.concatenate([gap, -gap]))
 
     def attempt(
@@ -339,16 +376,20 @@ class Solver:
         wholly: bool = True,
         more: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
-        """The same, whether or not it converged, and the record of the search; next to an orbit
-        whose motion with ``more`` modes has been sought."""
+        """Return the record of a search and its solution, converged or not.
+
+        It begins next to ``more.nearest_orbit`` if the motion with more modes has been sought.
+        """
         compliance = self.problem.compliance()
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
-            problem = self.problem.weighted(compliance)
+            problem = self.problem.with_weight(compliance)
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged,
-                known=Assessment(wave, source=more.fewer if more else search.orbit, more=more),
+                known=Assessment(
+                    wave, source=more.nearest_orbit if more else search.orbit, more_modes=more
+                ),
             )  # fmt: skip
         finally:
             compliance.destroy()
@@ -357,16 +398,16 @@ class Solver:
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
     ) -> tuple[Search, ContactPoint, Wave]:
-        """A search, the equations where it arrives, and the motion there."""
+        """Return a search, the equations at its end, and the motion there."""
         problem = self.problem
         system, starts = problem.system(compliance), []
         if initial is not None:
-            times = problem.subharmonic // initial.subharmonic
+            n_periods = problem.subharmonic // initial.subharmonic
             rows = initial.gap_rows, initial.force_rows
-            if rows[0].shape[1] == system.shape[1]:  # else the other one is without friction
-                starts.append(system.slow(*rows, times))
+            if rows[0].shape[1] == system.shape[1]:  # False: the initial solution has no friction
+                starts.append(system.slow_gap(*rows, n_periods))
         search = Search(system, problem, self.residual_tolerance, share)
-        at = search.solve(*starts)
+        point = search.solve(*starts)
         # The kernel's points do not know the forces.
-        at = at if isinstance(at, ContactPoint) else system.linearise(at.unknown)
-        return search, at, problem.wave(at)
+        point = point if isinstance(point, ContactPoint) else system.linearise(point.unknown)
+        return search, point, problem.wave(point)

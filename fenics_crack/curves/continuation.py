@@ -345,7 +345,7 @@ class Continuation(GrowingCurve):
             back = min(how.turning_back, 0.9 * start / (end - start))
             how = replace(how, turning_back=back)
         if exact:
-            problem = problem.with_harmonics(problem.few_harmonics(MIN_HARMONICS))
+            problem = problem.with_harmonics(problem.response_harmonics(MIN_HARMONICS))
         if parameter in ("omega", "speed"):
             problem = WAVES[parameter].vary(problem, start)
         if not is_small(problem.structure):

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.problem import ON_PATH, Problem
+from fenics_crack.balance.problem import MAX_UNKNOWNS_PER_CALL, Problem
 from fenics_crack.numerics.equations import Linearisation
 from fenics_crack.numerics.path import BranchPoint, Event, Fold, StepControl
 
@@ -91,7 +91,7 @@ class CurveSystem(ABC):
     @property
     def at_once(self) -> int:
         """Points that are followed in one call of the kernel."""
-        return ON_PATH // self.size
+        return MAX_UNKNOWNS_PER_CALL // self.size
 
     def control(self, longest_step: float) -> StepControl | None:
         """What may shorten steps."""

@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.problem import ON_PATH, Problem, least_harmonics
+from fenics_crack.balance.problem import MAX_UNKNOWNS_PER_CALL, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
     INTERRUPTED,
@@ -207,7 +207,7 @@ def _again(
         for first, last in ((origin, start), (start, end)):
             try:
                 found = grow(first, last, there)
-                left = max(known, 2 * ATTEMPTS * ON_PATH // found.system.size) - spent
+                left = max(known, 2 * ATTEMPTS * MAX_UNKNOWNS_PER_CALL // found.system.size) - spent
                 found.most_points = max(1, min(left, found.most_points))
                 found.run()
             except ConvergenceError:

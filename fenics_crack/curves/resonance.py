@@ -16,7 +16,7 @@ from typing import Any, Unpack, overload
 import numpy as np
 
 from fenics_crack.balance.contact_system import ContactPoint
-from fenics_crack.balance.phase import SEVERAL, Drive, PhasePoint, Resonance
+from fenics_crack.balance.phase import MAX_DISTANCE_TO_PEAK, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import Solver
 from fenics_crack.basics.errors import (
@@ -67,7 +67,7 @@ class ResonanceSystem(CurveSystem):
     ) -> None:
         self.start, self.end = span
         self._waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        slow = waves.system(problem.omega).slow(near.gap, near.force) / self.start
+        slow = waves.system(problem.omega).slow_gap(near.gap, near.force) / self.start
         self._size = float(np.linalg.norm(slow[1:]))
         self.begin = np.append(slow / self._size, 1.0)
         self.problem, self.drive, self.means = waves.problem, drive, waves.means
@@ -115,7 +115,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
     waves = FrequencyWaves(problem, begin, 0.5 * begin)
     start = Solver(waves.at(begin)).solve().slow_gap_coefficients
     first, count = waves.linearise(start, 0.0), len(problem.structure.force) // 2
-    drives = [Drive.of(problem.structure, harmonic + 1) for harmonic in range(count)]
+    drives = [Drive.of_structure(problem.structure, harmonic + 1) for harmonic in range(count)]
     drive = max(drives, key=lambda one: abs(one.power(first).imag))
     power = drive.power(first)
     if not abs(power.imag) > LOCATION_TOLERANCE * abs(power):
@@ -139,7 +139,7 @@ def first_resonance(problem: Problem, near: float) -> PhasePoint:
 def _next_to(here: PhasePoint, **changes: Any) -> PhasePoint:
     """The resonance of a problem with some changes next to one, or else on its response curve."""
     problem = replace(here.problem, **{"omega": here.omega, "static_above": None} | changes)
-    system = ResonanceSystem(problem, here.drive, here.at)
+    system = ResonanceSystem(problem, here.drive, here.contact_point)
     sharp = max(LOCATION_TOLERANCE, system.rounding(0.0))
     found = solve_robustly(system, system.begin, 0.0, tolerance=sharp)
     if found is None:
@@ -156,7 +156,11 @@ def _within(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
     that as much, or what the exact flow predicts of the displacement, if that is more: many
     harmonics may change nothing until one meets a mode."""
     error, more = math.inf, 2 * point.problem.harmonics
-    while error > tolerance and abs(point.apart) <= SEVERAL and more <= MOST_HARMONICS:
+    while (
+        error > tolerance
+        and abs(point.distance_to_peak) <= MAX_DISTANCE_TO_PEAK
+        and more <= MOST_HARMONICS
+    ):
         try:
             finer = _next_to(point, harmonics=more)
         except ConvergenceError:
@@ -275,7 +279,9 @@ def resonance_at(
         point, rate = _meeting(point, order)
     omega, unit = point.omega, order or 1.0
     width, harmonic = point.width / unit / (1.0 - rate), point.drive.harmonic
-    return Resonance(omega / unit, omega, harmonic, width, point.apart, point.solution, error)
+    return Resonance(
+        omega / unit, omega, harmonic, width, point.distance_to_peak, point.solution, error
+    )
 
 
 def frequency_at_rest(problem: Problem, near: float) -> float:
@@ -332,11 +338,13 @@ def follow_resonance(
         problem = problem.with_harmonics(at_end.problem.harmonics)
     point = first_resonance(vary(problem, start), near)
     balanced = replace(point.problem, structure=problem.structure, omega=point.omega)
-    system = ResonanceSystem(balanced, point.drive, point.at, (start, end))
+    system = ResonanceSystem(balanced, point.drive, point.contact_point, (start, end))
     growing = GrowingCurve(system, first_point(system, system.begin, 0.0, 0), Steps(**steps))
     curve = run_to_end(growing, progress, throw)
     places = [(one.unknown, system.parameter(one.value)) for one in growing.points]
-    several = sum(abs(system.linearise(*place).apart) > SEVERAL for place in places)
+    several = sum(
+        abs(system.linearise(*place).distance_to_peak) > MAX_DISTANCE_TO_PEAK for place in places
+    )
     if several:
         said = f"at {several} of {counted(len(curve), 'point')} several modes answer together"
         curve = replace(curve, status=f"{curve.status}; {said}")

@@ -84,7 +84,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     for places in map(sorted, (first, {*range(len(curve))} - first)):
         for place, known in zip(places, curve.assessments(places), strict=True):
             # With a larger error an orbit is seldom its own.
-            if known.predicted_error <= MAX_ERROR and known.accepted:
+            if known.predicted_error <= MAX_ERROR and known.is_accepted:
                 multipliers[place] = _deciding(stability_of(known))
         if np.isnan(multipliers).all():
             break

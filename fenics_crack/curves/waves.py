@@ -43,12 +43,12 @@ class Waves(CurveSystem):
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
-            problem = problem.seen_alike(self._cutoff(problem, start, end))
-        if problem.projected:
+            problem = problem.with_common_cutoff(self._cutoff(problem, start, end))
+        if problem.is_projected:
             allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, allowed)
         self.problem, self.start, self.end = problem, start, end
-        self._compliance = ModalCompliance(problem.seen, problem.base_omega, problem.load)
+        self._compliance = ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
         self._last: tuple[float, ContactSystem] | None = None
         first = self.system(start)
         self.shape, self.matrix_free = first.shape, first.matrix_free
@@ -136,7 +136,9 @@ class Waves(CurveSystem):
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
         rate = self.rate(value)
-        return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
+        return self.system(value).with_derivative(
+            unknown, lambda point: rate * self._by_value(value, point)
+        )
 
     @property
     def means(self) -> int:
@@ -152,8 +154,8 @@ class Waves(CurveSystem):
         if self.compiled is not None:
             largest = self.compiled.largest_compliance(parameter)
         else:
-            moving = self.system(self.value(parameter)).moving
-            largest = float(np.abs(moving).sum(axis=2).max())
+            dynamic_part = self.system(self.value(parameter)).dynamic_part
+            largest = float(np.abs(dynamic_part).sum(axis=2).max())
         return residual_rounding(4.0 * largest * self.steepest_force)
 
     def half_off(self, unknown: np.ndarray, parameter: float) -> float:
@@ -167,7 +169,7 @@ class Waves(CurveSystem):
     ) -> CompiledEquations | None:
         """The kernel's equations along base frequencies, or factors of the damping."""
         modal = self._compliance.modal_part(omega, damping, self.problem.residual)
-        return None if modal is None else first.compile(self._compliance.still_gap, modal)
+        return None if modal is None else first.compile(self._compliance.gap_without_modes, modal)
 
 
 class FrequencyWaves(Waves):
@@ -184,7 +186,7 @@ class FrequencyWaves(Waves):
         return replace(problem, omega=value)
 
     def compliance(self, value: float) -> ModalCompliance:
-        return self._compliance.at(value / self.problem.subharmonic)
+        return self._compliance.with_parameters(value / self.problem.subharmonic)
 
     @classmethod
     def frequency(cls, problem: Problem, value: float) -> float:
@@ -211,13 +213,13 @@ class _VariedWaves(Waves):
         return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
 
     def compliance(self, value: float) -> ModalCompliance:
-        return self._compliance.at(self.problem.base_omega, **{self.name: value})
+        return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
 
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         """Compile the equations where g_lin alone depends on the parameter, and linearly."""
         by_value = self._compliance.derivative(self.name, np.zeros(first.shape))
         rate = -(self.end - self.start) * by_value
-        return first.compile(first.linear, first.moving, linear_rate=rate)
+        return first.compile(first.linear, first.dynamic_part, linear_rate=rate)
 
 
 class LoadWaves(_VariedWaves):
@@ -265,10 +267,10 @@ class StiffnessWaves(Waves):
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return respond(at.system.moving, at.forces.by_stiffness()) / value
+        return respond(at.system.dynamic_part, at.forces.by_stiffness()) / value
 
     def _compile(self, first: ContactSystem) -> CompiledEquations:
-        return first.compile(first.linear, first.moving, growth=self.rate(1.0))
+        return first.compile(first.linear, first.dynamic_part, growth=self.rate(1.0))
 
 
 class FrictionWaves(Waves):
@@ -322,7 +324,7 @@ class SpeedWaves(Waves):
 
     def compliance(self, value: float) -> ModalCompliance:
         problem = self.at(value)
-        return ModalCompliance(problem.seen, problem.base_omega, problem.load)
+        return ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         step = CENTRAL_DIFFERENCE_STEP * value

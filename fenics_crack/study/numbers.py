@@ -88,7 +88,7 @@ def numbers_of(study: Study, found: PeriodicSolution | _Exact, mode: int | None 
 def accepted_orbit(found: PeriodicSolution) -> PeriodicOrbit | None:
     """The exact orbit that is a solution's own, unless it would be sought for long (collective)."""
     known = found.assessment
-    return known.orbit if known.affordable and known.accepted else None
+    return known.orbit if known.affordable and known.is_accepted else None
 
 
 def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | None:

@@ -9,7 +9,7 @@ from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.error_report import NOT_ESTIMATED
 from fenics_crack.balance.harmonic_balance import (
     FIRST_MODES,
-    modes_tried,
+    mode_counts,
     slide_along_lines,
     solve_linear,
     solve_to_tolerance,
@@ -128,7 +128,7 @@ def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
         most = min(most, len(whole.cached_result(held_receptance)[0].squares) // 2)
-    return modes_tried(whole, FIRST_MODES if large else kept.modes, most)
+    return mode_counts(whole, FIRST_MODES if large else kept.modes, most)
 
 
 def reduced_to(whole: Study, modes: int) -> Study:

@@ -76,7 +76,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.error_report import ENOUGH, LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import ENOUGH_HARMONICS, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import (
     along_lines,
     motion_without_friction,
@@ -534,24 +534,26 @@ class _Stated(_Case):
         """By the nearest exact orbits with these modes and with those of the reference; of few
         harmonics without the latter by its predicted motion.
 
-        Where these are not at hand by solutions, with :data:`ENOUGH` harmonics where orbits are
-        affordable, but at least the part of harmonics, as modes above all of them are static in
-        both."""
+        Where these are not at hand by solutions, with :data:`ENOUGH_HARMONICS` harmonics where
+        orbits are affordable, but at least the part of harmonics, as modes above all of them are
+        static in both."""
         structure, near, reference = self.study.structure, self.near, reference_of(self.near)
         if reference is None:
             return "all are kept"
         assert isinstance(structure, ReducedStructure)
         more, known = replace(self.study, structure=reference), self.found.assessment
         larger = known.more_modes if known.affordable else None
-        is_short = self.found.orbit is None and near.harmonics < ENOUGH * near.subharmonic
+        is_short = self.found.orbit is None and near.harmonics < ENOUGH_HARMONICS * near.subharmonic
         if larger and (motion := larger.motion if is_short else larger.orbit):
-            few = self.exact or of_orbit(self.study, self.found, larger.fewer, self.own.mode)
+            few = self.exact or of_orbit(
+                self.study, self.found, larger.nearest_orbit, self.own.mode
+            )
             many = of_orbit(more, self.found, motion, self.own.mode)
             other = as_changed(self.own.values, few, many)
-            least = sizes_of_change(self.study, larger.fewer, motion)
+            least = sizes_of_change(self.study, larger.nearest_orbit, motion)
         else:
             exactly = known.affordable and structure.light_lips
-            if exactly and near.harmonics < (count := ENOUGH * near.subharmonic):
+            if exactly and near.harmonics < (count := ENOUGH_HARMONICS * near.subharmonic):
                 near = _solved(self.study, near.omega, count, near)
             start = near if structure.light_lips else None  # else these have other coordinates
             solution = _solved(more, near.omega, near.harmonics, start)

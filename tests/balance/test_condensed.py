@@ -131,8 +131,8 @@ def test_compliance_beyond_the_harmonics(damping: str) -> None:
     law = fc.UnilateralPenalty(1.0)
     exact = Problem(structure, base, law, 16).compliance().matrices[6:]
     with both(structure, base, 5) as (modal, factored):
-        assert relative(modal.beyond(16), exact) < 1e-10
-        errors = np.linalg.norm(factored.beyond(16) - exact, axis=(1, 2))
+        assert relative(modal.compliance_above(16), exact) < 1e-10
+        errors = np.linalg.norm(factored.compliance_above(16) - exact, axis=(1, 2))
     near = 1e-9 if damping == "modal" else 0.05  # all modes are damped, and so known
     assert np.all(errors < near * np.linalg.norm(exact, axis=(1, 2)))
 
@@ -184,7 +184,7 @@ def test_jacobian_against_finite_differences(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed", "constraint", "weighted"])
 def test_softness_derivative_against_finite_differences(kind: str) -> None:
     """dF / dp between soft contact and the law."""
-    system = system_of(problem_of(kind)).softened()
+    system = system_of(problem_of(kind)).along_softness()
     unknown = np.random.default_rng(9).normal(size=system.shape)
     sides = [system.linearise(unknown, 0.5 + step).residual for step in (1e-6, -1e-6)]
     slope = (sides[0] - sides[1]) / 2e-6
@@ -207,7 +207,7 @@ def test_sensitivity_of_the_gap(kind: str) -> None:
     start = system.linear if kind != "constraint" else np.zeros(system.shape)
     solution = newton(system, start)
     change = np.random.default_rng(10).normal(size=system.shape)
-    predicted = solution.gap_of(solution.solve(change))
+    predicted = solution.gap_change(solution.solve(change))
     linear, gaps = system.linear, []
     for sign in (1.0, -1.0):
         system.linear = linear + sign * 1e-6 * change

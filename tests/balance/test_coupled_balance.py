@@ -49,7 +49,7 @@ def system_of(structure: fc.Structure, law: Any, harmonics: int) -> Any:
     """The equations at 0.8 rad/s."""
     problem = fc.Problem(structure, 0.8, law, harmonics)
     found = problem.system(problem.compliance())
-    assert found.integrals.coupled
+    assert found.integrals.has_coupled_pairs
     return found
 
 
@@ -73,7 +73,7 @@ def test_jacobian_against_finite_differences(
         slope = (after.residual - before.residual).ravel() / (2.0 * step)
         assert np.abs(matrix[:, column] - slope).max() < 1e-5 * np.abs(matrix).max()
         gap = (after.gap - before.gap) / (2.0 * step)
-        assert np.abs(point.gap_of(change / step) - gap).max() < 1e-5
+        assert np.abs(point.gap_change(change / step) - gap).max() < 1e-5
     after, before = (system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0))
     slope = (after - before) / (2.0 * step)
     found = point.by_parameter
@@ -108,7 +108,7 @@ def test_matrix_free_is_dense(short_chain: fc.Structure) -> None:
         points.append(system.linearise(unknown, 0.4))
     dense, free = points
     assert relative(dense.apply(other), (dense.jacobian @ other.ravel()).reshape(13, 3)) < 1e-12
-    for name in ("apply", "solve", "gap_of", "gap_by_force"):
+    for name in ("apply", "solve", "gap_change", "gap_change_by_force"):
         assert relative(getattr(free, name)(other), getattr(dense, name)(other)) < 1e-7
     assert np.isnan(free.sign) and abs(dense.sign) == 1.0
 

@@ -295,14 +295,14 @@ def test_widened_integrals_see_the_same_wave() -> None:
     gap, law = random_gaps(4, 4), UnilateralPenalty(STIFFNESS)
     padded = resize_harmonics(gap, 16)
     exact = ExactIntegrals(law, 4)
-    wide = exact.widened(16)
+    wide = exact.with_harmonics(16)
     force = wide.force(padded)
     assert wide.harmonics == 16 and force.shape == (33, 4)
     assert np.allclose(force[:9], exact.force(gap), rtol=0.0, atol=1e-12)
-    sampled = SampledIntegrals(law, 4, 4096).widened(16)
+    sampled = SampledIntegrals(law, 4, 4096).with_harmonics(16)
     assert sampled.samples == 4096
     assert np.allclose(sampled.force(padded), force, rtol=0.0, atol=1e-4)
-    few = SampledIntegrals(law, 4, 32).widened(100)
+    few = SampledIntegrals(law, 4, 32).with_harmonics(100)
     assert few.harmonics == 100 and few.samples > 400
 
 
@@ -375,13 +375,13 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     harmonics, made = 4, integrals(law, 4)
     gap = random_gaps(harmonics, 3, 2)
     grid = np.linspace(0.0, 2.0 * np.pi, 4097)
-    _, closed = made.contact.solve(evaluate(gap, 1.0, grid))
+    _, closed = made.active_sets.solve(evaluate(gap, 1.0, grid))
     events = []
     for place in np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)):
         low, high = grid[place], grid[place + 1]
         for _ in range(60):
             middle = 0.5 * (low + high)
-            same = made.contact.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
+            same = made.active_sets.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
             low, high = (middle, high) if np.array_equal(same, closed[place]) else (low, middle)
         events.append(low)
     assert len(events) >= 6
@@ -390,7 +390,9 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     expected = np.zeros_like(gap)
     for low, high in pairwise(ends):
         theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
-        force = made.forces(evaluate(gap, 1.0, theta)) * (0.5 * (high - low) * weights)[:, None]
+        force = (
+            made.forces_in_time(evaluate(gap, 1.0, theta)) * (0.5 * (high - low) * weights)[:, None]
+        )
         expected[0] += force.sum(axis=0) / (2.0 * np.pi)
         for k in range(1, harmonics + 1):
             expected[2 * k - 1] += np.cos(k * theta) @ force / np.pi
@@ -455,7 +457,7 @@ def test_smoothed_force_by_quadrature() -> None:
 
     def products(t: float) -> np.ndarray:
         waves = np.array([0.5, np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
-        return waves * made.forces(evaluate(gap, 1.0, np.array([t])))[0, 0]
+        return waves * made.forces_in_time(evaluate(gap, 1.0, np.array([t])))[0, 0]
 
     integrals, _ = scipy.integrate.quad_vec(products, 0.0, 2.0 * np.pi, epsabs=1e-11, limit=200)
     assert found == pytest.approx(integrals / np.pi, abs=1e-9)
@@ -513,7 +515,7 @@ def test_widened_keeps_the_forces() -> None:
         wide = np.vstack([gap, np.zeros((8, 3))])
         made = integrals(kind, 4, softness=0.2)
         made = made if kind == "sampled" else replace(made, samples=None)
-        found = made.widened(8).linearise(wide).force[:9]
+        found = made.with_harmonics(8).linearise(wide).force[:9]
         assert relative(found, made.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)
 
 
@@ -985,7 +987,7 @@ def test_lands_where_the_path_bends_at_its_end(
     harmonics: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Landing from the chord fails here, and the path does not come back: from its last point."""
-    prevent(monkeypatch, "_climb")
+    prevent(monkeypatch, "_guesses_by_harmonics")
     structure = oscillator(0.02, 0.1)
     omega = FREQUENCIES[82]
     law = fc.UnilateralPenalty(10.0)
@@ -1008,9 +1010,15 @@ def stopped_chain(pairs: int, damping: float) -> fc.Structure:
 @pytest.mark.parametrize(
     ("start", "name", "omega", "law", "harmonics"),
     [
-        ("_climb", "full Newton steps", 0.45, fc.SmoothedPenalty(1.0, 10.0), 5),
-        ("_climb", "from fewer harmonics", 0.45, fc.SmoothedPenalty(1.0, 10.0), 40),
-        ("_path", "continuation in the contact compliance", 0.9, fc.UnilateralPenalty(1e4), 5),
+        ("_guesses_by_harmonics", "full Newton steps", 0.45, fc.SmoothedPenalty(1.0, 10.0), 5),
+        ("_guesses_by_harmonics", "from fewer harmonics", 0.45, fc.SmoothedPenalty(1.0, 10.0), 40),
+        (
+            "_guesses_by_continuation",
+            "continuation in the contact compliance",
+            0.9,
+            fc.UnilateralPenalty(1e4),
+            5,
+        ),
     ],
 )
 def test_each_start_is_needed(
@@ -1033,7 +1041,7 @@ def test_each_start_is_needed(
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations, besides those of five smaller
     numbers of harmonics: what was tried, what to do."""
-    monkeypatch.setattr("fenics_crack.balance.problem.COMPILED", 1250)
+    monkeypatch.setattr("fenics_crack.balance.problem.MAX_KERNEL_ITERATIONS", 1250)
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
     assert not solution.converged

@@ -67,12 +67,16 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
         damping__ratio=None, damping__stiffness=rate, crack__length=length,
         disk__deviation=0.01, disk__seed=3,
     )  # fmt: skip
-    undamped, omega = ModalCompliance._seen, resonance(scene)
+    undamped, omega = ModalCompliance._pair_compliance, resonance(scene)
 
     def damped(self: ModalCompliance, receptance: np.ndarray) -> np.ndarray:
         still = undamped(self, 0.0 * receptance)
         order = np.arange(len(receptance))[:, None, None]
-        return undamped(self, receptance) + still / (1.0 + 1j * rate * self._base * order) - still
+        return (
+            undamped(self, receptance)
+            + still / (1.0 + 1j * rate * self._base_omega * order)
+            - still
+        )
 
     for families in (3, 6):
         study = fc.prepare(scene.replace({"disk.families": families}))
@@ -84,7 +88,7 @@ def test_rayleigh_damping(monkeypatch: pytest.MonkeyPatch, length: float) -> Non
         peak = max(found, key=lambda solution: float(solution.amplitude(tip)))
         stated = stated_errors(study, peak)
         with monkeypatch.context() as patch:
-            patch.setattr(ModalCompliance, "_seen", damped)
+            patch.setattr(ModalCompliance, "_pair_compliance", damped)
             problem = Problem(study.structure, peak.omega, RIGID, 20)
             true = Solver(problem).solve(peak)
         own = peak.amplitude(tip)

@@ -506,7 +506,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
     )):  # fmt: skip
         del eigensolutions[:]
         factored = FactoredCompliance(one, 0.2, load_coefficients(one, 3, 1))
-        found.append(factored.beyond(6))
+        found.append(factored.compliance_above(6))
         factored.destroy()
         assert (eigensolutions == []) == (one is varied)
     np.testing.assert_allclose(found[1], found[2], rtol=1e-7, atol=1e-12)

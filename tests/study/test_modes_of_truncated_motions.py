@@ -59,7 +59,7 @@ def test_modes_by_an_orbit_that_is_far_away(study: fc.Study, true: float, harmon
     """Far away from the solution, the nearest orbit shows what modes change: 16 % where
     two truncated solutions differ by less than 1 %."""
     found = solved(study, harmonics)
-    assert found.assessment.accepted and 0.1 < found.report.truncation < 1.0
+    assert found.assessment.is_accepted and 0.1 < found.report.truncation < 1.0
     assert found.report.reduction == pytest.approx(true, rel=0.1)
     plain = solved(replace(study, structure=study.structure.reference), harmonics)
     time = np.arange(512) * found.period / 512
@@ -142,7 +142,7 @@ def test_modes_that_change_the_orbit_too_much() -> None:
         }
     )  # fmt: skip
     few = solved(study, 10)
-    assert few.assessment.accepted and few.report.truncation < 0.1
+    assert few.assessment.is_accepted and few.report.truncation < 0.1
     assert 0.15 < few.report.reduction < 4.0 * 0.15
     stated = stated_errors(study, few)
     assert "modes" not in stated.unknown and stated.stated("opening")[1] == "modes"

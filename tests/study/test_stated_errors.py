@@ -275,7 +275,7 @@ def test_the_report_and_the_stated_error_are_by_the_same_orbits(run: fc.Run) -> 
     amplitude changes by less than the motion does."""
     found, stated, dof = run.result, run.errors, run.watched_dof
     more = found.assessment.more_modes
-    share, few, many = found.structure.share, more.fewer, more.orbit
+    share, few, many = found.structure.share, more.nearest_orbit, more.orbit
     time = few.period * np.arange(2000) / 2000
     own, other = (
         one.structure.values_at(one.displacement_at(time), [dof])[:, 0] for one in (few, many)
