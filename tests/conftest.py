@@ -22,6 +22,7 @@ import subprocess
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import chdir
 from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -155,6 +156,13 @@ def pytest_collection_finish() -> None:
     """What is imported and collected stays to the end: no garbage is looked for in it any more."""
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def working_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Commands keep structures in output/: neither in this tree, nor for tests of other files."""
+    with chdir(tmp_path_factory.mktemp("working")):
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -149,7 +149,7 @@ def test_what_takes_longer_after_mpi_is_loaded_before_it() -> None:
     program = f"""
 import sys
 from surroundings import main
-assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
+assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet", "--fresh"]) == 0
 places = [[*sys.modules].index(name) for name in ("gmsh", "mpi4py.MPI", "petsc4py.PETSc", "ufl")]
 print(places == sorted(places), "pkg_resources" in sys.modules)
 """

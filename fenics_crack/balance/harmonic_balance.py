@@ -628,7 +628,7 @@ def _modal_truncation_errors(
     if more is None or more.orbit is None:
         many = problem.response_harmonics(SearchOptions.harmonics[-1])
         balance = Solver(problem.with_harmonics(many))
-        solution = balance.attempt(wave_with(many), wholly=False, more=more)[1]
+        solution = balance.attempt(wave_with(many), wholly=False, more_modes=more)[1]
         if solution.converged:
             return solution.report.reduction, solution.report.displacement
     return (more and more.errors) or (UNKNOWN, UNKNOWN)

@@ -374,11 +374,11 @@ class Solver:
         initial: PeriodicSolution | None,
         *,
         wholly: bool = True,
-        more: MoreModes | None = None,
+        more_modes: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
         """Return the record of a search and its solution, converged or not.
 
-        It begins next to ``more.nearest_orbit`` if the motion with more modes has been sought.
+        It begins next to ``more_modes.nearest_orbit`` if more modes have been tried.
         """
         compliance = self.problem.compliance()
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
@@ -388,7 +388,8 @@ class Solver:
             found = solution_of(
                 problem, at, status=search.status, converged=search.converged,
                 known=Assessment(
-                    wave, source=more.nearest_orbit if more else search.orbit, more_modes=more
+                    wave, source=more_modes.nearest_orbit if more_modes else search.orbit,
+                    more_modes=more_modes,
                 ),
             )  # fmt: skip
         finally:

@@ -219,13 +219,15 @@ def _run(given: argparse.Namespace) -> Exit:
     if given.command == "doctor":  # which asks what is there
         return _command(given, None, None) or Exit.DONE
     threads.check_modules()
-    from fenics_crack.cli.given import PREPARED, Console, read_inputs, read_prepared
+    from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared
 
     launched = threads.launched()
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
     inputs = None if launched or prepared else read_inputs(given)
     of_scene = launched or not ("scene" in given and inputs is None)
-    kept = inputs and not vars(given).get("fresh", True) and (inputs.folder / PREPARED).exists()
+    kept = (
+        inputs and not vars(given).get("fresh", True) and (inputs.folder / STRUCTURE_FILE).exists()
+    )
     meshes = given.command not in ("new", "clean") and not (prepared or kept) and of_scene
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
@@ -275,7 +277,7 @@ def _command(
     if inputs is None or ("output" not in given and given.command != "check"):
         return command(given, inputs, console)
     from fenics_crack.basics.ranks import on_root
-    from fenics_crack.cli.given import PREPARED, make_writable
+    from fenics_crack.cli.given import STRUCTURE_FILE, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
     from fenics_crack.study.sharing import SHELVES
 
@@ -285,7 +287,7 @@ def _command(
     if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
         from fenics_crack.study.shelf import Shelf
 
-        path = inputs.folder / PREPARED
+        path = inputs.folder / STRUCTURE_FILE
         is_read = on_root(console.comm, lambda: path.is_file() and not path.is_symlink())
         SHELVES[:] = [Shelf(path, console.note, is_read=is_read and not fresh)]
     try:

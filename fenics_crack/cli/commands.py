@@ -15,7 +15,7 @@ from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
-from fenics_crack.cli.given import PREPARED, Console, Inputs, command, keep_before
+from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
 from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
@@ -121,7 +121,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 def clean(_: Namespace, inputs: Inputs, console: Console) -> None:
     """Remove the structure that earlier commands have kept."""
-    on_root(console.comm, lambda: remove_file(inputs.folder / PREPARED, "--output"))
+    on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE, "--output"))
 
 
 def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:

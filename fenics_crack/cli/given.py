@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
 """Endings of files of arrivals, and of results from which arrivals are computed."""
-PREPARED = "prepared.h5"
+STRUCTURE_FILE = "prepared.h5"
 """Name of the file of a command's structure."""
 PERIOD = "solution_period"
 """Folder below that for results, of the frames of a period."""

@@ -103,7 +103,7 @@ class MultiplierControl(StepControl):
     def __init__(self, longest_step: float) -> None:
         self._longest, self._floor = longest_step, LEAST * longest_step
 
-    def too_long(self, segment: PathSegment, first: int = 0) -> np.ndarray:
+    def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         logs = np.log(np.maximum(np.abs(segment.observed[:, :-3]), MULTIPLIER_TOLERANCE))
         change, lengths = np.diff(logs, axis=0), segment.lengths[1:]
         allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
@@ -113,10 +113,10 @@ class MultiplierControl(StepControl):
             off = np.abs(change[1:] - ratio * change[:-1])
             far[1:] |= np.any(off > allowed[1:], axis=1)
         size = math.isqrt(segment.records.shape[1])
-        apart = parting(segment.records[first:].reshape(-1, size, size)) > 0.5
-        far, lengths = far[first:], lengths[first:]
+        apart = parting(segment.records[first_index:].reshape(-1, size, size)) > 0.5
+        far, lengths = far[first_index:], lengths[first_index:]
         far = (far & (lengths > self._floor)) | (apart & (lengths > MEETING_STEP * self._longest))
-        several = np.abs(changes(segment.observed[first:])).sum(axis=1) > 1
+        several = np.abs(changes(segment.observed[first_index:])).sum(axis=1) > 1
         return np.asarray(far | several)
 
 

@@ -56,7 +56,7 @@ def write(
     scene: Scene | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
     *,
-    compressed: bool = True,
+    is_compressed: bool = True,
 ) -> None:
     """Write a file, whole or not at all (collective; rank 0 writes).
 
@@ -70,7 +70,7 @@ def write(
         Kind of its contents, for example "response curve".
     scene : Scene, optional
         Its scene.
-    compressed : bool
+    is_compressed : bool
         Compress large arrays, which takes 30 times as long.
 
     Raises
@@ -88,7 +88,9 @@ def write(
             write_header(file, kind, scene)
             for name, value in parts.items():
                 if value is not None:
-                    packed = {"compression": "gzip"} if compressed and np.size(value) > 1000 else {}
+                    packed = (
+                        {"compression": "gzip"} if is_compressed and np.size(value) > 1000 else {}
+                    )
                     dataset = file.create_dataset(name, data=value, **packed)
                     dataset.attrs.update(about(name, parts))
             file.attrs["digest"] = digest(texts(file), parts)

@@ -460,10 +460,10 @@ class StepControl(ABC):
     """Control of the step by values observed at the points."""
 
     @abstractmethod
-    def too_long(self, segment: PathSegment, first: int = 0) -> np.ndarray:
+    def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         """Return True for steps that are too long: (n-1-first,) bool.
 
-        The segment has n points; steps before the point ``first`` are not judged.
+        The segment has n points; steps before the point ``first_index`` are not judged.
         """
 
 

@@ -93,7 +93,7 @@ class PreparedStructure:
         As of :class:`Structure` and its pairs, which have none of their own here.
     force, clearance, watched, nodes, pairs, clamp
         As of :class:`Structure`; arrays of all ranks.
-    seen : tuple of Receptance
+    receptances : tuple of Receptance
         Of this load; with the tangents of a solid at last.
     mass, stiffness : Rows or None
         Its matrices, where they are kept.
@@ -113,30 +113,35 @@ class PreparedStructure:
     nodes: Nodes | None
     pairs: Pairs
     clamp: Clamp | None
-    seen: tuple[Receptance, ...]
+    receptances: tuple[Receptance, ...]
     mass: Rows | None = None
     stiffness: Rows | None = None
     key: str = ""
     excitation: np.ndarray | None = None
 
     @classmethod
-    def of(cls, whole: Structure, vtk_type: int = 0, **more: Any) -> PreparedStructure:
-        """Gather those of a structure, as of cells of another type, and ``more`` (collective)."""
-        whole, comm = whole.original, whole.comm
-        nodes, pairs, clamp, watched = whole.nodes, whole.pairs, whole.clamp, whole.watched
-        both = [whole, *([] if pairs.tangents is None else [whole.with_tangents()])]
+    def of(cls, structure: Structure, vtk_type: int = 0, **datasets: Any) -> PreparedStructure:
+        """Gather the datasets of a structure, with further ones in ``datasets`` (collective)."""
+        structure, comm = structure.original, structure.comm
+        nodes, pairs, clamp, watched = (
+            structure.nodes,
+            structure.pairs,
+            structure.clamp,
+            structure.watched,
+        )
+        both = [structure, *([] if pairs.tangents is None else [structure.with_tangents()])]
         places = NODE_ARRAYS if nodes else ()
         arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in places}
         return cls(
-            gap=Rows.of(whole.gap, comm), tangential=Rows.of(whole.tangential, comm),
+            gap=Rows.of(structure.gap, comm), tangential=Rows.of(structure.tangential, comm),
             tangents=Rows.of(pairs.tangents, comm), shares=Rows.of(pairs.shares, MPI.COMM_SELF),
-            force=gather_rows(comm, whole.force.T).T, clearance=whole.clearance,
+            force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
             watched=None if watched is None else gather_rows(comm, watched),
             nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **arrays),
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
-            seen=tuple(replace(held, force=np.zeros(0)) for one in both
-                       for held in one.cached_result(held_receptance)), **more,
+            receptances=tuple(replace(held, force=np.zeros(0)) for one in both
+                       for held in one.cached_result(held_receptance)), **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -172,12 +177,13 @@ class PreparedStructure:
             watched=None if watched is None else watched[own],
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
         ))  # fmt: skip
-        for seen in self.seen:
-            both = made, made.with_tangents()
-            its = next(one for one in both if sources_of(one).shape[1] == len(seen.modal))
-            held = replace(seen, force=its.force)
-            its.cached_result(held_receptance)[:] = [held]
-            made.cached_result(last_receptance, from_matrices=True)[:] = [held]
+        for known_receptance in self.receptances:
+            sources = made, made.with_tangents()
+            n_sources = len(known_receptance.modal)
+            source = next(one for one in sources if sources_of(one).shape[1] == n_sources)
+            loaded_receptance = replace(known_receptance, force=source.force)
+            source.cached_result(held_receptance)[:] = [loaded_receptance]
+            made.cached_result(last_receptance, from_matrices=True)[:] = [loaded_receptance]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
@@ -207,14 +213,14 @@ class PreparedStructure:
             "nodes.dofs": (-1, n_dofs), "nodes.cells": (0, n_nodes), "pairs.cracks": (0, n_pairs),
             "pairs.places": (0, n_pairs),
         }  # fmt: skip
-        for place, seen in enumerate(self.seen):
-            name, (n_sources, n_modes) = f"seen.{place}", seen.modal.shape
+        for place, known_receptance in enumerate(self.receptances):
+            name, (n_sources, n_modes) = f"receptances.{place}", known_receptance.modal.shape
             sizes = {"squares": (n_modes,), "compliance": (n_sources,) * 2, "inertia": (n_pairs,)}
-            for dof in seen.rows:
+            for dof in known_receptance.rows:
                 sizes |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
             shapes |= {f"{name}.{key}": size for key, size in sizes.items()}
             ranges |= {f"{name}.squares": (0, LARGEST), f"{name}.rows": (0, n_dofs)}
-            arrays[f"{name}.rows"] = np.array([*seen.rows])
+            arrays[f"{name}.rows"] = np.array([*known_receptance.rows])
         check_shapes(arrays, shapes)
         for name, array in arrays.items():
             start, end = ranges.get(name, (-LARGEST, LARGEST))
@@ -227,18 +233,20 @@ class PreparedStructure:
 class PreparedFile:
     """Datasets of a file: a structure, and that of its coarser mesh if there is one."""
 
-    whole: PreparedStructure
-    coarse: PreparedStructure | None = None
+    structure: PreparedStructure
+    coarser_structure: PreparedStructure | None = None
 
-    def made(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Made:
+    def make_structures(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Made:
         """Return the structure for a scene, with that of its coarser mesh (collective)."""
-        whole, coarse = self.whole.structure(scene, weights, comm), coarser_scene(scene)
-        if self.coarse is not None and isinstance(coarse, Scene):
-            whole.cached_result(kept, from_matrices=True).append(Made(  # as of a reduced structure
-                self.coarse.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
+        structure = self.structure.structure(scene, weights, comm)
+        coarse = coarser_scene(scene)
+        if self.coarser_structure is not None and isinstance(coarse, Scene):
+            # As of a reduced structure.
+            structure.cached_result(kept, from_matrices=True).append(Made(
+                self.coarser_structure.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
                 parts_shared(coarse, MPI.COMM_SELF),
             ))  # fmt: skip
-        return Made(whole, comm, parts_shared(scene, comm))
+        return Made(structure, comm, parts_shared(scene, comm))
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
@@ -409,4 +417,4 @@ def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
     weights = _weights(known, scene)
     with stored.taken() as parts:
         file: PreparedFile = unpacked(PreparedFile, parts)
-        return file.made(scene, weights, comm)
+        return file.make_structures(scene, weights, comm)

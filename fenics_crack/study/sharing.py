@@ -37,7 +37,7 @@ LAST: list[Made] = []
 
 
 def kept(structure: Structure) -> list[Made]:
-    """Place for the structure of a coarser mesh beside one."""
+    """Return the place for structures of coarser meshes."""
     return []
 
 
@@ -46,8 +46,10 @@ SHELVES: list[Any] = []
 
 
 def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structure:
-    """The structure of a scene whose crack length is known, shared with the last one where that is
-    of the same mesh, and in its place; else that of a file (collective).
+    """Return the structure of a scene whose crack length is known (collective).
+
+    The last structure, or the structure in a file, is used if it has the same mesh. The result is
+    the new entry in ``last``.
 
     Parameters and errors are those of :func:`fenics_crack.build_structure`.
     """

@@ -1,9 +1,8 @@
 """The structure of a command in a file beside its results, for the commands after it.
 
-The file has the matrices, the modes that were needed so far, and the same of the coarser mesh. It
-serves scenes with all that these follow from (:func:`key_of`): another frequency, amplitude of the
-load, damping, clearance, law or tolerance finds it valid, another mesh does not. It has structures
-of meshes at rest.
+The file has the matrices and modes of a mesh at rest, and of its coarser mesh. A scene of the same
+:func:`key_of` can use the file: frequency, amplitude of the load, damping, clearance, law and
+tolerance may differ, the mesh may not.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ MAX_BYTES = 500 * 10**6
 
 
 def key_of(parts: tuple[Any, ...]) -> str:
-    """Digest of what a structure follows from, but for amplitudes of the excitation."""
+    """Return the digest of everything a structure depends on, except load amplitudes."""
     known = parts[0], without_amplitudes(parts[1]), fingerprint()
     return hashlib.sha256(repr(known).encode()).hexdigest()
 
 
 class Shelf:
-    """Where a command looks for its structure, and keeps it.
+    """Keep the structure of a command in a file.
 
     Parameters
     ----------
@@ -69,9 +68,9 @@ class Shelf:
                 with stored.taken() as parts:
                     self._files.append(unpacked(PreparedFile, parts))
             file = self._files[0]
-            if file is None or file.whole.key != key_of(parts_shared(scene, comm)):
+            if file is None or file.structure.key != key_of(parts_shared(scene, comm)):
                 return None
-            made = file.made(scene, load_weights(file.whole.excitation, scene), comm)
+            made = file.make_structures(scene, load_weights(file.structure.excitation, scene), comm)
         except (InputError, *WRONG) as error:
             self._files[:] = [None]
             self._say(f"{self._path}: not used, {error}")
@@ -81,13 +80,13 @@ class Shelf:
         self._say(f"{self._path}: {words}; --fresh computes it anew")
         return made
 
-    def note(self, made: Made, scene: Scene) -> None:
-        """Note a structure that was made: the first is kept, or what takes its place."""
-        if not self._made or self._made[0][0].parts[0] == made.parts[0]:
-            self._made[:] = [(made, scene)]
+    def note(self, entry: Made, scene: Scene) -> None:
+        """Note a structure; the file gets the first one, or its replacement."""
+        if not self._made or self._made[0][0].parts[0] == entry.parts[0]:
+            self._made[:] = [(entry, scene)]
 
     def keep(self, comm: MPI.Comm) -> None:
-        """Write the file if more is known than it has (collective)."""
+        """Write the file unless it has everything already (collective)."""
         for made, scene in self._made:
             if made.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
@@ -99,17 +98,17 @@ class Shelf:
             try:
                 if n_bytes > MAX_BYTES:
                     raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
-                write(parts, self._path, KIND, scene, made.comm, compressed=False)
+                write(parts, self._path, KIND, scene, made.comm, is_compressed=False)
             except InputError as error:
                 self._say(f"the structure is not kept: {error}")
 
 
-def _datasets(made: Made, scene: Scene) -> PreparedStructure:
+def _datasets(entry: Made, scene: Scene) -> PreparedStructure:
     """Gather the datasets of a structure of a mesh (collective)."""
     return PreparedStructure.of(
-        made.structure, made.structure.nodes.vtk_type,  # type: ignore[union-attr]
-        mass=Rows.of(local_rows(made.structure.mass), made.comm), key=key_of(made.parts),
-        stiffness=Rows.of(local_rows(made.structure.stiffness), made.comm),
+        entry.structure, entry.structure.nodes.vtk_type,  # type: ignore[union-attr]
+        mass=Rows.of(local_rows(entry.structure.mass), entry.comm), key=key_of(entry.parts),
+        stiffness=Rows.of(local_rows(entry.structure.stiffness), entry.comm),
         excitation=np.array(force_parts(scene), dtype=float),
     )  # fmt: skip
 

@@ -182,31 +182,35 @@ def omega_of(path: Path) -> np.ndarray:
 
 
 FORGERIES: dict[str, Callable[[Any], None]] = {
-    "no modes": lambda file: file.pop("whole.seen.0.squares"),
-    "fewer modes": lambda file: shortened(file, "whole.seen.0.squares", slice(-1)),
-    "fewer sources": lambda file: shortened(file, "whole.seen.0.compliance", slice(1, None)),
-    "pairs of another structure": lambda file: replaced(file, "whole.clearance", [0.0]),
-    "dofs that are not there": lambda file: shortened(file, "whole.gap.indptr", slice(3)),
-    "words": lambda file: replaced(file, "whole.seen.0.modal", "words"),
+    "no modes": lambda file: file.pop("structure.receptances.0.squares"),
+    "fewer modes": lambda file: shortened(file, "structure.receptances.0.squares", slice(-1)),
+    "fewer sources": lambda file: shortened(
+        file, "structure.receptances.0.compliance", slice(1, None)
+    ),
+    "pairs of another structure": lambda file: replaced(file, "structure.clearance", [0.0]),
+    "dofs that are not there": lambda file: shortened(file, "structure.gap.indptr", slice(3)),
+    "words": lambda file: replaced(file, "structure.receptances.0.modal", "words"),
     "more dofs than nodes": lambda file: replaced(
-        file, "whole.gap.indptr", np.append(file["whole.gap.indptr"][()], 10**9)
+        file, "structure.gap.indptr", np.append(file["structure.gap.indptr"][()], 10**9)
     ),
-    "dofs without nodes": lambda file: put_number(file, "whole.nodes.dofs", (0, 0), 10**9),
-    "rows that are nan": lambda file: put_number(file, "whole.gap.data", 0, np.nan),
+    "dofs without nodes": lambda file: put_number(file, "structure.nodes.dofs", (0, 0), 10**9),
+    "rows that are nan": lambda file: put_number(file, "structure.gap.data", 0, np.nan),
     "columns between two": lambda file: replaced(
-        file, "whole.gap.indices", file["whole.gap.indices"][()] + 0.5
+        file, "structure.gap.indices", file["structure.gap.indices"][()] + 0.5
     ),
-    "columns that are not there": lambda file: put_number(file, "whole.gap.indices", 0, 10**6),
-    "columns before the first": lambda file: put_number(file, "whole.gap.indices", 0, -1),
-    "rows that end too late": lambda file: put_number(file, "whole.gap.indptr", -1, 10**6),
-    "a node that is not there": lambda file: put_number(file, "whole.nodes.cells", (0, 0), 10**6),
-    "a crack of another place": lambda file: put_number(file, "whole.pairs.cracks", 0, 10**12),
+    "columns that are not there": lambda file: put_number(file, "structure.gap.indices", 0, 10**6),
+    "columns before the first": lambda file: put_number(file, "structure.gap.indices", 0, -1),
+    "rows that end too late": lambda file: put_number(file, "structure.gap.indptr", -1, 10**6),
+    "a node that is not there": lambda file: put_number(
+        file, "structure.nodes.cells", (0, 0), 10**6
+    ),
+    "a crack of another place": lambda file: put_number(file, "structure.pairs.cracks", 0, 10**12),
     "a place that is not there": lambda file: replaced(
-        file, "whole", file["whole"].asstr()[()].replace('mouth": 0', 'mouth": 99')
+        file, "structure", file["structure"].asstr()[()].replace('mouth": 0', 'mouth": 99')
     ),
-    "fewer loads": lambda file: shortened(file, "whole.force", slice(0)),
-    "negative squares": lambda file: put_number(file, "whole.seen.0.squares", 0, -1.0),
-    "infinite": lambda file: put_number(file, "whole.seen.0.modal", (0, 0), np.inf),
+    "fewer loads": lambda file: shortened(file, "structure.force", slice(0)),
+    "negative squares": lambda file: put_number(file, "structure.receptances.0.squares", 0, -1.0),
+    "infinite": lambda file: put_number(file, "structure.receptances.0.modal", (0, 0), np.inf),
     "another kind": lambda file: file.attrs.modify("kind", "solution"),
     "no scene": lambda file: file.attrs.pop("scene"),
     "no version": lambda file: file.attrs.pop("version"),

@@ -230,10 +230,12 @@ def test_each_key_has_the_answer_of_a_fresh_structure(key: str, plate: Path) -> 
 
 
 FORGED: dict[str, Callable[[Any], None]] = FORGERIES | {
-    "another stiffness": lambda file: put_number(file, "whole.stiffness.indices", 0, 10**6),
-    "fewer entries": lambda file: shortened(file, "whole.mass.data", slice(-1)),
-    "a load of another size": lambda file: shortened(file, "whole.excitation", slice(1)),
-    "a forged coarser mesh": lambda file: put_number(file, "coarse.mass.data", 0, np.nan),
+    "another stiffness": lambda file: put_number(file, "structure.stiffness.indices", 0, 10**6),
+    "fewer entries": lambda file: shortened(file, "structure.mass.data", slice(-1)),
+    "a load of another size": lambda file: shortened(file, "structure.excitation", slice(1)),
+    "a forged coarser mesh": lambda file: put_number(
+        file, "coarser_structure.mass.data", 0, np.nan
+    ),
 }
 
 
@@ -349,4 +351,4 @@ def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
     SHELVES[0].keep(MPI.COMM_SELF)
     SHELVES.clear()
-    assert "coarse" not in read(tmp_path / "prepared.h5").parts
+    assert "coarser_structure" not in read(tmp_path / "prepared.h5").parts
