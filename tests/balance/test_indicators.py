@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import chain
+from helpers import ROOT, chain
 
 import fenics_crack as fc
 
 
 def test_force_of_a_crack_does_not_depend_on_the_mesh() -> None:
     """Twice the elements along the lips halve the force of the largest pair, not that of all."""
-    scene = fc.Scene.load("demos/blade.toml").replace({"excitation.frequency": 600.0})
+    scene = fc.Scene.load(ROOT / "demos/blade.toml").replace({"excitation.frequency": 600.0})
     found = []
     for elements in (3, 6):
         blade = fc.prepare(scene.replace({"mesh.lip_elements": elements}))

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from surroundings import main
 from wheels import BRIEF, SOLID, ring
 
@@ -282,7 +283,7 @@ def test_refused_later() -> None:
         (lambda: fc.campbell(turning, [100.0, 200.0]), "nodal_diameters has its frequencies"),
         (lambda: ring(output__quantities=["K_max"]), r"with \[disk\]"),
         (
-            lambda: fc.draw_wheel(fc.solve(fc.Scene.load("demos/paper_plate.toml")).result),
+            lambda: fc.draw_wheel(fc.solve(fc.Scene.load(ROOT / "demos/paper_plate.toml")).result),
             r"scene with \[disk\]",
         ),
     ):

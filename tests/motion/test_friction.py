@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from scipy.optimize import minimize_scalar
 
 import fenics_crack as fc
@@ -17,7 +18,7 @@ HERTZ = 2.0 * np.pi
 @cache
 def plate(name: str, ratio: float) -> tuple[fc.Structure, fc.Structure]:
     """A demonstration's plate with 10 modes and faces without mass, and its whole."""
-    whole = fc.build_structure(fc.Scene.load(f"demos/{name}.toml"))
+    whole = fc.build_structure(fc.Scene.load(ROOT / f"demos/{name}.toml"))
     whole = whole.damped(fc.ModalDamping(ratio, 10))
     return fc.reduce_structure(whole, modes=10, method="massless"), whole
 

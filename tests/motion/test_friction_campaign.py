@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from motion.test_friction import RIGID
 
 import fenics_crack as fc
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.nightly
 @cache
 def built(name: str, **changes: float) -> fc.Structure:
     """A demonstration's plate."""
-    scene = fc.Scene.load(f"demos/{name}.toml")
+    scene = fc.Scene.load(ROOT / f"demos/{name}.toml")
     return fc.build_structure(scene.replace({f"crack.{key}": v for key, v in changes.items()}))
 
 

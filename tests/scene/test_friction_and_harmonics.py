@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import ROOT
 
 import fenics_crack as fc
 
@@ -15,7 +16,7 @@ RUBBING = {"contact.law": "unilateral", "contact.stiffness_per_area": None, "con
 
 def plate(**changes: object) -> fc.Scene:
     """The inclined crack."""
-    return fc.Scene.load("demos/inclined_crack.toml").replace(changes)
+    return fc.Scene.load(ROOT / "demos/inclined_crack.toml").replace(changes)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +79,7 @@ def test_integration_from_a_deflection(keys: dict[str, object]) -> None:
     """Under a load of several harmonics: the deflection is that of the mean and the first."""
     harmonic = {"order": 3, "sin": [4.0, 0.0]}
     changes = {f"integration.{key}": value for key, value in (keys | {"periods": 2}).items()}
-    scene = fc.Scene.load("demos/paper_plate.toml").replace(
+    scene = fc.Scene.load(ROOT / "demos/paper_plate.toml").replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.02, **changes}
     )
     plain, more = fc.integrate(scene), scene.replace({"excitation.harmonics": [harmonic]})
@@ -93,7 +94,7 @@ def test_harmonics_of_all_loads(tmp_path: Path) -> None:
     table = tmp_path / "square.csv"
     table.write_text("t,fx,fy\n0,5,0\n0.5,5,0\n0.5,-5,0\n1,-5,0\n")
     coarse = {"excitation.force_sin": [0.0, 0.0], "mesh.size": 0.05, "mesh.lip_elements": 4}
-    base = fc.Scene.load("demos/breathing_plate.toml").replace(coarse)
+    base = fc.Scene.load(ROOT / "demos/breathing_plate.toml").replace(coarse)
     shaken = {"order": 2, "amplitude": [2.0, 0.0], "phase": 30.0}
     scene = base.replace(
         {

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from motion.test_friction import HERTZ, RIGID, jenkins, plate
 from mpi4py import MPI
 
@@ -150,7 +151,7 @@ def test_start_on_the_orbit(method: Method) -> None:
 @pytest.mark.nightly
 def test_scene_that_goes_on(tmp_path: Path) -> None:
     """An integration or a solution in a file is gone on with where its pairs stick."""
-    scene = fc.Scene.load("demos/inclined_crack.toml", {"contact.friction": 0.3}).replace(
+    scene = fc.Scene.load(ROOT / "demos/inclined_crack.toml", {"contact.friction": 0.3}).replace(
         {"reduction.modes": 10, "reduction.method": "massless", "integration.method": "events"}
     )
     runs = []
