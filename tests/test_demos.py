@@ -139,6 +139,7 @@ def swept(folder: Path, comm: object) -> str:
     return said.getvalue()
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_sweep_over_two_ranks(on_ranks: Callable[..., str], tmp_path: Path) -> None:
     """Ranks share the cases; the table is whole and sorted, and a second run only draws."""

@@ -125,6 +125,7 @@ def test_what_has_omega_has_a_frequency(things: dict[str, Any]) -> None:
             assert np.allclose(2.0 * np.pi * np.asarray(hertz), getattr(one, name))
 
 
+@pytest.mark.nightly
 def test_any_attribute_can_be_asked_for(things: dict[str, Any]) -> None:
     """As tools that complete names do: hasattr is True or False, never another error."""
     for thing in (thing for name, thing in things.items() if name != "scene"):

@@ -289,7 +289,9 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.parametrize("words", [["solve", "--help"], ["nothing"]])
+@pytest.mark.parametrize(
+    "words", [["solve", "--help"], pytest.param(["nothing"], marks=pytest.mark.nightly)]
+)
 def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str]) -> None:
     """Help, version and the error of an unknown word are printed once."""
     done = run(tmp_path, *words, ranks=2)

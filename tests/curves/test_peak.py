@@ -138,6 +138,7 @@ def test_no_width_tells_the_damping_of_a_higher_harmonic() -> None:
             assert "the load's own harmonic has no half-power width" in str(peak)
 
 
+@pytest.mark.nightly
 def test_the_watched_dof_is_the_default() -> None:
     """That of the scene's first point, else the load's, of every result; and of sweeps the load's
     response stays the load's."""

@@ -185,6 +185,7 @@ def test_many_elements_along_the_crack(
     assert "crack faces bonded" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("not_laid_out")
 def test_pictures(run: fc.Run[fc.PeriodicSolution], tmp_path: Path) -> None:
     """Every picture is made; a solution of a plate is refused."""

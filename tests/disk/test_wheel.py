@@ -215,6 +215,7 @@ def _ranks(path: str, comm: Any) -> list[float]:
     return [*amplitude.tolist(), *fc.nodal_diameters(run.scene, comm).omega[:, 0].tolist()]
 
 
+@pytest.mark.nightly
 def test_two_ranks_share_nodal_diameters(on_ranks: Any, tmp_path: Path) -> None:
     """One and two ranks agree to 1e-8."""
     from mpi4py import MPI

@@ -185,6 +185,7 @@ def test_growth_asks_for_a_law() -> None:
     )
 
 
+@pytest.mark.nightly
 def test_threshold_and_toughness(request: pytest.FixtureRequest) -> None:
     """A range below the threshold stops the crack where it is; at its toughness the plate
     breaks."""

@@ -241,6 +241,7 @@ def on_these_ranks(scene: Scene, comm: MPI.Comm) -> np.ndarray:
     return fc.solve_modes(fc.build_structure(scene, comm), 3).omega
 
 
+@pytest.mark.nightly
 @pytest.mark.mpi
 def test_two_ranks(on_ranks: Callable[..., Any], parts: Path) -> None:
     """The mesh is made once, and is the same."""

@@ -97,6 +97,7 @@ C3D10, by CalculiX 2.20: *CENTRIF, NLGEOM and a perturbation step. The book make
 'book[calculix_rotating_blade]'."""
 
 
+@pytest.mark.nightly
 def test_a_twisted_blade_beside_calculix() -> None:
     """All six within 0.1 %; without the stiffness of the displaced shape the second one would be
     0.2 % off at 6000 rpm."""

@@ -219,6 +219,7 @@ def test_a_tie_that_takes_a_mode_past_another() -> None:
             assert told[0] == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.nightly
 def test_crossings_between_speeds_far_apart() -> None:
     """Where two modes of a bar turn away from each other, their squares are far from linear in W^2:
     what two speeds tell is where a structure that is built there resonates, and what nine tell."""

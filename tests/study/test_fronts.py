@@ -135,7 +135,7 @@ def test_a_front_that_breathes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"mesh__lip_elements": 2},
+    [pytest.param({"mesh__lip_elements": 2}, marks=pytest.mark.nightly),
      {"crack__depth": None, "crack__front": None, "geometry__thickness": DEEP}],
 )  # fmt: skip
 def test_a_coarser_mesh_without_stress_intensity(changes: dict[str, object]) -> None:

@@ -182,6 +182,7 @@ def test_a_mesh_too_coarse_to_know_its_error(
     assert few is not None and few.unknown.keys() == {"mesh"}
 
 
+@pytest.mark.nightly
 def test_the_share_closed_is_counted_at_instants(run: fc.Run) -> None:
     """Its stated error has what counting leaves out: beside the orbit's own switching instants, or
     of a smooth law, without an orbit, one instant's part."""

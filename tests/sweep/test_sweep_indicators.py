@@ -186,6 +186,7 @@ def test_file_of_an_older_version(whole: SweepResult, tmp_path: Path) -> None:
         SweepResult.load(path)
 
 
+@pytest.mark.nightly
 def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCommand) -> None:
     """What 8 modes call stable the 18 of their reference do not, by a sweep with these; it is told,
     and of the case beside it nothing. Without verdicts, or what judges the modes, there is none."""

@@ -562,13 +562,9 @@ DEEPER = [
 SHORT, LONG = ({"crack.length": length, "crack.height": 0.08} for length in (0.008, 0.03))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("changes", "claimed", "conditional"),
-    [
-        *(pytest.param(*one, marks=pytest.mark.nightly) for one in DEEPER),
-        (SHORT, True, True),
-        pytest.param(LONG, True, False, marks=pytest.mark.nightly),
-    ],
+    ("changes", "claimed", "conditional"), [*DEEPER, (SHORT, True, True), (LONG, True, False)]
 )
 def test_another_clamp_than_before(
     scene: fc.Scene, folder: Path, changes: dict[str, object], claimed: bool, conditional: bool
