@@ -47,7 +47,7 @@ def test_is_right(number: int) -> None:
     (row,) = campaign.findings(1, case)
     assert row["judgement"] in (campaign.RIGHT, campaign.TOO_LARGE, campaign.UNDECIDED), row
     if row["judgement"] == campaign.TOO_LARGE:
-        assert row["verdict"] == "undecided" and row["estimate"] > campaign.LARGE
+        assert row["verdict"] in ("undecided", "irregular") and row["estimate"] > campaign.LARGE
         return
     assert row["true"] / 3.0 < row["estimate"] < 3.0 * row["true"]
     assert case.kind == "solution" or row["true"] <= case.tolerance

@@ -74,7 +74,7 @@ name = "fenics_crack.kernel._kernel"
 spec = importlib.util.spec_from_file_location(name, sys.argv[1])
 sys.modules[name] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules[name])
-which = "not nightly and not slow and not mpi"
+which = "not nightly and not mpi"
 sys.exit(pytest.main(["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-m", which, *sys.argv[2:]]))
 """
 

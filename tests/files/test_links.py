@@ -48,7 +48,7 @@ def commands(kind: str, folder: Path) -> Callable[[Path], list[int]]:
         own = folder / "first"
         if kind == "blade":  # a measured record
             codes.append(main(["timing", str(folder / "first" / "arrivals.csv"), *usual]))
-        results = sorted(map(str, {*own.glob("*.h5")} - {*own.glob("*_*.h5")}))
+        results = sorted(map(str, {*own.glob("*.h5")} - {*own.glob("*_*.h5"), own / "prepared.h5"}))
         results *= kind != "crack"  # drawn with "plate"
         codes += [main(["plot", one, "--quiet", "--output", str(output)]) for one in results]
         if results and kind != "chain":
