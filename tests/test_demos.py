@@ -253,7 +253,7 @@ def test_flapping_blade(tmp_path: Path) -> None:
     assert deepest == pytest.approx(2.98e6, rel=0.03)
     assert found["last depth [m]"] == pytest.approx(0.003) and found["last length [m]"] > 0.016
     assert 2e6 < found["cycles of growth"] < 5e6
-    assert 1.3 < found["known within a factor of"] < 3.0
+    assert 1.3 < found["known within a factor of"] < 4.0
     for name in ("curve", "intensity", "contact", "growth"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 

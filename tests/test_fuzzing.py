@@ -34,7 +34,7 @@ def trial(base: Path) -> Iterator[fuzzing.Trial]:
 @pytest.mark.parametrize(
     ("part", "count"),
     [
-        ("inputs", 8), ("wheels", 10), ("structures", 15),
+        ("inputs", 12), ("wheels", 12), ("structures", 20),
         pytest.param("inputs", 400, marks=pytest.mark.nightly),
         pytest.param("wheels", 600, marks=pytest.mark.nightly),
         pytest.param("calls", 600, marks=pytest.mark.nightly),
