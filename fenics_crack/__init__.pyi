@@ -1,5 +1,16 @@
 # The names of fenics_crack and where they are from: for __init__.py, editors and mypy.
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes as ArrivalTimes
+from fenics_crack.arrivals.arrival_times import read_record as read_record
+from fenics_crack.arrivals.arrival_times import write_record as write_record
+from fenics_crack.arrivals.fit_frequency import fit_frequency as fit_frequency
+from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
+from fenics_crack.arrivals.fit_order import fit_order as fit_order
+from fenics_crack.arrivals.fit_order import track_order as track_order
+from fenics_crack.arrivals.harmonics import TipFit as TipFit
+from fenics_crack.arrivals.passages import PassageFit as PassageFit
+from fenics_crack.arrivals.passages import find_passages as find_passages
+from fenics_crack.arrivals.passages import fit_passage as fit_passage
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import slide_along_lines as slide_along_lines
@@ -92,20 +103,9 @@ from fenics_crack.monitoring.identification.measurements import Measurement as M
 from fenics_crack.monitoring.identification.measurements import Measurements as Measurements
 from fenics_crack.monitoring.identification.result import Identification as Identification
 from fenics_crack.monitoring.identification.result import Worth as Worth
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes as ArrivalTimes
-from fenics_crack.monitoring.tip_timing.arrival_times import read_record as read_record
-from fenics_crack.monitoring.tip_timing.arrival_times import write_record as write_record
-from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency as fit_frequency
-from fenics_crack.monitoring.tip_timing.fit_order import TipTrack as TipTrack
-from fenics_crack.monitoring.tip_timing.fit_order import fit_order as fit_order
-from fenics_crack.monitoring.tip_timing.fit_order import track_order as track_order
-from fenics_crack.monitoring.tip_timing.harmonics import TipFit as TipFit
-from fenics_crack.monitoring.tip_timing.passages import PassageFit as PassageFit
-from fenics_crack.monitoring.tip_timing.passages import find_passages as find_passages
-from fenics_crack.monitoring.tip_timing.passages import fit_passage as fit_passage
-from fenics_crack.monitoring.tip_timing.scene_timing import arrivals_of_blades as arrivals_of_blades
-from fenics_crack.monitoring.tip_timing.simulate import tip_timing as tip_timing
-from fenics_crack.monitoring.tip_timing.timing import Timing as Timing
+from fenics_crack.monitoring.scene_timing import arrivals_of_blades as arrivals_of_blades
+from fenics_crack.monitoring.simulate import tip_timing as tip_timing
+from fenics_crack.monitoring.timing import Timing as Timing
 from fenics_crack.motion.attractors import Attractor as Attractor
 from fenics_crack.motion.motions import Indicators as Indicators
 from fenics_crack.motion.orbit import PeriodicOrbit as PeriodicOrbit

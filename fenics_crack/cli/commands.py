@@ -22,8 +22,8 @@ from fenics_crack.study.run import Run
 from fenics_crack.study.sharing import SHELVES
 
 if TYPE_CHECKING:
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.monitoring.identification.measurements import Measurements
-    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
     from fenics_crack.scene.scene import Scene
 
 
@@ -155,9 +155,9 @@ def _measured_by(
 ) -> Measurements:
     """Return the measurements that follow from arrivals: displacements, or in a run-up the natural
     frequencies whose resonances are passed, with ``before`` of the blade before it had a crack."""
+    from fenics_crack.arrivals.arrival_times import STEADY
+    from fenics_crack.monitoring import scene_timing as timing
     from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
-    from fenics_crack.monitoring.tip_timing import scene_timing as timing
-    from fenics_crack.monitoring.tip_timing.arrival_times import STEADY
 
     times, run = timing.arrivals_of(scene, source, console.comm)
     console.remark(*([] if run else timing.remarks_on_arrivals(times)))

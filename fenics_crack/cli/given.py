@@ -37,8 +37,8 @@ from fenics_crack.version import packaged
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.monitoring.identification.measurements import Measurements
-    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
     from fenics_crack.study.prepare import Study
 
     Source = ArrivalTimes | Path | dict[int, ArrivalTimes] | None
@@ -215,7 +215,7 @@ def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> Source:
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
-    from fenics_crack.monitoring.tip_timing.arrival_times import probes_of_blades, read_record
+    from fenics_crack.arrivals.arrival_times import probes_of_blades, read_record
 
     probes: Any = np.radians(table.probes)
     if scene.disk is not None:

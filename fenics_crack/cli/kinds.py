@@ -92,8 +92,8 @@ KINDS = {
         "Amplification factors of the patterns, and the share of patterns below a factor.",
     ),
     "tip timing": Kind(
-        "timing", "Tip timing", "monitoring.tip_timing.timing:report_of_timing",
-        "monitoring.tip_timing.timing:Timing.of", "cli.pictures:draw_timing",
+        "timing", "Tip timing", "monitoring.timing:report_of_timing",
+        "monitoring.timing:Timing.of", "cli.pictures:draw_timing",
     ),
 }  # fmt: skip
 """By their ``KIND``, in the order of a report."""

@@ -23,6 +23,8 @@ import h5py
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.arrivals.fit_order import TipTrack
+from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import passing_folder, write_whole
@@ -44,9 +46,7 @@ from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
-from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
-from fenics_crack.monitoring.tip_timing.harmonics import TipFit
-from fenics_crack.monitoring.tip_timing.timing import Timing, largest_blade
+from fenics_crack.monitoring.timing import Timing, largest_blade
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words

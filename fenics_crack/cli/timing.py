@@ -9,6 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import (
+    ArrivalTimes,
+    has_probe_angles,
+    read_record,
+    write_record,
+)
+from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
@@ -18,15 +25,8 @@ from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
 from fenics_crack.cli.kinds import report_of
 from fenics_crack.draw.plot_study import draw_arrivals
-from fenics_crack.monitoring.tip_timing import scene_timing
-from fenics_crack.monitoring.tip_timing.arrival_times import (
-    ArrivalTimes,
-    has_probe_angles,
-    read_record,
-    write_record,
-)
-from fenics_crack.monitoring.tip_timing.harmonics import TipFit
-from fenics_crack.monitoring.tip_timing.timing import Timing
+from fenics_crack.monitoring import scene_timing
+from fenics_crack.monitoring.timing import Timing
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.run import Run

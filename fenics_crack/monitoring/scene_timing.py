@@ -8,6 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, probes_of_blades
+from fenics_crack.arrivals.fit_frequency import fit_frequency
+from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit
+from fenics_crack.arrivals.passages import Follows, PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
@@ -18,12 +23,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, probes_of_blades
-from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency
-from fenics_crack.monitoring.tip_timing.fit_order import TipTrack, fit_order, track_order
-from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
-from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
-from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
+from fenics_crack.monitoring.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
