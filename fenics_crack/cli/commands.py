@@ -15,8 +15,9 @@ from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
+from fenics_crack.cli.drawn import Drawn
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
-from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
+from fenics_crack.cli.kinds import KINDS, draw, report_of
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.sharing import SHELVES
@@ -137,7 +138,7 @@ def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:
 
 def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Frequencies over the nodal diameter, and amplification by patterns of mistuning."""
-    from fenics_crack.study.bladed_disk import amplification, nodal_diameters
+    from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
     with console.stage("nodal diameters"):

@@ -107,7 +107,7 @@ def arrivals_of_blades(
         return dict(source), None
     table = scene.given("tip_timing")
     run, found = _run_of(scene, source, comm), {}
-    count = run.structure.whole.sector.count
+    count = run.structure.whole.n_sectors
     for blade, probes in probes_of_blades(np.radians(table.probes), count).items():
         begin(f"arrivals of blade {blade}")
         angles = np.degrees(np.sort(probes)).tolist()
@@ -311,9 +311,8 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
         The blade tip of a solid lies on the axis.
     """
     whole, rotation, given = run.structure.whole, _carrier(table, run.scene), table.tangential
-    part, tip, on_disk = whole, run.watched_dof, run.scene.disk is not None
-    if on_disk:
-        part, (_, tip) = whole.sector.structure, whole.blade_of(tip)
+    part, on_disk = whole.sector_structure, whole.n_sectors > 1
+    _, tip = whole.blade_of(run.watched_dof)
     shares = {tip: 1.0 if given is None else given}
     if given is None and (on_disk or rotation):
         dofs, points = (gather_rows(part.comm, x) for x in (part.nodes.dofs, part.nodes.points))
@@ -326,9 +325,9 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
             along = _circumferential(run.scene, points[node])
         of_dofs = zip(dofs[node].tolist(), along.tolist(), strict=True)
         shares = {dof: share for dof, share in of_dofs if dof >= 0 and share != 0.0}
-    if not on_disk:
-        return shares
-    return {whole.dof_of(blade or whole.first + 1, dof): share for dof, share in shares.items()}
+    return {
+        whole.dof_of(blade or whole.watched_sector + 1, dof): share for dof, share in shares.items()
+    }
 
 
 def tip_in_words(table: TipTiming, run: Run) -> str:

@@ -47,7 +47,6 @@ from fenics_crack.model.nodes import format_point
 from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
-from fenics_crack.model.wheel import WheelStructure, in_few_coordinates
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
@@ -130,7 +129,7 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
-    scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
+    scene, whole, law = study.scene, study.structure.in_few_coordinates(), study.contact
     known = whole.known_modes(is_bonded=False)
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
@@ -224,21 +223,18 @@ def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
     K' = K_1 + K_2 + 2 W^2 K_3, K'' = 2 K_3, those beyond the modes quasi-static: (count, 2); 0
     without rotation, and the second of a bladed disk."""
     whole, squares = modes.structure, modes.omega**2
-    rotation, found = whole.rotation, np.zeros((count, 2))
-    if isinstance(whole, WheelStructure):
-        rotation = whole.whole.rotation
+    rotation = whole.rotation if whole.n_sectors == 1 else whole.whole.rotation
+    found = np.zeros((count, 2))
     if rotation is None:
         return found
     second, third = rotation.displaced_stiffness
     for mode, shape in enumerate(modes.shapes.T[:count]):
-        shapes = shape[:, None]
-        if isinstance(whole, WheelStructure):
-            shapes = np.vstack(list(whole.sector_displacements(shape[None]))).T
+        shapes = np.vstack(list(whole.sector_displacements(shape[None]))).T
         curved = 2.0 * multiply(third, shapes)
         slope = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
         slope += rotation.speed**2 * curved
         found[mode] = [whole.sum_over_ranks((shapes * one).sum()) for one in (slope, curved)]
-        if isinstance(whole, WheelStructure):
+        if whole.n_sectors > 1:
             found[mode, 1] = 0.0
             continue
         force = slope.T
