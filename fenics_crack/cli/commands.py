@@ -152,15 +152,16 @@ def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 
 def _measured_by(
-    source: ArrivalTimes | Path, scene: Scene, console: Console, *, before: bool = False
+    source: dict[int, ArrivalTimes] | Path, scene: Scene, console: Console, *, before: bool = False
 ) -> Measurements:
-    """Return the measurements that follow from arrivals: displacements, or in a run-up the natural
-    frequencies whose resonances are passed, with ``before`` of the blade before it had a crack."""
+    """Return measurements from arrivals: displacements, or in a run-up the natural frequencies
+    of the resonances passed, with ``before`` of the blade before it had a crack."""
     from fenics_crack.arrivals.arrival_times import STEADY
     from fenics_crack.monitoring import scene_timing as timing
     from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
 
-    times, run = timing.arrivals_of(scene, source, console.comm)
+    blades, run = timing.arrivals_of_blades(scene, source, console.comm)
+    [times] = blades.values()
     console.remark(*([] if run else timing.remarks_on_arrivals(times)))
     key = "--before" if before else "arrivals"
     if timing.is_run_up(times, run):
@@ -194,7 +195,6 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
-    assert not isinstance(inputs.arrivals, dict) and not isinstance(inputs.before, dict)
     if inputs.arrivals is not None:
         parts.append(_measured_by(inputs.arrivals, scene, console))
     if inputs.before is not None:
