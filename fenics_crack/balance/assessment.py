@@ -108,8 +108,8 @@ class Assessment:
             for attribute in fields(Wave)
         ]
         return all(
-            expected is actual or (isinstance(expected, int | float) and expected == actual)
-            for expected, actual in pairs
+            assessed is given or (isinstance(assessed, int | float) and assessed == given)
+            for assessed, given in pairs
         )
 
     @cached_property
