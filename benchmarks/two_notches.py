@@ -84,11 +84,11 @@ def families() -> list[tuple]:
     """
     beam_families = []
     area = WIDTH * THICKNESS
-    for size, across, mode_numbers, columns, n_modes in (
+    for size, other_size, mode_numbers, columns, n_modes in (
         (THICKNESS, WIDTH, [0, 1, 2, 3], [0, 1, 2, 4], 8),
         (WIDTH, THICKNESS, [0], [5], 5),
     ):
-        second = across * size**3 / 12.0
+        second = other_size * size**3 / 12.0
         squares, _, curvatures = beam_modes(
             YOUNG * second, SHEAR * area / 1.2, 0.0, DENSITY * area, DENSITY * second, n_modes
         )
@@ -288,15 +288,15 @@ def main(training_path: str, parameters_path: str) -> None:
     for number in range(5):
         finder = Finder(beams[group != number, :3], beams[group != number, 3:])
         for beam in beams[group == number]:
-            finding = finder.find(beam[3:])
-            holds_truth = is_held(finding["boxes"], beam[0], *(1e3 * beam[1:3]))
+            answer = finder.find(beam[3:])
+            holds_truth = is_held(answer["boxes"], beam[0], *(1e3 * beam[1:3]))
             counts = np.array(
-                [1, holds_truth, finding["claimed"], holds_truth and finding["claimed"]]
+                [1, holds_truth, answer["claimed"], holds_truth and answer["claimed"]]
             )
             for key in (beam[0], "all"):
                 count[key] += counts
-            if finding["claimed"] and not holds_truth:
-                print("missed:", beam[:3], finding["estimate"], flush=True)
+            if answer["claimed"] and not holds_truth:
+                print("missed:", beam[:3], answer["estimate"], flush=True)
     print("depth, beams, held, claimed, claimed and held")
     for key, row in count.items():
         print(key, *row)
@@ -305,16 +305,16 @@ def main(training_path: str, parameters_path: str) -> None:
     for line in Path(parameters_path).read_text().splitlines():
         words = line.split()
         if len(words) == 7 and words[0][0] == "B" and words[0][1:].isdigit():
-            finding = finder.find(np.array(words[1:], dtype=float))
-            d, first_place, second_place = finding["estimate"]
+            answer = finder.find(np.array(words[1:], dtype=float))
+            d, first_place, second_place = answer["estimate"]
             box_texts = "; ".join(
                 " x ".join(f"{box_start:g}-{box_end:g}" for box_start, box_end in box.T)
-                for box in finding["boxes"]
+                for box in answer["boxes"]
             )
             print(
-                f"| {words[0]} | {'claim' if finding['claimed'] else 'no claim'} | {d:.1f} "
-                f"| {first_place:.0f} | {second_place:.0f} | {box_texts} | {finding['share']:.2%} "
-                f"| {finding['log Bayes factor']:.1f} | {finding['chi^2']:.1f} |"
+                f"| {words[0]} | {'claim' if answer['claimed'] else 'no claim'} | {d:.1f} "
+                f"| {first_place:.0f} | {second_place:.0f} | {box_texts} | {answer['share']:.2%} "
+                f"| {answer['log Bayes factor']:.1f} | {answer['chi^2']:.1f} |"
             )
 
 

@@ -108,8 +108,8 @@ class Assessment:
             for attribute in fields(Wave)
         ]
         return all(
-            assessed is given or (isinstance(assessed, int | float) and assessed == given)
-            for assessed, given in pairs
+            old_value is new_value or (isinstance(old_value, int | float) and old_value == new_value)
+            for old_value, new_value in pairs
         )
 
     @cached_property
