@@ -108,8 +108,8 @@ class Assessment:
             for attribute in fields(Wave)
         ]
         return all(
-            old_value is new_value or (isinstance(old_value, int | float) and old_value == new_value)
-            for old_value, new_value in pairs
+            part is wave_part or (isinstance(part, int | float) and part == wave_part)
+            for part, wave_part in pairs
         )
 
     @cached_property
