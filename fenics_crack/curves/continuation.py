@@ -34,13 +34,13 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import counted, in_unit
-from fenics_crack.curves.branch import Joined, branch_start
+from fenics_crack.curves.branch import ParentJunction, branch_start
 from fenics_crack.curves.curve import (
     MIN_HARMONICS,
     Bifurcation,
     CurvePoint,
     ResponseCurve,
-    leading,
+    leading_multiplier,
     parameter_axis,
 )
 from fenics_crack.curves.curve_system import CurveSystem
@@ -75,7 +75,7 @@ class StepOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class Steps:
+class StepLimits:
     """Length and number of steps of a curve, as in :class:`Continuation`."""
 
     longest_step: float = 0.05
@@ -115,35 +115,46 @@ class GrowingCurve:
     """
 
     def __init__(
-        self, system: CurveSystem, here: PathPoint, steps: Steps,
-        tolerance: float | None = None, branch: bool = False,
+        self, system: CurveSystem, start_point: PathPoint, step_limits: StepLimits,
+        tolerance: float | None = None, is_branch: bool = False,
     ) -> None:  # fmt: skip
-        self.system, self._steps = system, steps
-        self._tolerance, self._branch = tolerance, branch
-        self.most_points = steps.most_points
-        self._origin = self._here = here
-        self.points = [self._point(here.parameter, here.unknown, here.iterations, here.observed)]
-        self._special: list[tuple[str, CurvePoint]] = []
+        self.system, self._step_limits = system, step_limits
+        self._tolerance, self._is_branch = tolerance, is_branch
+        self.most_points = step_limits.most_points
+        self._start_point = self._last_point = start_point
+        self.points = [self._convert_point(start_point)]
+        self._special_points: list[tuple[str, CurvePoint]] = []
         self.complete, self.returned, self.status = False, False, "not begun"
 
-    def _point(
-        self, parameter: float, unknown: np.ndarray, iterations: int, seen: np.ndarray | None
+    def _convert_point(self, point: PathPoint) -> CurvePoint:
+        """Return a path point as a point of the curve."""
+        return self._curve_point(point.parameter, point.unknown, point.iterations, point.observed)
+
+    def _curve_point(
+        self, parameter: float, unknown: np.ndarray, iterations: int, observed: np.ndarray | None
     ) -> CurvePoint:
-        """A point of the path as one of the curve."""
+        """Return a point of the curve from a path point's numbers.
+
+        ``observed`` are leading multipliers and counts (:mod:`orbit_events`).
+        """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
-        multipliers = None if seen is None else seen[:-3]  # (orbit_events)
+        multipliers = None if observed is None else observed[:-3]
         return CurvePoint(value, omega, unknown, iterations, multipliers)
 
     # --- what there is so far ---------------------------------------------------------------------
 
     @property
-    def followed(self) -> ResponseCurve:
+    def unjudged_curve(self) -> ResponseCurve:
         """All points so far, without verdicts that are requested."""
         system, points = self.system, self.points
-        problem, exact = system.problem, self._tolerance is not None
-        multipliers = [leading(one.multipliers) for one in points if one.multipliers is not None]
-        found = ResponseCurve(
+        problem, is_exact = system.problem, self._tolerance is not None
+        multipliers = [
+            leading_multiplier(point.multipliers)
+            for point in points
+            if point.multipliers is not None
+        ]
+        curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
             parameter=system.name,
@@ -157,72 +168,79 @@ class GrowingCurve:
             points=np.array([system.state(point.unknown, point.value) for point in points]),
             tolerance=self._tolerance,
             samples=problem.samples,
-            static_above=None if exact else problem.static_cutoff,
-            multipliers=np.array(multipliers) if exact else None,
-            branch=self._branch,
+            static_above=None if is_exact else problem.static_cutoff,
+            multipliers=np.array(multipliers) if is_exact else None,
+            branch=self._is_branch,
         )
-        special = []
-        for kind, at in self._special:
-            state = system.state(at.unknown, at.value)
-            special.append(found.bifurcation(kind, at.value, at.omega, state, at.multipliers))
-        return replace(found, bifurcations=tuple(special))
+        bifurcations = []
+        for kind, special_point in self._special_points:
+            state = system.state(special_point.unknown, special_point.value)
+            bifurcations.append(
+                curve.bifurcation(
+                    kind, special_point.value, special_point.omega, state, special_point.multipliers
+                )
+            )
+        return replace(curve, bifurcations=tuple(bifurcations))
 
     @property
     def curve(self) -> ResponseCurve:
         """All points so far, with verdicts."""
-        return self.followed
+        return self.unjudged_curve
 
     def progress(self) -> float:
         """Return the fraction of the way from start to end that is done, 0 to 1."""
-        return min(1.0, max(0.0, self._here.parameter))
+        return min(1.0, max(0.0, self._last_point.parameter))
 
-    def how_far(self) -> str:
+    def describe_progress(self) -> str:
         """The same in words, with the range and how many points there are."""
-        ends = self.system.start, self.system.end
-        return f"{self.progress():.0%} of the way between {self.where(*ends)}"
+        end_values = self.system.start, self.system.end
+        return f"{self.progress():.0%} of the way between {self.describe_values(*end_values)}"
 
-    def where(self, *values: float) -> str:
+    def describe_values(self, *values: float) -> str:
         """Values of the parameter in its unit, by default the last one so far, and how many points
         there are."""
-        axis, count = parameter_axis(self.system.name, True), counted(len(self.points), "point")
-        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {count}"
+        axis = parameter_axis(self.system.name, True)
+        point_count = counted(len(self.points), "point")
+        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count}"
 
     # --- how it goes on ---------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the last point so far, at first the first one, and all that follow."""
         yield self.points[-1]
-        for part in self._parts():
-            for one in part.split_points():
-                yield self._record(one)
+        for segment in self._segments():
+            for point_segment in segment.split_points():
+                yield self._record(point_segment)
 
     def run(self) -> None:
         """Follow to the end: as iterating over all points does, but faster, since those between
         which nothing happens are recorded many at once."""
-        for part in self._parts():
-            self._record(part)
+        for segment in self._segments():
+            self._record(segment)
 
-    def _parts(self) -> Iterator[PathSegment]:
+    def _segments(self) -> Iterator[PathSegment]:
         """The path behind the last point, to where the curve ends."""
         if self.complete:
             return
-        system, here, longest = self.system, self._here, self._steps.longest_step
+        system = self.system
+        last_point = self._last_point
+        longest_step = self._step_limits.longest_step
         self.status = "under way"
         events: list[Event] = [kind() for kind in system.events]
-        events += [Target(1.0), ClosedLoop(self._origin, system)]
-        if self._branch:
+        events += [Target(1.0), ClosedLoop(self._start_point, system)]
+        if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
-                events.insert(0, Joined(system))
+                events.insert(0, ParentJunction(system))
         options = PathOptions(
-            initial_step=0.2 * longest,
-            max_step=longest,
-            min_step=max(ARRIVAL_DISTANCE, system.rounding(here.parameter)),
+            initial_step=0.2 * longest_step,
+            max_step=longest_step,
+            min_step=max(ARRIVAL_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
-            points_per_call=max(1, min(PathOptions.points_per_call, system.at_once)),
-            span=(-self._steps.turning_back, np.inf),
+            points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
+            span=(-self._step_limits.turning_back, np.inf),
         )
-        path = Path(system, here, options, events, system.control(longest))
+        path = Path(system, last_point, options, events, system.make_step_control(longest_step))
         yield from path
         assert path.end_reason is not None
         self.complete = path.event is not None
@@ -233,20 +251,24 @@ class GrowingCurve:
             path.event, ClosedLoop
         )
 
-    def _record(self, points: PathSegment) -> CurvePoint:
+    def _record(self, segment: PathSegment) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
-        special = [
-            (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
-            for event, at in points.located_events
+        special_points = [
+            (event.kind, self._convert_point(point))
+            for event, point in segment.located_events
             if event.kind
         ]
-        self._special += special
-        seen = points.observed if "observed" in vars(points) else [None] * len(points)
-        columns = points.parameters.tolist(), points.unknowns, points.iterations.tolist(), seen
-        self.points += map(self._point, *columns)
-        self._here = points[-1]
-        met = tuple((kind, at.value) for kind, at in special)
-        self.points[-1] = replace(self.points[-1], bifurcations=met)
+        self._special_points += special_points
+        multipliers_and_counts = (
+            segment.observed if "observed" in vars(segment) else [None] * len(segment)
+        )
+        parameters, iterations = segment.parameters.tolist(), segment.iterations.tolist()
+        self.points += map(
+            self._curve_point, parameters, segment.unknowns, iterations, multipliers_and_counts
+        )
+        self._last_point = segment[-1]
+        kinds_and_values = tuple((kind, point.value) for kind, point in special_points)
+        self.points[-1] = replace(self.points[-1], bifurcations=kinds_and_values)
         return self.points[-1]
 
 
@@ -329,7 +351,7 @@ class Continuation(GrowingCurve):
     ) -> None:
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
-        how = Steps(**steps)
+        step_limits = StepLimits(**steps)
         fitting_argument("problem", problem, "Problem", ("Problem",))
         fitting_argument("stability", stability, "bool", ())
         if exact and tolerance is None:
@@ -342,60 +364,67 @@ class Continuation(GrowingCurve):
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
         check_range(problem, parameter, start, end)
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
-            back = min(how.turning_back, 0.9 * start / (end - start))
-            how = replace(how, turning_back=back)
+            max_return = min(step_limits.turning_back, 0.9 * start / (end - start))
+            step_limits = replace(step_limits, turning_back=max_return)
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_HARMONICS))
         if parameter in ("omega", "speed"):
             problem = WAVES[parameter].vary(problem, start)
         if not is_small(problem.structure):
-            reduced = reduce_structure(problem.structure, method="massless")
-            problem = replace(problem, structure=reduced)
+            reduced_structure = reduce_structure(problem.structure, method="massless")
+            problem = replace(problem, structure=reduced_structure)
             if isinstance(initial, PeriodicSolution) and not exact:  # its gaps are all that is used
-                initial = replace(initial, structure=reduced)
-        self._judged = stability and not exact
-        if self._judged and is_rigid(problem.contact):
+                initial = replace(initial, structure=reduced_structure)
+        self._needs_verdicts = stability and not exact
+        if self._needs_verdicts and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
-        at_start = WAVES[parameter].vary(problem, start)
-        branch = isinstance(initial, Bifurcation)
-        if not (exact or branch):
+        start_problem = WAVES[parameter].vary(problem, start)
+        is_branch = isinstance(initial, Bifurcation)
+        if not (exact or is_branch):
             if initial is not None:
-                check_initial(at_start, initial)  # type: ignore[arg-type]
+                check_initial(start_problem, initial)  # type: ignore[arg-type]
             if tolerance is not None:
-                initial = solve_beside(at_start, initial, tolerance)  # type: ignore[arg-type]
+                initial = solve_beside(start_problem, initial, tolerance)  # type: ignore[arg-type]
                 problem = problem.with_harmonics(initial.harmonics)
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            begun = branch_start(system, initial, how.longest_step, branch_of)
-            here = first_point(
-                system, begun.unknown, begun.parameter, begun.iterations, begun.tangent
+            entry = branch_start(system, initial, step_limits.longest_step, branch_of)
+            start_point = first_point(
+                system, entry.unknown, entry.parameter, entry.iterations, entry.tangent
             )
         elif exact:
-            orbit = initial if isinstance(initial, PeriodicOrbit) else _orbit_at(at_start, initial)
-            here = first_point(system, system.unknown(orbit.state, start), 0.0, orbit.iterations)
+            orbit = _find_start_orbit(start_problem, initial)
+            start_point = first_point(
+                system, system.unknown(orbit.state, start), 0.0, orbit.iterations
+            )
         else:
-            found = Solver(system.at(start)).solve(initial)  # type: ignore[arg-type]
-            here = first_point(system, found.slow_gap_coefficients, 0.0, found.iterations)
-        super().__init__(system, here, how, tolerance if exact else None, branch)
+            solution = Solver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
+            start_point = first_point(
+                system, solution.slow_gap_coefficients, 0.0, solution.iterations
+            )
+        super().__init__(system, start_point, step_limits, tolerance if exact else None, is_branch)
 
     @property
     def curve(self) -> ResponseCurve:
         """All points so far; assessed with ``stability=True``."""
-        return judge_curve(self.followed) if self._judged else self.followed
+        return judge_curve(self.unjudged_curve) if self._needs_verdicts else self.unjudged_curve
 
 
 def first_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
-    towards: Tangent | None = None,
+    direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
     """A solution as the first point of a curve, with its direction, towards growing p or roughly
     known, and what a step control uses."""
-    at = system.linearise(unknown, parameter)
-    tangent, seen = tangent_of(system, unknown, at, towards), observe_point(system, at)
-    record = None if seen is None else at.record.ravel()
-    return PathPoint(unknown, parameter, iterations, tangent, record=record, observed=seen)
+    linearisation = system.linearise(unknown, parameter)
+    tangent = tangent_of(system, unknown, linearisation, direction)
+    step_control_values = observe_point(system, linearisation)
+    record = None if step_control_values is None else linearisation.record.ravel()
+    return PathPoint(
+        unknown, parameter, iterations, tangent, record=record, observed=step_control_values
+    )
 
 
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
@@ -405,8 +434,8 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
-    ends = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
-    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in ends)
+    end_frequencies = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
+    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
@@ -417,21 +446,25 @@ def check_range(problem: Problem, parameter: str, start: float, end: float) -> N
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     names = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for name, value in zip(names, (start, end), strict=True):
-        WAVES[parameter].check(structure, name, value)
+        WAVES[parameter].check_value(structure, name, value)
     if start == end:
         raise InputError(names[1], end, f"different from {names[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):
-        allowed = "both of one sign: without clearance nothing is left of the motion at 0"
-        raise InputError("start, end", (start, end), allowed)
+        requirement = "both of one sign: without clearance nothing is left of the motion at 0"
+        raise InputError("start, end", (start, end), requirement)
 
 
-def _orbit_at(problem: Problem, initial: PeriodicSolution | None) -> PeriodicOrbit:
+def _find_start_orbit(
+    problem: Problem, initial: PeriodicSolution | PeriodicOrbit | None
+) -> PeriodicOrbit:
     """The orbit at the start of a curve."""
+    if isinstance(initial, PeriodicOrbit):
+        return initial
     if initial is not None:
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        missing = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
-        way = "with harmonics in place of a tolerance the curve of harmonic balance is followed"
-        raise ConvergenceError(f"{missing}; {way}")
+        failure = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+        advice = "with harmonics in place of a tolerance the curve of harmonic balance is followed"
+        raise ConvergenceError(f"{failure}; {advice}")
     return search.orbit

@@ -59,9 +59,9 @@ PARAMETERS = {
 
 MIN_HARMONICS = SearchOptions.harmonics[0]
 """Minimum harmonics of the load's frequency in a solution of exact orbits."""
-CURVE_INSTANTS = 256
+INSTANTS_PER_PERIOD = 256
 """Instants of the period at which points of a curve are evaluated."""
-RESOLUTION = 0.1
+RESOLUTION_PER_STEP = 0.1
 """Width of a window that may be missed, over the longest step: steps are judged by an interpolation
 between their ends, which is not right where orbits graze, or several multipliers meet in one."""
 
@@ -74,10 +74,10 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     return 1.0, name, unit
 
 
-def leading(multipliers: np.ndarray) -> complex:
+def leading_multiplier(multipliers: np.ndarray) -> complex:
     """Return the multiplier that a curve keeps, of those with the largest modulus first."""
-    first = complex(multipliers[0])
-    return complex(first.real, abs(first.imag))
+    largest_multiplier = complex(multipliers[0])
+    return complex(largest_multiplier.real, abs(largest_multiplier.imag))
 
 
 def kind_in_words(kind: str) -> str:
@@ -252,8 +252,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         """H; of exact orbits the fewest of a solution."""
         if not self.exact:
             return self.points.shape[1] // 2
-        least = least_harmonics(self.structure, self.subharmonic)
-        return max(MIN_HARMONICS * self.subharmonic, least)
+        min_harmonics = least_harmonics(self.structure, self.subharmonic)
+        return max(MIN_HARMONICS * self.subharmonic, min_harmonics)
 
     @property
     def method(self) -> str:
@@ -275,9 +275,9 @@ class ResponseCurve(ObservedMotion, Tabular):
     def system(self) -> Waves | Orbits:
         """The equations along the parameter: from its value at the first point to the one farthest
         from there."""
-        farthest = int(np.argmax(np.abs(self.values - self.values[0])))
-        ends = float(self.values[0]), float(self.values[farthest])
-        return system_along(self.exact, self.problem, self.parameter, *ends)
+        farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
+        end_values = float(self.values[0]), float(self.values[farthest_index])
+        return system_along(self.exact, self.problem, self.parameter, *end_values)
 
     # --- its points -------------------------------------------------------------------------------
 
@@ -296,24 +296,26 @@ class ResponseCurve(ObservedMotion, Tabular):
         series, as long as the tolerance requires; nothing is searched for."""
         if self.tolerance is not None:
             return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
-        problem, at = self._balanced(index)
-        known = Assessment(problem.wave(at), flow=self._flow)
-        return solution_of(problem, at, status="point of a curve", search=search, known=known)
+        problem, point = self._balanced_point(index)
+        assessment = Assessment(problem.wave(point), flow=self._common_flow)
+        return solution_of(
+            problem, point, status="point of a curve", search=search, known=assessment
+        )
 
-    def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
+    def _balanced_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """The problem at a point of harmonic balance, and its equations there."""
-        problem, along = self.problem_of(index), self.system
-        if isinstance(along, ResonanceWaves) or not isinstance(along, Waves):
+        problem, waves = self.problem_of(index), self.system
+        if isinstance(waves, ResonanceWaves) or not isinstance(waves, Waves):
             system = problem.system(problem.compliance())
         else:
-            system = along.system(float(self.values[index]))
+            system = waves.system(float(self.values[index]))
         return problem, system.linearise(self.points[index])
 
     @cached_property
-    def _flow(self) -> ContactFlow | None:
+    def _common_flow(self) -> ContactFlow | None:
         """The exact flow of all points where the parameter leaves the structure and its load."""
-        fixed = self.parameter == "omega"
-        return flow_of(self.structure, self.contact) if fixed else None
+        is_over_frequency = self.parameter == "omega"
+        return flow_of(self.structure, self.contact) if is_over_frequency else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """The exact orbit at a point; InputError on a curve of harmonic balance."""
@@ -330,43 +332,54 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
         """The same of some points; over the frequency their motions are computed at once."""
-        if self._flow is None or not isinstance(self.system, Waves):
-            for problem, at in map(self._balanced, places):
-                yield Assessment(problem.wave(at))
+        if self._common_flow is None or not isinstance(self.system, Waves):
+            for problem, point in map(self._balanced_point, places):
+                yield Assessment(problem.wave(point))
             return
-        along = self.system
-        first, some = along.system(along.start), max(1, along.at_once)
-        for part in (places[at : at + some] for at in range(0, len(places), some)):
-            slow, omega = self.points[part], self.omega[part]
-            forces = np.stack([first.integrals.force(one) for one in slow], axis=1)
-            moved = along.compliance(along.start).displacements(omega / self.subharmonic, forces)
-            for place, unknown in enumerate(slow):
-                force = np.ascontiguousarray(forces[:, place])
-                wave = along.problem.wave_of(moved[:, place], first.gap(unknown, force), force)
-                yield Assessment(replace(wave, omega=float(omega[place])), flow=self._flow)
+        waves = self.system
+        system, compliance = waves.system(waves.start), waves.compliance(waves.start)
+        n_chunk = max(1, waves.points_per_call)
+        for chunk in (places[begin : begin + n_chunk] for begin in range(0, len(places), n_chunk)):
+            unknowns, omega = self.points[chunk], self.omega[chunk]
+            forces = np.stack([system.integrals.force(unknown) for unknown in unknowns], axis=1)
+            displacements = compliance.displacements(omega / self.subharmonic, forces)
+            for index, unknown in enumerate(unknowns):
+                force = np.ascontiguousarray(forces[:, index])
+                gap, displacement = system.gap(unknown, force), displacements[:, index]
+                wave = replace(
+                    waves.problem.wave_of(displacement, gap, force), omega=float(omega[index])
+                )
+                yield Assessment(wave, flow=self._common_flow)
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]; of exact orbits by their exact integrals,
         with 40 harmonics of their period."""
-        count, places = self.structure.n_pairs, range(len(self))
+        n_pairs, indices = self.structure.n_pairs, range(len(self))
         if self.exact:
-            found = [self.orbit(place).coefficients(OBSERVED_HARMONICS).gap for place in places]
-            return np.array(found)[..., :count]
+            coefficients = [
+                self.orbit(index).coefficients(OBSERVED_HARMONICS).gap for index in indices
+            ]
+            return np.array(coefficients)[..., :n_pairs]
         if self.static_above is None:
-            return self.points[..., :count]
-        return np.array([known.wave.gap_coefficients for known in self.assessments(places)])
+            return self.points[..., :n_pairs]
+        return np.array(
+            [assessment.wave.gap_coefficients for assessment in self.assessments(indices)]
+        )
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        places = range(len(self))
+        indices = range(len(self))
         motions: Iterator[PeriodicOrbit | PeriodicSolution]
         if self.exact:
-            motions = map(self.orbit, places)
+            motions = map(self.orbit, indices)
         else:
-            every = self.assessments(places)
-            motions = (PeriodicSolution(**vars(one.wave), assessment=one) for one in every)
+            assessments = self.assessments(indices)
+            motions = (
+                PeriodicSolution(**vars(assessment.wave), assessment=assessment)
+                for assessment in assessments
+            )
         for motion in motions:
-            yield from motion.records(rows, CURVE_INSTANTS)
+            yield from motion.records(rows, INSTANTS_PER_PERIOD)
 
     # --- stability --------------------------------------------------------------------------------
 
@@ -397,10 +410,10 @@ class ResponseCurve(ObservedMotion, Tabular):
     def verdicts(self) -> np.ndarray:
         """Stable, unstable, irregular or undecided, at each point: (n,) str; raises as
         :attr:`stable`."""
-        decided = np.where(self.stable, "stable", "unstable")
+        verdicts = np.where(self.stable, "stable", "unstable")
         if self.irregular is not None:
-            decided = np.where(self.irregular, "irregular", decided)
-        return np.where(self.undecided, "undecided", decided)
+            verdicts = np.where(self.irregular, "irregular", verdicts)
+        return np.where(self.undecided, "undecided", verdicts)
 
     def reason(self, index: int) -> str:
         """Why the stability is undecided at a point, as :func:`fenics_crack.floquet` says of the
@@ -417,13 +430,13 @@ class ResponseCurve(ObservedMotion, Tabular):
     def resolution(self) -> float:
         """Width, in the unit of ``values``, of the unstable or doubled windows that a curve of
         exact orbits may miss between its points: a tenth of the longest step taken."""
-        return RESOLUTION * float(np.abs(np.diff(self.values)).max(initial=0.0))
+        return RESOLUTION_PER_STEP * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     # --- parts of it ------------------------------------------------------------------------------
 
     def part(self, places: Sequence[int] | slice) -> Self:
         """The points at some places, without the bifurcations."""
-        columns = {name: column[places] for name, column in _arrays_of(self).items()}
+        columns = {name: column[places] for name, column in _array_fields(self).items()}
         return replace(self, **columns, bifurcations=())
 
     def bifurcation(
@@ -431,30 +444,36 @@ class ResponseCurve(ObservedMotion, Tabular):
         multipliers: np.ndarray | None = None,
     ) -> Bifurcation:  # fmt: skip
         """A special point of this curve, by its value of the parameter and its load frequency."""
-        columns = {"values": value, "omega": omega, "iterations": 0, "points": point}
-        rows = {name: np.array([entry]) for name, entry in columns.items()}
-        first = None if multipliers is None else np.array([leading(multipliers)])
-        alone = replace(self, **rows, multipliers=first, irregular=None, bifurcations=())
-        return Bifurcation(kind, alone, multipliers)
+        entries = {"values": value, "omega": omega, "iterations": 0, "points": point}
+        rows = {name: np.array([entry]) for name, entry in entries.items()}
+        leading_multipliers = (
+            None if multipliers is None else np.array([leading_multiplier(multipliers)])
+        )
+        point_curve = replace(
+            self, **rows, multipliers=leading_multipliers, irregular=None, bifurcations=()
+        )
+        return Bifurcation(kind, point_curve, multipliers)
 
     @cached_property
     def at_bifurcations(self) -> Self:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, with multipliers if it has exact orbits."""
-        whole = self if self.exact else replace(self, multipliers=None, irregular=None)
-        special = [one.point for one in self.bifurcations]
-        points: list[ResponseCurve] = [whole.part([0]), *special, whole.part([-1])]
-        columns = [_arrays_of(one) for one in points]
-        joined = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
-        return replace(whole, **joined, bifurcations=())
+        curve = self if self.exact else replace(self, multipliers=None, irregular=None)
+        bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]
+        parts: list[ResponseCurve] = [curve.part([0]), *bifurcation_curves, curve.part([-1])]
+        columns = [_array_fields(part) for part in parts]
+        joined_columns = {
+            name: np.concatenate([arrays[name] for arrays in columns]) for name in columns[0]
+        }
+        return replace(curve, **joined_columns, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """The number of the point nearest to a bifurcation."""
-        there = bifurcation.point.points
-        off = np.linalg.norm((self.points - there).reshape(len(self), -1), axis=1)
-        off /= float(np.linalg.norm(there)) or 1.0
-        wide = float(np.ptp(self.values)) or 1.0
-        return int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
+        bifurcation_point = bifurcation.point.points
+        distances = np.linalg.norm((self.points - bifurcation_point).reshape(len(self), -1), axis=1)
+        distances /= float(np.linalg.norm(bifurcation_point)) or 1.0
+        value_range = float(np.ptp(self.values)) or 1.0
+        return int(np.argmin(np.hypot(distances, (self.values - bifurcation.value) / value_range)))
 
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
         """Coefficients of the displacement of a dof, or of the watched one, at every point:
@@ -478,12 +497,12 @@ class ResponseCurve(ObservedMotion, Tabular):
         top = self.top(dof)
         omega, solution, damping = float(self.omega[top.index]), self.solution(top.index), math.nan
         if self.parameter in ("omega", "speed"):
-            waves, structure = self.coefficients_at(dof), self.structure
-            damping = damping_by_width(self.values, waves, self.subharmonic, top.index)
+            coefficients, structure = self.coefficients_at(dof), self.structure
+            damping = damping_by_width(self.values, coefficients, self.subharmonic, top.index)
             if isinstance(structure, RunUpStructure):
                 # Natural frequencies follow the load's, and it takes longer to pass them.
-                there = structure.at_speed(float(self.values[top.index]))
-                damping *= 1.0 - there.stiffening(omega)
+                peak_structure = structure.at_speed(float(self.values[top.index]))
+                damping *= 1.0 - peak_structure.stiffening(omega)
             omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
@@ -501,27 +520,32 @@ class ResponseCurve(ObservedMotion, Tabular):
         begins to be due, what one Newton step on the exact flow predicts, where there is one, of
         harmonics and modes left out, of exact orbits of modes; elsewhere it is interpolated.
         """
-        known: dict[int, float] = {}
-        asked = set(np.linspace(0, len(self) - 1, 40).astype(int).tolist())  # as a picture shows
-        while asked:
-            for place in asked:
-                known[place] = self._displacement_error(place)
-            asked = {
-                (first + last) // 2
-                for first, last in pairwise(sorted(known))
-                if last - first > 1 and (known[first] > LARGE_ERROR) != (known[last] > LARGE_ERROR)
+        error_by_index: dict[int, float] = {}
+        open_indices = set(
+            np.linspace(0, len(self) - 1, 40).astype(int).tolist()
+        )  # as a picture shows
+        while open_indices:
+            for index in open_indices:
+                error_by_index[index] = self._displacement_error(index)
+            open_indices = {
+                (start + end) // 2
+                for start, end in pairwise(sorted(error_by_index))
+                if end - start > 1
+                and (error_by_index[start] > LARGE_ERROR) != (error_by_index[end] > LARGE_ERROR)
             }
-        places = sorted(known)
-        return np.interp(np.arange(len(self)), places, [known[place] for place in places])
+        indices = sorted(error_by_index)
+        return np.interp(
+            np.arange(len(self)), indices, [error_by_index[index] for index in indices]
+        )
 
     def _displacement_error(self, index: int) -> float:
         """The same at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
             wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
-            more = wave.assessment.more_modes
-            if more is not None:
-                return UNKNOWN if more.errors is None else more.errors[1]
+            more_modes = wave.assessment.more_modes
+            if more_modes is not None:
+                return UNKNOWN if more_modes.errors is None else more_modes.errors[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------
@@ -529,12 +553,12 @@ class ResponseCurve(ObservedMotion, Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every point: multipliers where the curve has them, and the indicators
         of the watched dof (collective)."""
-        found = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
-        found["iterations"] = self.iterations.tolist()
+        columns = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
+        columns["iterations"] = self.iterations.tolist()
         if self.multipliers is not None:
-            found["multiplier"] = np.abs(self.multipliers).tolist()
-            found["verdict"] = self.verdicts.tolist()
-        return with_frequency(found | self.indicators().to_dict())
+            columns["multiplier"] = np.abs(self.multipliers).tolist()
+            columns["verdict"] = self.verdicts.tolist()
+        return with_frequency(columns | self.indicators().to_dict())
 
     def _title(self) -> str:
         parts = [
@@ -548,7 +572,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
-def _arrays_of(curve: ResponseCurve) -> dict[str, np.ndarray]:
+def _array_fields(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """The columns of a curve by the names of its fields."""
-    known = {one.name: getattr(curve, one.name) for one in fields(curve)}
-    return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
+    field_values = {entry.name: getattr(curve, entry.name) for entry in fields(curve)}
+    return {name: column for name, column in field_values.items() if isinstance(column, np.ndarray)}

@@ -27,9 +27,9 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 
-ATTEMPTS = 4
+MAX_CURVE_SEARCHES = 4
 """Places, from the end on, from which another curve is sought that leads to the start."""
-BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
+PROGRESS_BAR_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Progress bar of a curve; its remaining time does not follow from its progress."""
 
 
@@ -160,10 +160,10 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
-    given: dict[str, Any] = dict(options)
+    curve_options: dict[str, Any] = dict(options)
     keys = ("harmonics", "samples", "subharmonic", "initial")
-    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
-    tolerance = given.get("tolerance")
+    harmonics, samples, subharmonic, initial = (curve_options.pop(key, None) for key in keys)
+    tolerance = curve_options.get("tolerance")
     if tolerance is not None and harmonics is not None:
         raise InputError("tolerance", tolerance, "left out where harmonics are given")
     if tolerance is not None and not is_small(structure):
@@ -173,26 +173,31 @@ def continue_parameter(
     if harmonics is None:
         harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-    exact = tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
+    is_exact = (
+        tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
+    )
 
-    def grow(origin: float, goal: float, near: Any = initial) -> GrowingCurve:
-        return Continuation(problem, parameter, origin, goal, exact=exact, initial=near, **given)
+    def grow(curve_start: float, curve_end: float, first_guess: Any = initial) -> GrowingCurve:
+        ends, guess = (curve_start, curve_end), first_guess
+        return Continuation(
+            problem, parameter, *ends, exact=is_exact, initial=guess, **curve_options
+        )
 
-    def again(begun: GrowingCurve | None = None) -> GrowingCurve | None:
-        return _again(grow, start, end, begun) if initial is None else None
+    def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
+        return _find_other_curve(grow, start, end, returned_curve) if initial is None else None
 
     try:
-        growing = grow(start, end)
+        growing_curve = grow(start, end)
     except ConvergenceError:
-        other = None if tolerance is None else again()
-        if other is None:
+        other_curve = None if tolerance is None else follow_other_curve()
+        if other_curve is None:
             raise
-        growing = other
-    return run_to_end(growing, progress, throw, again)
+        growing_curve = other_curve
+    return run_to_end(growing_curve, progress, throw, follow_other_curve)
 
 
-def _again(
-    grow: Callable[..., GrowingCurve], start: float, end: float, begun: GrowingCurve | None
+def _find_other_curve(
+    grow: Callable[..., GrowingCurve], start: float, end: float, first_curve: GrowingCurve | None
 ) -> GrowingCurve | None:
     """Follow another curve from the start, in as many points as one before has or is soon to have.
 
@@ -200,26 +205,30 @@ def _again(
     where the first solution lies on a curve that comes back to the start, such as a closed loop of
     the truncated equations, or where there is none.
     """
-    spent, known = 0, 0 if begun is None else len(begun.points)
-    places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
-    for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
-        there: PeriodicSolution | PeriodicOrbit | None = None
-        for first, last in ((origin, start), (start, end)):
+    n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
+    # If there is no orbit at the start, each search takes long.
+    n_searches = MAX_CURVE_SEARCHES if first_curve is not None else 1
+    search_values = np.linspace(end, start, MAX_CURVE_SEARCHES, endpoint=False)[:n_searches]
+    for search_value in search_values.tolist():
+        start_solution: PeriodicSolution | PeriodicOrbit | None = None
+        for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
-                found = grow(first, last, there)
-                left = max(known, 2 * ATTEMPTS * MAX_UNKNOWNS_PER_CALL // found.system.size) - spent
-                found.most_points = max(1, min(left, found.most_points))
-                found.run()
+                growing_curve = grow(stage_start, stage_end, start_solution)
+                max_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
+                max_points = max(n_first_points, max_unknowns // growing_curve.system.size)
+                n_left_points = max(1, max_points - n_spent_points)
+                growing_curve.most_points = min(n_left_points, growing_curve.most_points)
+                growing_curve.run()
             except ConvergenceError:
                 break
-            spent += len(found.points)
-            if not found.complete or found.returned:
+            n_spent_points += len(growing_curve.points)
+            if not growing_curve.complete or growing_curve.returned:
                 break
-            curve = found.followed
-            there = curve.orbit(-1) if curve.exact else curve.solution(-1)
+            curve = growing_curve.unjudged_curve
+            start_solution = curve.orbit(-1) if curve.exact else curve.solution(-1)
         else:
-            found.status += ", not by the first solution found at its start"
-            return found
+            growing_curve.status += ", not by the first solution found at its start"
+            return growing_curve
     return None
 
 
@@ -269,8 +278,8 @@ def follow_branch(
     """
     kinds = ("period_doubling", "branch_point")
     if bifurcation.kind not in kinds:
-        allowed = "a Bifurcation of kind " + " or ".join(kinds)
-        raise InputError("bifurcation", bifurcation.kind, allowed)
+        requirement = "a Bifurcation of kind " + " or ".join(kinds)
+        raise InputError("bifurcation", bifurcation.kind, requirement)
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):
         if key in options:
@@ -279,60 +288,62 @@ def follow_branch(
     end = float(curve.values.max()) if end is None else end
     if not min(start, end) < bifurcation.value < max(start, end):
         raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
-    doubled = 2 if bifurcation.kind == "period_doubling" else 1
+    period_factor = 2 if bifurcation.kind == "period_doubling" else 1
     problem = replace(
         curve.problem,
-        harmonics=doubled * curve.problem.harmonics,
-        samples=curve.problem.samples and doubled * curve.problem.samples,
-        subharmonic=doubled * curve.subharmonic,
+        harmonics=period_factor * curve.problem.harmonics,
+        samples=curve.problem.samples and period_factor * curve.problem.samples,
+        subharmonic=period_factor * curve.subharmonic,
     )
-    growing = Continuation(
+    growing_curve = Continuation(
         problem, curve.parameter, start, end,
         exact=curve.exact, initial=bifurcation, branch_of=curve, **options,  # type: ignore[misc]
     )  # fmt: skip
-    return run_to_end(growing, progress, throw)
+    return run_to_end(growing_curve, progress, throw)
 
 
 def run_to_end(
-    growing: GrowingCurve,
+    growing_curve: GrowingCurve,
     progress: bool,
     throw: bool,
-    again: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
+    find_other_curve: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
     """Follow to the end, where the curve comes back to its start from another solution there; the
     curve, assessed if requested, but not after Ctrl-C."""
     try:
         try:
-            _follow(growing, progress)
-            if again is not None and growing.returned:
-                other = again(growing)
-                if other is None and not growing.complete:
-                    growing.status += " (no other curve was met from its end on)"
-                growing = other or growing
+            _run_with_progress(growing_curve, progress)
+            if find_other_curve is not None and growing_curve.returned:
+                other_curve = find_other_curve(growing_curve)
+                if other_curve is None and not growing_curve.complete:
+                    growing_curve.status += " (no other curve was met from its end on)"
+                growing_curve = other_curve or growing_curve
         except ConvergenceError as error:
-            growing.status = str(error)
-        curve = growing.curve
+            growing_curve.status = str(error)
+        curve = growing_curve.curve
     except KeyboardInterrupt:  # which ends the verdicts, too
-        throw, growing.status = False, INTERRUPTED
-        curve = growing.followed
+        throw, growing_curve.status = False, INTERRUPTED
+        curve = growing_curve.unjudged_curve
     if throw and not curve.complete:
-        begun = f"curve in {curve.parameter} from {curve.values[0]:g}"
-        end = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
-        raise ConvergenceError(f"{begun}: {end}; they are the error's .found", found=curve)
+        curve_words = f"curve in {curve.parameter} from {curve.values[0]:g}"
+        end_words = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
+        raise ConvergenceError(
+            f"{curve_words}: {end_words}; they are the error's .found", found=curve
+        )
     return curve
 
 
-def _follow(growing: GrowingCurve, progress: bool) -> None:
+def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
     """Follow to the end with a bar, or signs of life."""
-    if not progress or growing.system.problem.structure.whole.comm.rank != 0:
+    if not progress or growing_curve.system.problem.structure.whole.comm.rank != 0:
         begin("curve")
-        with reaching(growing.how_far):
-            growing.run()
+        with reaching(growing_curve.describe_progress):
+            growing_curve.run()
         return
     begin("")
     from tqdm import tqdm
 
-    with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
-        for _ in growing:
-            bar.set_postfix_str(growing.where(), refresh=False)
-            bar.update(max(0, int(100.0 * growing.progress()) - bar.n))
+    with tqdm(total=100, desc="curve", unit="%", bar_format=PROGRESS_BAR_FORMAT) as bar:
+        for _ in growing_curve:
+            bar.set_postfix_str(growing_curve.describe_values(), refresh=False)
+            bar.update(max(0, int(100.0 * growing_curve.progress()) - bar.n))

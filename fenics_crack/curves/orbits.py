@@ -58,36 +58,36 @@ class Orbits(CurveSystem):
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.along = WAVES[parameter]
-        self.logarithmic, self.subharmonic = self.along.logarithmic, problem.subharmonic
-        self._first = self._flow_at(start)
-        self._last: tuple[float, ContactFlow] = start, self._first
-        self.shape = (self._first.size,)
+        self.waves_class = WAVES[parameter]
+        self.logarithmic, self.subharmonic = self.waves_class.logarithmic, problem.subharmonic
+        self._start_flow = self._make_flow(start)
+        self._last_flow: tuple[float, ContactFlow] = start, self._start_flow
+        self.shape = (self._start_flow.size,)
 
-    def at(self, value: float) -> Problem:
+    def problem_at(self, value: float) -> Problem:
         """The problem where the parameter has a value."""
-        return self.along.vary(self.problem, value)
+        return self.waves_class.vary(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
-        return self.along.frequency(self.problem, value)
+        return self.waves_class.load_frequency(self.problem, value)
 
-    def _flow_at(self, value: float) -> ContactFlow:
-        problem = self.at(value)
+    def _make_flow(self, value: float) -> ContactFlow:
+        problem = self.problem_at(value)
         return exact_flow(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
         """The flow where the parameter has a value; the last one is kept."""
         if self.name == "omega" or value == self.start:
-            return self._first
-        if self._last[0] != value:
-            self._last = value, self._flow_at(value)
-        return self._last[1]
+            return self._start_flow
+        if self._last_flow[0] != value:
+            self._last_flow = value, self._make_flow(value)
+        return self._last_flow[1]
 
     @cached_property
     def scale(self) -> np.ndarray:
         """dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
         that of the response."""
-        return self._first.amplitude_weights(self.omega(self.start) / self.subharmonic)
+        return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
 
     @property
     def records(self) -> int:
@@ -95,60 +95,70 @@ class Orbits(CurveSystem):
         return self.size**2
 
     @property
-    def at_once(self) -> int:
+    def points_per_call(self) -> int:
         # Monodromy matrices of 8192 numbers together: those behind a rejected step are lost, and
         # of large ones few pay for the time between calls.
         return 2**13 // self.records
 
-    def control(self, longest_step: float) -> MultiplierControl:
+    def make_step_control(self, longest_step: float) -> MultiplierControl:
         return MultiplierControl(longest_step)
 
     @cached_property
-    def _rest(self) -> np.ndarray:
+    def _rest_start_and_change(self) -> np.ndarray:
         """x_0 and x_1."""
-        first, last = (self._scaled(self.flow(v).rest_state, v) for v in (self.start, self.end))
-        return np.array([first, last - first])
+        start_rest, end_rest = (
+            self._scale_state(self.flow(value).rest_state, value)
+            for value in (self.start, self.end)
+        )
+        return np.array([start_rest, end_rest - start_rest])
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """z of x where the parameter has a value."""
-        state = (unknown + self._offset(value)) / self.scale
-        return np.asarray(state if self.name != "speed" else state @ self._modes(value).T)
+        state = (unknown + self._rest_unknown(value)) / self.scale
+        if self.name == "speed":
+            state = state @ self._state_transformation(value).T
+        return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """x of z where the parameter has a value."""
-        return self._scaled(state, value) - self._offset(value)
+        return self._scale_state(state, value) - self._rest_unknown(value)
 
-    def _scaled(self, state: np.ndarray, value: float) -> np.ndarray:
+    def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
         """x + x_0 + p x_1."""
         if self.name == "speed":
-            state = np.linalg.solve(self._modes(value), state)
+            state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
 
-    def _offset(self, value: float) -> np.ndarray:
+    def _rest_unknown(self, value: float) -> np.ndarray:
         """x_0 + p x_1."""
-        return np.asarray(self._rest[0] + self.parameter(value) * self._rest[1])
+        rest_start, rest_change = self._rest_start_and_change
+        return np.asarray(rest_start + self.parameter(value) * rest_change)
 
-    def _modes(self, value: float) -> np.ndarray:
+    def _state_transformation(self, value: float) -> np.ndarray:
         """States of the first flow to those where the speed has a value."""
-        change = self.flow(value).modes.inverse @ self._first.modes.shapes
-        places = np.eye(self._first.size - 2 * self._first.n_modes)
-        return scipy.linalg.block_diag(change, change, places)
+        modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
+        friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
+        return scipy.linalg.block_diag(modal_change, modal_change, friction_identity)
 
-    def _motion(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> Motion:
+    def _advance_motion(
+        self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
+    ) -> Motion:
         """Over a part of the period."""
         value = self.value(parameter)
         omega, state = self.omega(value), self.state(unknown, value)
         period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow(value).advance(state, omega, part * period)
+        return self.flow(value).advance(state, omega, period_fraction * period)
 
-    def moved(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
+    def advance_unknown(
+        self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
+    ) -> np.ndarray:
         """x after a part of the period."""
-        state = self._motion(unknown, parameter, part).state
+        state = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(state, self.value(parameter))
 
-    def half_off(self, unknown: np.ndarray, parameter: float) -> float:
+    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of an orbit over half its period, relative to its size."""
-        change = self.moved(unknown, parameter, 0.5) - unknown
+        change = self.advance_unknown(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(change) / (np.linalg.norm(unknown) or 1.0))
 
     # --- what paths require -----------------------------------------------------------------------
@@ -156,25 +166,34 @@ class Orbits(CurveSystem):
     @cached_property
     def compiled(self) -> ShootingEquations | None:
         """The same equations in the kernel; None where it does not have them."""
-        damped = self.name == "damping"
+        is_over_damping = self.name == "damping"
         # With friction where pairs stick depends on the damping, too.
-        if self.name in ("stiffness", "speed", "friction") or (damped and self._first.friction):
+        if self.name in ("stiffness", "speed", "friction") or (
+            is_over_damping and self._start_flow.friction
+        ):
             return None
-        omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        flow = first = self._first
-        along: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
+        omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
+        flow = start_flow = self._start_flow
+        kernel_fields: dict[str, Any] = (
+            {"rest": self._rest_start_and_change} if self._rest_start_and_change.any() else {}
+        )
         if self.name != "omega":
-            last = self.flow(self.end)
+            end_flow = self.flow(self.end)
             # Its own: it changes.
-            flow = self._flow_at(max(self.start, self.end) if damped else self.start)
-            if damped:
-                rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
-                along |= {"damping": as_doubles(damping), "damping_by": as_doubles(rate)}
-                along["rates"] = damping.size
+            flow = self._make_flow(max(self.start, self.end) if is_over_damping else self.start)
+            if is_over_damping:
+                damping_change = end_flow.modes.damping - start_flow.modes.damping
+                damping = start_flow.modes.damping
+                kernel_fields |= {"damping": as_doubles(damping), "rates": damping.size}
+                kernel_fields["damping_by"] = as_doubles(damping_change)
             else:
-                along |= {"force": flow.modal_load, "force_by": last.modal_load - first.modal_load}
-                along |= {"gap": flow.load_gap, "gap_by": last.load_gap - first.load_gap}
-        return ShootingEquations(flow, self.scale, omega, self.subharmonic, **along)
+                load_change = end_flow.modal_load - start_flow.modal_load
+                gap_change = end_flow.load_gap - start_flow.load_gap
+                kernel_fields |= {"force": flow.modal_load, "force_by": load_change}
+                kernel_fields |= {"gap": flow.load_gap, "gap_by": gap_change}
+        return ShootingEquations(
+            flow, self.scale, omega_and_change, self.subharmonic, **kernel_fields
+        )
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x|."""
@@ -191,7 +210,7 @@ class Orbits(CurveSystem):
         if self.compiled is not None:
             return self.compiled.linearise(unknown, parameter)
         try:
-            motion = self._motion(unknown, parameter)
+            motion = self._advance_motion(unknown, parameter)
         except InputError as error:  # Newton's method has left what the parameter may be
             raise ConvergenceError(str(error)) from None
         value = self.value(parameter)
@@ -200,18 +219,19 @@ class Orbits(CurveSystem):
         def monodromy() -> np.ndarray:
             tangent = motion.track.tangent
             if self.name == "speed":
-                modes = self._modes(value)
-                tangent = np.linalg.solve(modes, tangent @ modes)
+                transformation = self._state_transformation(value)
+                tangent = np.linalg.solve(transformation, tangent @ transformation)
             return np.asarray(self.scale[:, None] * tangent / self.scale)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed" or self._first.friction:
+            if self.name == "speed" or self._start_flow.friction:
                 step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
-                return (self.moved(unknown, parameter + step) - unknown - residual) / step
+                return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
-            softness = -self.rate(value) / value * motion.track.flow.softness
+            softness = -self.value_rate(value) / value * motion.track.flow.softness
             change = self.scale * motion.track.derivative_by_softness(state, softness)
-            return np.asarray(change + monodromy() @ self._rest[1] - self._rest[1])
+            rest_change = self._rest_start_and_change[1]
+            return np.asarray(change + monodromy() @ rest_change - rest_change)
 
         events, pieces = motion.events, motion.pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)

@@ -68,7 +68,7 @@ def monodromy(
     contact: ContactLaw,
     gap: np.ndarray,
     base_omega: float,
-    static_above: float | None = None,
+    static_cutoff: float | None = None,
 ) -> np.ndarray:
     """M over one period of a solution, from phase zero: (2 n_modes, 2 n_modes); of a small
     structure.
@@ -77,71 +77,85 @@ def monodromy(
     beyond ``static_above`` [rad/s] are quasi-static. Raises ConvergenceError where M is not found,
     InputError where the law's tangent is not the slope of its force along the solution.
     """
-    modes = all_modes(structure).with_static_modes(static_above)
-    seen = sample_period(gap, 4 * len(gap))
+    modes = all_modes(structure).with_static_modes(static_cutoff)
+    gap_samples = sample_period(gap, 4 * len(gap))
     if modes.residual is not None:
-        seen = seen - smooth_forces(contact, modes.residual, seen)[0] @ modes.residual
-    check_slope(contact, seen)
-    size = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
-    count = 1 << (4 * len(gap)).bit_length()
-    coarse = found = _product(modes, contact, gap, base_omega, count)
-    change = whole = np.inf
-    while count < 2**13 and not change <= MULTIPLIER_TOLERANCE * whole < np.inf:
-        count *= 2
-        fine = _product(modes, contact, gap, base_omega, count)
-        before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
-        parts = (size[:, None] * one / size for one in (found - before, found))
-        change, whole = (float(np.linalg.norm(part)) for part in parts)
-    if not np.all(np.isfinite(found)):
+        forces = smooth_forces(contact, modes.residual, gap_samples)[0]
+        gap_samples = gap_samples - forces @ modes.residual
+    check_slope(contact, gap_samples)
+    state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
+    n_steps = 1 << (4 * len(gap)).bit_length()
+    last_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+    change_size = matrix_size = np.inf
+    while n_steps < 2**13 and not change_size <= MULTIPLIER_TOLERANCE * matrix_size < np.inf:
+        n_steps *= 2
+        product = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+        last_matrix = matrix
+        matrix = product + (product - last_product) / 3.0
+        last_product = product
+        scaled_matrices = (
+            state_scale[:, None] * part_matrix / state_scale
+            for part_matrix in (matrix - last_matrix, matrix)
+        )
+        change_size, matrix_size = (
+            float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_matrices
+        )
+    if not np.all(np.isfinite(matrix)):
         raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
-    return found
+    return matrix
 
 
-def _product(
-    modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, count: int
+def _multiply_steps(
+    modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, n_steps: int
 ) -> np.ndarray:
     """M of so many steps, a power of two: of stretches of the period at once, then of these one
     after the other."""
-    h, n, values = 2.0 * np.pi / base_omega / count, len(modes.squares), sample_period(gap, count)
+    h = 2.0 * np.pi / base_omega / n_steps
+    n_modes = len(modes.squares)
+    gap_samples = sample_period(gap, n_steps)
     if modes.residual is None:
-        kicks = h * contact.tangent(values)[:, :, None]
+        kicks = h * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces(contact, modes.residual, values)[1]
-    stretches = 1
-    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHE_BLOCK_SIZE:
-        stretches *= 2
-    along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
-    moved = modes.transition(h)[0]
-    state = np.tile(np.eye(2 * n), (stretches, 1, 1))
+        kicks = h * smooth_forces(contact, modes.residual, gap_samples)[1]
+    n_stretches = 1
+    while n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < CACHE_BLOCK_SIZE:
+        n_stretches *= 2
+    stretch_kicks = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
+    transition = modes.transition(h)[0]
+    states = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # of too few steps
-        for kick in along.swapaxes(0, 1):
-            state[:, n:] -= _kicked(modes, kick, state[:, :n])
-            state = _drifted(modes, moved, state)
-        product = state[0]
-        for one in state[1:]:
-            product = one @ product
-        half = np.zeros_like(product)
-        half[n:, :n] = 0.5 * _kicked(modes, kicks[0], np.eye(n))
-        product = product + product @ half
-        return product - half @ product
+        for kick in stretch_kicks.swapaxes(0, 1):
+            states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
+            states = _drift(modes, transition, states)
+        product = states[0]
+        for stretch_product in states[1:]:
+            product = stretch_product @ product
+        half_kick = np.zeros_like(product)
+        half_kick[n_modes:, :n_modes] = 0.5 * _velocity_change(modes, kicks[0], np.eye(n_modes))
+        product = product + product @ half_kick
+        return product - half_kick @ product
 
 
-def _kicked(modes: AllModes, kick: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """h P kappa P^T q."""
-    seen = modes.pairs.T @ moved
-    return np.asarray(modes.pairs @ (kick * seen if modes.residual is None else kick @ seen))
+    pair_displacement = modes.pairs.T @ displacement
+    is_diagonal = modes.residual is None
+    impulse = kick * pair_displacement if is_diagonal else kick @ pair_displacement
+    return np.asarray(modes.pairs @ impulse)
 
 
-def _drifted(modes: AllModes, moved: np.ndarray, state: np.ndarray) -> np.ndarray:
+def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.ndarray:
     """E z of the structure without contact, E as :meth:`AllModes.transition` gives it."""
     if modes.damping.ndim == 2:
-        return np.asarray(moved @ state)
-    n, e = moved.shape[1], moved[:, :, None]
-    q, rate = state[:, :n], state[:, n:]
-    return np.concatenate([e[0] * q + e[1] * rate, e[2] * q + e[3] * rate], axis=1)
+        return np.asarray(transition @ states)
+    n_modes, blocks = transition.shape[1], transition[:, :, None]
+    displacement, velocity = states[:, :n_modes], states[:, n_modes:]
+    new_displacement = blocks[0] * displacement + blocks[1] * velocity
+    new_velocity = blocks[2] * displacement + blocks[3] * velocity
+    return np.concatenate([new_displacement, new_velocity], axis=1)
 
 
-def _assessed(
+def _assessment_of(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None
 ) -> Assessment:
     """The assessment of a solution of a structure, by default with the solution's own law."""
@@ -194,28 +208,30 @@ def shoot(
     >>> distance = orbit.multipliers
     """
     check_count("settle", settle, 0)
-    known, periods = _assessed(structure, solution, contact), solution.subharmonic
-    assert known.wave.contact is not None
-    flow = exact_flow(structure, known.wave.contact)
-    found = None if settle else known.orbit
-    if found is None:
-        orbits = FlowOrbits(flow, solution.omega, known.states[0], periods)
-        settled = orbits.start
+    assessment, periods = _assessment_of(structure, solution, contact), solution.subharmonic
+    assert assessment.wave.contact is not None
+    flow = exact_flow(structure, assessment.wave.contact)
+    orbit = None if settle else assessment.orbit
+    if orbit is None:
+        orbits = FlowOrbits(flow, solution.omega, assessment.states[0], periods)
+        settled_unknown = orbits.start
         for _ in range(settle):
-            settled = orbits.advance_period(settled, 1.0)
-        start = orbits.state(settled)
-        found = find_orbit(flow, solution.omega, start, subharmonic=periods)
-        if found is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            found = find_by_homotopy(
+            settled_unknown = orbits.advance_period(settled_unknown, 1.0)
+        start = orbits.state(settled_unknown)
+        orbit = find_orbit(flow, solution.omega, start, subharmonic=periods)
+        if orbit is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            orbit = find_by_homotopy(
                 FlowOrbits(flow, solution.omega, start, periods), SearchOptions()
             )
-    if found is not None and found.residual > tolerance:  # its last step was short, but M is large
-        again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
-        found = again or found
-    if found is None or not found.residual <= tolerance:
-        closest = "" if found is None else f"; closest {found.residual:.1e}"
-        raise ConvergenceError(f"shooting: no periodic orbit near the solution{closest}")
-    return found
+    if orbit is not None and orbit.residual > tolerance:  # its last step was short, but M is large
+        refined_orbit = find_orbit(
+            orbit.flow, orbit.omega, orbit.state, subharmonic=orbit.subharmonic
+        )
+        orbit = refined_orbit or orbit
+    if orbit is None or not orbit.residual <= tolerance:
+        residual_words = "" if orbit is None else f"; closest {orbit.residual:.1e}"
+        raise ConvergenceError(f"shooting: no periodic orbit near the solution{residual_words}")
+    return orbit
 
 
 def floquet(
@@ -257,14 +273,14 @@ def floquet(
     >>> stability = fc.floquet(structure, solution)
     >>> verdict, reason = stability.verdict, stability.reason
     """
-    known = _assessed(structure, solution, contact)
-    law = known.wave.contact
-    if known.flow is None:
+    assessment = _assessment_of(structure, solution, contact)
+    law = assessment.wave.contact
+    if assessment.flow is None:
         assert law is not None
         if is_unilateral(law) or not is_small(structure):
             exact_flow(structure, law)  # says what is missing
-        return _by_waves(structure, solution, law)
-    return stability_of(known)
+        return _stability_by_linear_flow(structure, solution, law)
+    return stability_of(assessment)
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
@@ -301,30 +317,41 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     >>> if fc.floquet(structure, solution).verdict == "unstable":
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
-    known = replace(solution, structure=structure).assessment
-    if known.irregular_motion is not None:
-        return (known.irregular_motion,)
-    followed = known.flow is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    verdict = stability_of(known).verdict if followed else "no exact flow"
-    orbit = known.orbit if followed else None
+    assessment = replace(solution, structure=structure).assessment
+    if assessment.irregular_motion is not None:
+        return (assessment.irregular_motion,)
+    has_monodromy = (
+        assessment.flow is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
+    )
+    verdict = stability_of(assessment).verdict if has_monodromy else "no exact flow"
+    orbit = assessment.orbit if has_monodromy else None
     if verdict != "unstable" or orbit is None:
-        allowed = f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
-        raise InputError("solution", verdict, allowed)
+        requirement = (
+            f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
+        )
+        raise InputError("solution", verdict, requirement)
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
-    values, vectors = np.linalg.eig(orbits.scale[:, None] * orbit.monodromy / orbits.scale)
-    leading = int(np.abs(values).argmax())
-    mu, change = values[leading], vectors[:, leading].real
+    multipliers, eigenvectors = np.linalg.eig(
+        orbits.scale[:, None] * orbit.monodromy / orbits.scale
+    )
+    leading_index = int(np.abs(multipliers).argmax())
+    mu, start_change = multipliers[leading_index], eigenvectors[:, leading_index].real
     states = orbit.sampled.whole_states
-    moved = motion_size(orbits.scale * states) / np.sqrt(len(states))
-    change *= 0.01 * moved / np.linalg.norm(change)
-    found: list[Attractor] = []
-    for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
-        one = find_attractor(orbits, start)
+    rms_motion = motion_size(orbits.scale * states) / np.sqrt(len(states))
+    start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
+    motions: list[Attractor] = []
+    for start in (orbits.start + start_change, orbits.start - start_change)[
+        : 2 if mu == abs(mu) else 1
+    ]:
+        motion = find_attractor(orbits, start)
         if not any(
-            one.orbit and other.orbit and is_same_orbit(one.orbit, other.orbit) for other in found
+            motion.orbit
+            and earlier_motion.orbit
+            and is_same_orbit(motion.orbit, earlier_motion.orbit)
+            for earlier_motion in motions
         ):
-            found.append(one)
-    return tuple(found)
+            motions.append(motion)
+    return tuple(motions)
 
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
@@ -340,51 +367,59 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     return find_attractor(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
 
 
-def stability_of(known: Assessment) -> Stability:
+def stability_of(assessment: Assessment) -> Stability:
     """Stability of a solution by its orbit."""
-    orbit, motion = known.orbit, known.irregular_motion
+    orbit, motion = assessment.orbit, assessment.irregular_motion
     if orbit is None:
-        assert known.flow is not None
-        values = np.full(known.flow.size, np.nan + 0j)
+        assert assessment.flow is not None
+        multipliers = np.full(assessment.flow.size, np.nan + 0j)
         if motion is not None:
-            values[0] = motion.growth
+            multipliers[0] = motion.growth
             return Stability(
-                values,
+                multipliers,
                 "irregular",
                 np.nan,
                 reason=f"no orbit was found, and the exact motion {motion.description}",
             )
-        if known.prediction is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            values = eigenvalues(known.prediction.monodromy)
-        return Stability(values, "undecided", np.nan, reason=known.reason)
-    reason, largest = known.reason, abs(orbit.multipliers[0])
-    if not reason and abs(largest - 1.0) <= MULTIPLIER_TOLERANCE:
+        if assessment.prediction is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            multipliers = eigenvalues(assessment.prediction.monodromy)
+        return Stability(multipliers, "undecided", np.nan, reason=assessment.reason)
+    reason, largest_modulus = assessment.reason, abs(orbit.multipliers[0])
+    if not reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
-    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
-    return Stability(orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, known.distance, reason)
+    verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
+    return Stability(
+        orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, assessment.distance, reason
+    )
 
 
-def _by_waves(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
+def _stability_by_linear_flow(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
+) -> Stability:
     """Assess by the multipliers of the flow along the solution; their difference from those with
     twice the harmonics is the uncertainty."""
-    gap, above, off = solution.slow_gap_coefficients, solution.static_above, np.inf
+    gap, static_cutoff, uncertainty = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
-        values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
+        multipliers = eigenvalues(
+            monodromy(structure, contact, gap, solution.base_omega, static_cutoff)
+        )
         wave = replace(solution, structure=structure, contact=contact)
-        finer = with_twice_the_harmonics(wave) if gap.size else solution
-        if finer is not None:
-            slow = finer.slow_gap_coefficients
-            along = monodromy(structure, contact, slow, solution.base_omega, above)
-            off = float(abs(abs(eigenvalues(along)[0]) - abs(values[0])))
+        finer_solution = with_twice_the_harmonics(wave) if gap.size else solution
+        if finer_solution is not None:
+            finer_gap = finer_solution.slow_gap_coefficients
+            finer_matrix = monodromy(
+                structure, contact, finer_gap, solution.base_omega, static_cutoff
+            )
+            uncertainty = float(abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0])))
     except ConvergenceError as error:
-        unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
-        return Stability(unknown, "undecided", np.nan, reason=str(error))
-    largest, left_out, reason = abs(values[0]), solution.report.truncation, ""
-    if left_out >= UNKNOWN or not np.isfinite(off):
+        unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
+        return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
+    largest_modulus, truncation_error, reason = abs(multipliers[0]), solution.report.truncation, ""
+    if truncation_error >= UNKNOWN or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
-    elif left_out > LARGE_ERROR:
-        reason = f"the truncated harmonics change it by {percent(left_out)}; use more"
-    elif abs(largest - 1.0) <= max(MULTIPLIER_TOLERANCE, off):
+    elif truncation_error > LARGE_ERROR:
+        reason = f"the truncated harmonics change it by {percent(truncation_error)}; use more"
+    elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, uncertainty):
         reason = "its largest multiplier is 1 within its uncertainty"
-    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
-    return Stability(values, verdict, off, reason=reason)
+    verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
+    return Stability(multipliers, verdict, uncertainty, reason=reason)

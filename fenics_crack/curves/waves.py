@@ -39,19 +39,19 @@ class Waves(CurveSystem):
     ``other_integrals``: the law, or its residual flexibility, changes along it.
     """
 
-    other_integrals = False
+    has_varying_integrals = False
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
-            problem = problem.with_common_cutoff(self._cutoff(problem, start, end))
+            problem = problem.with_common_cutoff(self._common_cutoff(problem, start, end))
         if problem.is_projected:
-            allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
-            raise InputError("contact", problem.contact, allowed)
+            requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
+            raise InputError("contact", problem.contact, requirement)
         self.problem, self.start, self.end = problem, start, end
         self._compliance = ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
-        self._last: tuple[float, ContactSystem] | None = None
-        first = self.system(start)
-        self.shape, self.matrix_free = first.shape, first.matrix_free
+        self._last_system: tuple[float, ContactSystem] | None = None
+        start_system = self.system(start)
+        self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
         self.counts: np.ndarray | None = None
         """Weights of the unknowns in turns of a path. Of equations with so many
         harmonics that J is not formed harmonic k counts 1 / k^2: where the phase of the motion
@@ -62,11 +62,11 @@ class Waves(CurveSystem):
             self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         """Raise InputError unless the parameter can have a value."""
         check_number(key, value, 0.0, above=True)
 
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
+    def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
         return max(self.vary(problem, value).cutoff for value in (start, end))
 
@@ -75,9 +75,9 @@ class Waves(CurveSystem):
         return self.problem.integrals()
 
     @cached_property
-    def steepest_force(self) -> float:
+    def max_force_slope(self) -> float:
         """Largest slope of the contact forces where the law is stiffest, at one end [N/m]."""
-        laws = (self.at(value).contact for value in (self.start, self.end))
+        laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).steepest_force(law) for law in laws)
 
     @classmethod
@@ -86,36 +86,36 @@ class Waves(CurveSystem):
         """A problem where the parameter has a value."""
 
     @classmethod
-    def frequency(cls, problem: Problem, value: float) -> float:
+    def load_frequency(cls, problem: Problem, value: float) -> float:
         """Load frequency of a problem where the parameter has a value [rad/s]."""
         return problem.omega
 
-    def at(self, value: float) -> Problem:
+    def problem_at(self, value: float) -> Problem:
         """The problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
-    def _make(self, value: float) -> ContactSystem:
-        if self.other_integrals:
-            return self.at(value).system(self.compliance(value))
+    def _make_system(self, value: float) -> ContactSystem:
+        if self.has_varying_integrals:
+            return self.problem_at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """dF/dv."""
-        assert isinstance(at.system.compliance, ModalCompliance)
-        return at.system.compliance.derivative(self.name, at.force)
+        assert isinstance(point.system.compliance, ModalCompliance)
+        return point.system.compliance.derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
         """The equations where the parameter has a value; the last ones are kept."""
-        if self._last is None or self._last[0] != value:
-            self._last = value, self._make(value)
-        return self._last[1]
+        if self._last_system is None or self._last_system[0] != value:
+            self._last_system = value, self._make_system(value)
+        return self._last_system[1]
 
     def compliance(self, value: float) -> ModalCompliance:
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        return self.frequency(self.problem, value)
+        return self.load_frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """The unknowns of what a curve keeps, also one of a shorter period."""
@@ -127,17 +127,17 @@ class Waves(CurveSystem):
     def compiled(self) -> CompiledEquations | None:
         """The same equations in the kernel; None where it does not have them."""
         system = self.system(self.start)
-        return self._compile(system) if system.integrals.exact else None
+        return self._compile_equations(system) if system.integrals.exact else None
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """The kernel's equations, from the system at p = 0; by default it has none."""
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
-        rate = self.rate(value)
+        rate = self.value_rate(value)
         return self.system(value).with_derivative(
-            unknown, lambda point: rate * self._by_value(value, point)
+            unknown, lambda point: rate * self._residual_by_value(value, point)
         )
 
     @property
@@ -152,24 +152,33 @@ class Waves(CurveSystem):
         compliance.
         """
         if self.compiled is not None:
-            largest = self.compiled.largest_compliance(parameter)
+            largest_compliance = self.compiled.largest_compliance(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
-            largest = float(np.abs(dynamic_part).sum(axis=2).max())
-        return residual_rounding(4.0 * largest * self.steepest_force)
+            largest_compliance = float(np.abs(dynamic_part).sum(axis=2).max())
+        return residual_rounding(4.0 * largest_compliance * self.max_force_slope)
 
-    def half_off(self, unknown: np.ndarray, parameter: float) -> float:
+    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Change of a motion over half its period, relative to its size: twice what its odd
         harmonics are."""
-        odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
-        return float(2.0 * np.linalg.norm(unknown[odd]) / (np.linalg.norm(unknown) or 1.0))
+        is_odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        return float(2.0 * np.linalg.norm(unknown[is_odd]) / (np.linalg.norm(unknown) or 1.0))
 
-    def _with_modes(
-        self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]
+    def _compile_with_modes(
+        self,
+        start_system: ContactSystem,
+        omega_and_change: tuple[float, float],
+        damping_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
         """The kernel's equations along base frequencies, or factors of the damping."""
-        modal = self._compliance.modal_part(omega, damping, self.problem.residual)
-        return None if modal is None else first.compile(self._compliance.gap_without_modes, modal)
+        modal_part = self._compliance.modal_part(
+            omega_and_change, damping_and_change, self.problem.residual
+        )
+        return (
+            None
+            if modal_part is None
+            else start_system.compile(self._compliance.gap_without_modes, modal_part)
+        )
 
 
 class FrequencyWaves(Waves):
@@ -178,7 +187,7 @@ class FrequencyWaves(Waves):
     name = "omega"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_omega(value, key)
 
     @classmethod
@@ -189,23 +198,23 @@ class FrequencyWaves(Waves):
         return self._compliance.with_parameters(value / self.problem.subharmonic)
 
     @classmethod
-    def frequency(cls, problem: Problem, value: float) -> float:
+    def load_frequency(cls, problem: Problem, value: float) -> float:
         return value
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return super()._by_value(value, at) / self.problem.subharmonic
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return super()._residual_by_value(value, point) / self.problem.subharmonic
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        base = self.start / self.problem.subharmonic
-        rate = (self.end - self.start) / self.problem.subharmonic
-        return self._with_modes(first, (base, rate), (1.0, 0.0))
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
+        base_omega = self.start / self.problem.subharmonic
+        base_omega_change = (self.end - self.start) / self.problem.subharmonic
+        return self._compile_with_modes(start_system, (base_omega, base_omega_change), (1.0, 0.0))
 
 
-class _VariedWaves(Waves):
+class _VariedStructureWaves(Waves):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_number(key, value)
 
     @classmethod
@@ -215,43 +224,49 @@ class _VariedWaves(Waves):
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Compile the equations where g_lin alone depends on the parameter, and linearly."""
-        by_value = self._compliance.derivative(self.name, np.zeros(first.shape))
-        rate = -(self.end - self.start) * by_value
-        return first.compile(first.linear, first.dynamic_part, linear_rate=rate)
+        residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
+        linear_change = -(self.end - self.start) * residual_by_value
+        return start_system.compile(
+            start_system.linear, start_system.dynamic_part, linear_rate=linear_change
+        )
 
 
-class LoadWaves(_VariedWaves):
+class LoadWaves(_VariedStructureWaves):
     """v: factor of the load; a negative one reverses it."""
 
     name = "load"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
+        super().check_value(structure, key, value)
         if structure.whole.rotation is not None:
-            allowed = "another one: the structure rotates, and its mean load is partly centrifugal"
-            raise InputError("parameter", "load", allowed)
+            requirement = (
+                "another one: the structure rotates, and its mean load is partly centrifugal"
+            )
+            raise InputError("parameter", "load", requirement)
 
 
-class DampingWaves(_VariedWaves):
+class DampingWaves(_VariedStructureWaves):
     """v: factor of the damping."""
 
     name = "damping"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_number(key, value, 0.0)
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        damping = (self.start, self.end - self.start)
-        return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
+        damping_and_change = (self.start, self.end - self.start)
+        return self._compile_with_modes(
+            start_system, (self.problem.base_omega, 0.0), damping_and_change
+        )
 
 
-class ClearanceWaves(_VariedWaves):
+class ClearanceWaves(_VariedStructureWaves):
     """v: clearance [m] added to that of every pair."""
 
     name = "clearance"
@@ -260,23 +275,25 @@ class ClearanceWaves(_VariedWaves):
 class StiffnessWaves(Waves):
     """v: factor of the contact stiffness; p is proportional to ln v."""
 
-    name, logarithmic, other_integrals = "stiffness", True, True
+    name, logarithmic, has_varying_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return respond(at.system.dynamic_part, at.forces.by_stiffness()) / value
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return respond(point.system.dynamic_part, point.forces.by_stiffness()) / value
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations:
-        return first.compile(first.linear, first.dynamic_part, growth=self.rate(1.0))
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
+        return start_system.compile(
+            start_system.linear, start_system.dynamic_part, growth=self.value_rate(1.0)
+        )
 
 
 class FrictionWaves(Waves):
     """v: factor of the coefficient of friction."""
 
-    name, other_integrals = "friction", True
+    name, has_varying_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -286,8 +303,8 @@ class FrictionWaves(Waves):
         coefficient = np.multiply(value, friction.coefficient)
         return replace(problem, contact=replace(friction, coefficient=coefficient))
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return by_friction(at) / value
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return by_friction(point) / value
 
 
 class SpeedWaves(Waves):
@@ -297,47 +314,56 @@ class SpeedWaves(Waves):
     quasi-static part changes, and with it the sets of closed pairs.
     """
 
-    name, other_integrals = "speed", True
+    name, has_varying_integrals = "speed", True
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
-        spinning(structure)
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
+        super().check_value(structure, key, value)
+        require_run_up_structure(structure)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        structure = spinning(problem.structure).at_speed(value)
-        return replace(problem, structure=structure, omega=cls.frequency(problem, value))
+        structure = require_run_up_structure(problem.structure).at_speed(value)
+        return replace(problem, structure=structure, omega=cls.load_frequency(problem, value))
 
     @classmethod
-    def frequency(cls, problem: Problem, value: float) -> float:
-        return problem.omega * value / spinning(problem.structure).speed
+    def load_frequency(cls, problem: Problem, value: float) -> float:
+        return problem.omega * value / require_run_up_structure(problem.structure).speed
 
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
+    def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Between two modes whose frequencies do not cross it, for they would change the sides."""
-        least, rotor = super()._cutoff(problem, start, end), spinning(problem.structure)
+        min_cutoff = super()._common_cutoff(problem, start, end)
+        rotor = require_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
-        natural = np.array([rotor.at_speed(speed).omega for speed in speeds])
-        below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
-        apart = (above > least) & (above > below * (1.0 + 1e-6))
-        return float(max([least, *np.sqrt(below * above)[apart][:1]]))
+        natural_frequencies = np.array([rotor.at_speed(speed).omega for speed in speeds])
+        lower_frequencies = natural_frequencies.max(axis=0)[:-1]
+        upper_frequencies = natural_frequencies.min(axis=0)[1:]
+        is_separated = (upper_frequencies > min_cutoff) & (
+            upper_frequencies > lower_frequencies * (1.0 + 1e-6)
+        )
+        return float(
+            max([min_cutoff, *np.sqrt(lower_frequencies * upper_frequencies)[is_separated][:1]])
+        )
 
     def compliance(self, value: float) -> ModalCompliance:
-        problem = self.at(value)
+        problem = self.problem_at(value)
         return ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         step = CENTRAL_DIFFERENCE_STEP * value
-        ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
-        below, above = ends
-        return np.asarray((above - below) / (2.0 * step))
+        end_residuals = (
+            self._make_system(speed).linearise(point.unknown).residual
+            for speed in (value - step, value + step)
+        )
+        lower_residual, upper_residual = end_residuals
+        return np.asarray((upper_residual - lower_residual) / (2.0 * step))
 
 
-def spinning(structure: Structure) -> RunUpStructure:
+def require_run_up_structure(structure: Structure) -> RunUpStructure:
     """A structure that knows itself at every speed; InputError for another one."""
     if not isinstance(structure, RunUpStructure):
-        allowed = "one of run_up_structure(structure, start, stop, modes)"
-        raise InputError("structure", repr(structure), allowed)
+        requirement = "one of run_up_structure(structure, start, stop, modes)"
+        raise InputError("structure", repr(structure), requirement)
     return structure
 
 
@@ -349,9 +375,9 @@ class ResonanceWaves(Waves):
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        weights = value * np.eye(len(problem.structure.force))
-        weights[0, 0] = 1.0
-        return replace(problem, structure=problem.structure.varied(load=weights))
+        load_weights = value * np.eye(len(problem.structure.force))
+        load_weights[0, 0] = 1.0
+        return replace(problem, structure=problem.structure.varied(load=load_weights))
 
 
 WAVES: dict[str, type[Waves]] = {
