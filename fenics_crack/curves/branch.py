@@ -1,8 +1,7 @@
 """Branches that leave a curve at a bifurcation, and their junction with the curve.
 
-At a branch point the tangent of the new branch is a null vector of [J, F_p], orthogonal to the
-tangent of the old branch. At a period doubling the tangent is a null vector of J, with J from the
-equations of twice the period.
+At a branch point the new tangent is a null vector of [J, F_p], orthogonal to the old tangent. At a
+period doubling the new tangent is a null vector of J, from the equations with twice the period.
 
 References
 ----------
@@ -46,7 +45,7 @@ from fenics_crack.numerics.path import (
 
 
 class ParentJunction(Event):
-    """Junction of a branch of twice the period with its parent branch.
+    """Junction of a branch with its parent branch, which has half the period.
 
     At the junction the parent branch crosses or the parameter turns back, and the motion repeats
     itself after half its period.
@@ -94,16 +93,16 @@ def branch_start(
 ) -> PathPoint:
     """Return the first point of the branch that begins at a bifurcation.
 
-    The tangent of the point is the chord from the bifurcation to the point.
+    The point's tangent is the chord from the bifurcation to the point.
 
     Parameters
     ----------
     system : Waves or Orbits
     bifurcation : Bifurcation
     longest_step : float
-        Longest step of the branch.
+        Longest step along the branch.
     curve : ResponseCurve, optional
-        Parent branch. Its points next to the bifurcation give its tangent.
+        Parent branch; the points next to the bifurcation give the old tangent.
 
     Raises
     ------
@@ -123,13 +122,13 @@ def branch_start(
     branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, old_tangent)
     start = PathPoint(unknown, parameter, 0, branch_tangent)
     tolerance = max(PathOptions.rtol, system.rounding(parameter))
-    # Distances from the bifurcation, in longest steps, tried in turn.
+    # Distances from the bifurcation to try, relative to the longest step.
     for step in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
             point = predict_and_correct(system, start, step, tolerance, reach=longest_step)
             if point is None or MIN_DIRECTION_COSINE * chord_length(system, start, point) > step:
                 continue
-            # Of the way by +1 and by -1 half a period changes twice the step.
+            # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_new = (
                 not is_doubling or system.half_period_change(point.unknown, point.parameter) > step
             )
@@ -149,14 +148,14 @@ def _branch_tangent(
     is_doubling: bool,
     old_tangent: Tangent | None,
 ) -> Tangent:
-    """Return the unit tangent of the branch at a bifurcation.
+    """Return the unit tangent to the branch at a bifurcation.
 
     At a period doubling the tangent lies in the null space of J. Otherwise it lies in the null
     space of [J, F_p], orthogonal to the old tangent.
     """
     linearisation = system.linearise(unknown, parameter)
     old_tangent = old_tangent or tangent_of(system, unknown, linearisation)
-    parameter_scale = math.sqrt(old_tangent.weight)  # the parameter in the units of the unknowns
+    parameter_scale = math.sqrt(old_tangent.weight)  # gives p the units of x
     if is_doubling:
         vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:

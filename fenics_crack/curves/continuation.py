@@ -1,16 +1,18 @@
 """Response curves: solutions followed over a parameter, through resonances, folds and branches.
 
-Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) of a system
-(:mod:`curve_system`): of the condensed equations of harmonic balance (:mod:`waves`), or of exact
-periodic orbits (:mod:`orbits`). Only the small or reduced structure is touched at a point, in
-closed form: a curve costs the same on any mesh.
+Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) follows a system
+(:mod:`curve_system`): the condensed equations of harmonic balance (:mod:`waves`), or exact periodic
+orbits (:mod:`orbits`). A point takes the small or reduced structure alone, in closed form. A curve
+therefore costs the same on any mesh.
 
-Along a curve of harmonic balance folds are located by root finding, branch points by steps that
-shrink towards them, by the sign of det J, so only where J is formed
-(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`); verdicts come after it
-(:mod:`verdicts`). Of orbits Newton's method forms the monodromy matrix of each point for its
-tangent: multipliers, steps that resolve them, and all bifurcations (:mod:`orbit_events`) cost its
-eigenvalues.
+With harmonic balance, root finding locates folds. The sign of det J shows branch points,
+and shrinking steps locate them. If J is not formed
+(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`), branch points go unnoticed. Verdicts
+follow after the curve (:mod:`verdicts`).
+
+Along orbits, Newton's method forms the monodromy matrix at each point for the tangent.
+Multipliers, steps that resolve them, and all bifurcations (:mod:`orbit_events`) then cost only the
+matrix's eigenvalues.
 """
 
 from __future__ import annotations
@@ -67,7 +69,7 @@ from fenics_crack.numerics.path import (
 
 
 class StepOptions(TypedDict, total=False):
-    """Options of the :class:`Steps` of a curve, by their names."""
+    """Keyword arguments of :class:`StepLimits`."""
 
     longest_step: float
     most_points: int
@@ -76,7 +78,7 @@ class StepOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class StepLimits:
-    """Length and number of steps of a curve, as in :class:`Continuation`."""
+    """Step limits for a curve, as in :class:`Continuation`."""
 
     longest_step: float = 0.05
     most_points: int = 50_000
@@ -91,27 +93,29 @@ class StepLimits:
 
 
 class GrowingCurve:
-    """A curve of any system that grows from a first point: iterate over it, or :meth:`run` it.
+    """Curve along any system that grows from a first point: iterate over it, or :meth:`run` it.
 
     Parameters
     ----------
     system : CurveSystem
-        Its equations, followed from there to p = 1; a branch goes to p = 0, too.
-    here : PathPoint
-        The first point, with the direction.
-    steps : Steps
+        Equations, followed from the first point to p = 1; a branch may also end at p = 0.
+    start_point : PathPoint
+        First point, with the direction.
+    step_limits : StepLimits
     tolerance : float, optional
-        Of curves of exact orbits.
-    branch : bool
-        True if it has left another curve.
+        Tolerance for exact orbits.
+    is_branch : bool
+        True if the curve leaves another curve.
 
     Attributes
     ----------
     system : CurveSystem
     points : list of CurvePoint
-        All so far.
+        Points so far.
+    most_points : int
+        Maximum number of points.
     complete, returned, status
-        As of :class:`Continuation`.
+        As in :class:`Continuation`.
     """
 
     def __init__(
@@ -146,7 +150,7 @@ class GrowingCurve:
 
     @property
     def unjudged_curve(self) -> ResponseCurve:
-        """All points so far, without verdicts that are requested."""
+        """Points so far, without the verdicts of harmonic balance."""
         system, points = self.system, self.points
         problem, is_exact = system.problem, self._tolerance is not None
         multipliers = [
@@ -184,21 +188,23 @@ class GrowingCurve:
 
     @property
     def curve(self) -> ResponseCurve:
-        """All points so far, with verdicts."""
+        """Points so far, with verdicts."""
         return self.unjudged_curve
 
     def progress(self) -> float:
-        """Return the fraction of the way from start to end that is done, 0 to 1."""
+        """Return the completed fraction of the way from start to end, 0 to 1."""
         return min(1.0, max(0.0, self._last_point.parameter))
 
     def describe_progress(self) -> str:
-        """The same in words, with the range and how many points there are."""
+        """Describe the progress: completed percentage, range and number of points."""
         end_values = self.system.start, self.system.end
         return f"{self.progress():.0%} of the way between {self.describe_values(*end_values)}"
 
     def describe_values(self, *values: float) -> str:
-        """Values of the parameter in its unit, by default the last one so far, and how many points
-        there are."""
+        """Describe parameter values and the number of points.
+
+        The values are printed in their unit; default: the value at the last point.
+        """
         axis = parameter_axis(self.system.name, True)
         point_count = counted(len(self.points), "point")
         return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count}"
@@ -206,20 +212,22 @@ class GrowingCurve:
     # --- how it goes on ---------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[CurvePoint]:
-        """Yield the last point so far, at first the first one, and all that follow."""
+        """Yield the last point so far, then all points that follow."""
         yield self.points[-1]
         for segment in self._segments():
             for point_segment in segment.split_points():
                 yield self._record(point_segment)
 
     def run(self) -> None:
-        """Follow to the end: as iterating over all points does, but faster, since those between
-        which nothing happens are recorded many at once."""
+        """Follow the curve to its end.
+
+        This is faster than iteration, since whole segments without events are recorded together.
+        """
         for segment in self._segments():
             self._record(segment)
 
     def _segments(self) -> Iterator[PathSegment]:
-        """The path behind the last point, to where the curve ends."""
+        """Yield the rest of the path, from the last point to the end of the curve."""
         if self.complete:
             return
         system = self.system
@@ -252,7 +260,7 @@ class GrowingCurve:
         )
 
     def _record(self, segment: PathSegment) -> CurvePoint:
-        """Take up points, and what lies before the last of them; return that one."""
+        """Append a segment's points and special points; return its last point."""
         special_points = [
             (event.kind, self._convert_point(point))
             for event, point in segment.located_events
@@ -273,7 +281,7 @@ class GrowingCurve:
 
 
 class Continuation(GrowingCurve):
-    """A curve that grows point by point: iterate over it, and take its ``curve`` at any time.
+    """Curve that grows point by point: iterate over it, and take its ``curve`` at any time.
 
         for point in Continuation(Problem(plate, 1000.0, law), "omega", 1000.0, 3000.0):
             ...
@@ -281,49 +289,48 @@ class Continuation(GrowingCurve):
     Parameters
     ----------
     problem : Problem
-        Problem solved at the first point. A structure with many dofs is reduced first, to crack
-        faces without mass (``reduce_structure(structure, method="massless")``); ``omega`` counts
-        where it is not the parameter. Modes that are quasi-static are so for all of the curve:
-        those above ``static_above``, by default 2 H times the highest base frequency, with the
-        first point's H.
+        Problem at the first point. A structure with many dofs is reduced first, to crack faces
+        without mass (``reduce_structure(structure, method="massless")``). ``omega`` counts unless
+        it is the parameter. All points have the same quasi-static modes: those above
+        ``static_above``, by default 2 H times the highest base frequency, with the first point's H.
     parameter : str
-        "omega": load frequency [rad/s]; "load", "stiffness", "damping": factor of the structure's
-        load, of the contact stiffness, of the structure's damping, 1 being as given, and so
-        "friction": of its coefficient; "clearance": added to that of every pair [m]; "speed": of
-        the rotor [rad/s], which ``omega`` follows.
+        "omega": load frequency [rad/s]. "load", "stiffness", "damping", "friction": factor of the
+        load, the contact stiffness, the structure's damping, or the coefficient of friction.
+        "clearance": clearance added to every pair [m]. "speed": rotor speed [rad/s], which
+        ``omega`` follows.
     start, end : float
-        Its values; the end may be below the start.
+        Values of the parameter; the end may be below the start.
     exact : bool
-        Follow exact periodic orbits; the problem's harmonics play no part then.
+        Follow exact periodic orbits. The problem's harmonics are then ignored.
     initial : PeriodicSolution, PeriodicOrbit or Bifurcation, optional
-        Where to start. A solution: near the first point; of exact orbits also the orbit at
-        ``start``. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
+        A solution near the first point. For exact orbits, also the orbit at ``start``. A
+        bifurcation starts the branch that begins there; ``start`` and ``end`` then bound the
         parameter on either side (:func:`follow_branch`).
     branch_of : ResponseCurve, optional
-        The curve of the bifurcation.
+        Curve of the bifurcation.
     tolerance : float, optional
-        Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
-        estimated truncation error of the first point is below this. Of exact orbits the
-        ``tolerance`` of the curve; default: that of ``branch_of``, or 0.01.
+        Requires ``samples`` to be None. Choose H, between the problem's ``harmonics`` and 100, for
+        a truncation error below the tolerance at the first point. For exact orbits: the curve's
+        ``tolerance``; default: that of ``branch_of``, or 0.01.
     stability : bool
-        Assess ``curve`` each time that it is taken (:func:`judge_curve`); exact orbits always have
-        their stability.
+        Assess ``curve`` on each access (:func:`judge_curve`). Exact orbits always have their
+        stability.
     longest_step : float
-        Longest step, relative to the range of the parameter and to the size of the solution; at
-        most 1; default: 0.05.
+        Longest step, relative to the parameter range and to the solution's size; at most 1;
+        default: 0.05.
     most_points : int
-        Give up after so many; default: 50,000.
+        Maximum number of points; default: 50,000.
     turning_back : float
-        Maximum return of the curve past its start, relative to the range of the parameter, but
-        not to a frequency or a damping of zero; a closed curve can only be recognised where it may.
-        Default: 0.1.
+        Maximum return past the start, relative to the parameter range; default: 0.1. The curve
+        never returns to a frequency, damping or speed of zero. Only within this return can a closed
+        curve be recognised.
 
     Attributes
     ----------
     complete : bool
-        True if the end was reached, or the curve closed.
+        True if the curve reached the end, or closed.
     returned : bool
-        True if the curve came back to its start, or went past it, instead of reaching the end.
+        True if the curve closed or went past its start, instead of reaching the end.
     status : str
         Reason for the end.
 
@@ -363,7 +370,7 @@ class Continuation(GrowingCurve):
             if tolerance is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
         check_range(problem, parameter, start, end)
-        if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
+        if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # may not reach 0
             max_return = min(step_limits.turning_back, 0.9 * start / (end - start))
             step_limits = replace(step_limits, turning_back=max_return)
         if exact:
@@ -373,7 +380,7 @@ class Continuation(GrowingCurve):
         if not is_small(problem.structure):
             reduced_structure = reduce_structure(problem.structure, method="massless")
             problem = replace(problem, structure=reduced_structure)
-            if isinstance(initial, PeriodicSolution) and not exact:  # its gaps are all that is used
+            if isinstance(initial, PeriodicSolution) and not exact:  # only its gaps are used
                 initial = replace(initial, structure=reduced_structure)
         self._needs_verdicts = stability and not exact
         if self._needs_verdicts and is_rigid(problem.contact):
@@ -408,7 +415,7 @@ class Continuation(GrowingCurve):
 
     @property
     def curve(self) -> ResponseCurve:
-        """All points so far; assessed with ``stability=True``."""
+        """Points so far; assessed with ``stability=True``."""
         return judge_curve(self.unjudged_curve) if self._needs_verdicts else self.unjudged_curve
 
 
@@ -416,8 +423,11 @@ def first_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
     direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
-    """A solution as the first point of a curve, with its direction, towards growing p or roughly
-    known, and what a step control uses."""
+    """Return a solution as the first point of a curve.
+
+    The direction follows growing p, or ``direction`` if given. The point has what a step control
+    requires.
+    """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
     step_control_values = observe_point(system, linearisation)
@@ -428,8 +438,11 @@ def first_point(
 
 
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
-    """True if exact orbits can be followed along a parameter: a small structure has a flow, of so
-    few modes that the monodromy matrix is formed, and the load is not too slow."""
+    """Return True if exact orbits can be followed along a parameter.
+
+    The structure must be small and have a flow with few enough modes to form the monodromy matrix.
+    The load must not be too slow.
+    """
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
@@ -439,7 +452,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
-    """Raise InputError unless a curve can go from one value of a parameter to another."""
+    """Raise InputError unless a curve can go from one parameter value to another."""
     structure = problem.structure
     check_choice("parameter", parameter, WAVES)
     if is_rigid(problem.contact) and parameter == "stiffness":
@@ -457,7 +470,7 @@ def check_range(problem: Problem, parameter: str, start: float, end: float) -> N
 def _find_start_orbit(
     problem: Problem, initial: PeriodicSolution | PeriodicOrbit | None
 ) -> PeriodicOrbit:
-    """The orbit at the start of a curve."""
+    """Return the orbit at the start of a curve: the given one, or the result of a search."""
     if isinstance(initial, PeriodicOrbit):
         return initial
     if initial is not None:

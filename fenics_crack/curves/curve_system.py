@@ -31,13 +31,13 @@ class CurveSystem(ABC):
         Problem to solve, with a small or reduced structure. The parameter varies its structure or
         law.
     start, end : float
-        Values of v at p = 0 and p = 1.
+        v at p = 0 and p = 1.
     shape : tuple of int
         Shape of the unknowns.
     logarithmic : bool
         True if p is proportional to ln v.
     events : sequence of type of Event
-        Special points to detect on its curves.
+        Special points to detect.
     """
 
     name: str
@@ -68,10 +68,10 @@ class CurveSystem(ABC):
 
     @abstractmethod
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        """Return the load frequency of a solution [rad/s]."""
+        """Return a solution's load frequency [rad/s]."""
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return the part of a solution that a curve stores."""
+        """Return what a curve stores for a solution."""
         return unknown
 
     @abstractmethod
@@ -83,7 +83,7 @@ class CurveSystem(ABC):
         """Return the rounding error of |F| / |x| near a point of a curve."""
 
     def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Return the change of a motion over half its period, relative to its size."""
+        """Return a motion's change over half its period, relative to its size."""
         raise NotImplementedError
 
     @property
@@ -93,7 +93,7 @@ class CurveSystem(ABC):
 
     @property
     def points_per_call(self) -> int:
-        """Maximum number of points per call of the kernel."""
+        """Maximum number of points per kernel call."""
         return MAX_UNKNOWNS_PER_CALL // self.size
 
     def make_step_control(self, longest_step: float) -> StepControl | None:

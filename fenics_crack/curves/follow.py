@@ -1,4 +1,4 @@
-"""A whole curve in one call: over the frequency, over another parameter, or along a branch."""
+"""Whole curves in one call: over the frequency, over another parameter, or along a branch."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 
 MAX_CURVE_SEARCHES = 4
-"""Places, from the end on, from which another curve is sought that leads to the start."""
+"""Maximum number of searches for another curve that leads to the start. The first search begins at
+the end of the range, the others between the end and the start."""
 PROGRESS_BAR_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-"""Progress bar of a curve; its remaining time does not follow from its progress."""
+"""Format of a curve's progress bar, without a remaining time: the progress does not predict it."""
 
 
 class CurveOptions(StepOptions, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics, samples, subharmonic, initial
-        As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
+        As in :func:`.solve_harmonic_balance`; ``initial`` is a solution near the start.
     tolerance
-        In place of ``harmonics`` and ``samples``: follow exact orbits, whose solutions are kept
-        to this error. Where their flow is not known, as for smooth laws, or they
-        would take too long, with more than 120 modes or under a very slow load: harmonic balance
-        with as many harmonics as the truncation error of the first point requires.
+        Replaces ``harmonics`` and ``samples``: follow exact orbits, and keep their solutions to
+        this error. Harmonic balance replaces them if there is no exact flow, as for smooth laws, or
+        if orbits would take too long, with more than 120 modes or a very slow load. The truncation
+        error at the first point then sets the harmonics.
     stability, longest_step, most_points, turning_back
         As in :class:`.Continuation`; exact orbits always have their stability.
     """
@@ -67,10 +68,9 @@ def continue_frequency(
 ) -> ResponseCurve:
     """Follow the response from one load frequency to another, through resonances and folds.
 
-    Where the first solution found lies on a closed loop, or on a curve that turns back past its
-    start, another one is looked for by following the curve from its end, or from between, which its
-    status says; what came back is the result only where that fails too, or would take long, or
-    where ``initial`` is given.
+    The first solution may lie on a closed loop, or on a curve that turns back past its start.
+    Another curve is then sought from the end of the range, or from between; the status says so. The
+    first curve is returned if that fails or would take long, or if ``initial`` is given.
 
     Parameters
     ----------
@@ -80,28 +80,28 @@ def continue_frequency(
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law of all pairs; :class:`UnilateralConstraint` where crack faces have no mass, or where
-        modes above the harmonics move every pair by itself.
+        Law of all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
+        above the harmonics that move every pair by itself.
     progress : bool
         Show a progress bar.
     throw : bool
-        Raise if the end is not reached; else return what was found, ``complete`` being False.
-        Ctrl-C always returns what was found.
+        Raise if the end is not reached; otherwise return the points so far, with ``complete``
+        False. Ctrl-C always returns the points so far.
     **options
-        As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
+        As in :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
         stability, longest_step, most_points, turning_back.
 
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
+        Curve from the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached; what was found until then is its ``found``.
+        No first point, or the end was not reached; the points so far are in the error's ``found``.
 
     Examples
     --------
@@ -136,23 +136,23 @@ def continue_parameter(
     omega : float
         Load frequency [rad/s].
     parameter : "load", "stiffness", "damping", "clearance", "friction" or "speed"
-        As in :class:`Continuation`. With "speed" the structure is one of
-        :func:`fenics_crack.run_up_structure`; the load's frequency stays in the ratio to the speed
-        that ``omega`` has to the structure's own: that is the engine order.
+        As in :class:`Continuation`. "speed" requires a structure of
+        :func:`fenics_crack.run_up_structure`. The load frequency then keeps its ratio to the speed,
+        the engine order: ``omega`` over the structure's own speed.
     start, end : float
-        Its values.
+        Values of the parameter.
 
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
+        Curve from the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached; what was found until then is its ``found``.
+        No first point, or the end was not reached; the points so far are in the error's ``found``.
 
     Examples
     --------
@@ -199,11 +199,14 @@ def continue_parameter(
 def _find_other_curve(
     grow: Callable[..., GrowingCurve], start: float, end: float, first_curve: GrowingCurve | None
 ) -> GrowingCurve | None:
-    """Follow another curve from the start, in as many points as one before has or is soon to have.
+    """Follow another curve from the start; None if the searches fail.
 
-    Its solution at the start is met by following one from the end, or from between. It is needed
-    where the first solution lies on a curve that comes back to the start, such as a closed loop of
-    the truncated equations, or where there is none.
+    A search follows a curve from the end of the range, or from between, to the start. The solution
+    at the start then begins the other curve. This helps if the first curve returned to its start,
+    as a closed loop of the truncated equations does, or if there is no first solution.
+
+    ``first_curve`` is the curve that returned. All searches together may take as many points as it
+    has, or a limit by the number of unknowns if that is more.
     """
     n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
     # If there is no orbit at the start, each search takes long.
@@ -244,14 +247,14 @@ def follow_branch(
 ) -> ResponseCurve:
     """Follow the branch that begins at a period doubling, or crosses at a branch point.
 
-    The doubled branch has twice the period, and of harmonic balance twice as many harmonics. It is
-    followed in one direction, until the parameter leaves the range or the branch joins the old one
-    again; the other direction of a doubled branch is the same orbits half a period later.
+    A doubled branch has twice the period, and with harmonic balance twice the harmonics. The branch
+    is followed in one direction until the parameter leaves the range, or to a junction with its
+    parent. The other direction of a doubled branch has the same orbits half a period later.
 
     Parameters
     ----------
     curve : ResponseCurve
-        The old branch.
+        Parent branch.
     bifurcation : Bifurcation
         One of its bifurcations, of kind "period_doubling" or "branch_point".
     start, end : float, optional
@@ -263,14 +266,14 @@ def follow_branch(
     Returns
     -------
     ResponseCurve
-        Of twice the period from a period doubling, else of the same.
+        Branch with twice the period after a period doubling, otherwise with the same period.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No branch was found, or its end was not reached; what was found is its ``found``.
+        No branch was found, or its end was not reached; its points are in the error's ``found``.
 
     Examples
     --------
@@ -308,8 +311,23 @@ def run_to_end(
     throw: bool,
     find_other_curve: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
-    """Follow to the end, where the curve comes back to its start from another solution there; the
-    curve, assessed if requested, but not after Ctrl-C."""
+    """Follow a curve to its end, or another curve if the first one returns to the start.
+
+    Parameters
+    ----------
+    growing_curve : GrowingCurve
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise ConvergenceError if the end is not reached.
+    find_other_curve : callable, optional
+        Returns another curve from the start, or None.
+
+    Returns
+    -------
+    ResponseCurve
+        Curve, assessed if requested; not assessed after Ctrl-C.
+    """
     try:
         try:
             _run_with_progress(growing_curve, progress)
@@ -321,7 +339,7 @@ def run_to_end(
         except ConvergenceError as error:
             growing_curve.status = str(error)
         curve = growing_curve.curve
-    except KeyboardInterrupt:  # which ends the verdicts, too
+    except KeyboardInterrupt:  # may also interrupt the verdicts
         throw, growing_curve.status = False, INTERRUPTED
         curve = growing_curve.unjudged_curve
     if throw and not curve.complete:
@@ -334,7 +352,7 @@ def run_to_end(
 
 
 def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
-    """Follow to the end with a bar, or signs of life."""
+    """Follow a curve to its end with a progress bar, or with progress messages."""
     if not progress or growing_curve.system.problem.structure.whole.comm.rank != 0:
         begin("curve")
         with reaching(growing_curve.describe_progress):

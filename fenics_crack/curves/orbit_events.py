@@ -1,4 +1,4 @@
-"""Bifurcations of periodic orbits along a path, and steps that resolve their Floquet multipliers.
+"""Bifurcations of periodic orbits along a path, and step control by Floquet multipliers.
 
 Every point of the path carries its leading multipliers mu and three counts:
 
@@ -8,9 +8,8 @@ Every point of the path carries its leading multipliers mu and three counts:
 
 Between two neighbouring points there is a period doubling if d changes, and a Neimark-Sacker
 bifurcation if c changes. (Folds are found where the parameter turns back.) Two real multipliers
-that meet outside the circle and become a complex pair are no bifurcation. A bifurcation is located
-by the Illinois method (:func:`fenics_crack.numerics.path.find_zero`) on a function that changes its
-sign:
+that meet outside the circle and become a complex pair are no bifurcation. The Illinois method
+(:func:`fenics_crack.numerics.path.find_zero`) locates a bifurcation by a change of sign:
 
     period doubling     product of all 1 + mu
     Neimark-Sacker      |mu_k| - 1 of the k-th pair
@@ -20,26 +19,27 @@ across the circle. That is no bifurcation.
 
 Collisions of multipliers
 -------------------------
-With light damping, |mu| = exp(-d) lies just inside the circle for every multiplier. Along the path
+With light damping, |mu| = exp(-a) lies just inside the circle for every multiplier. Along the path
 the multipliers rotate. One leaves the circle only if two of them collide, and returns when they
 separate again. Both may happen between two points, so collisions are predicted from both ends.
 
 Let the basis be the eigenvectors of the monodromy matrix at the first point. In this basis the
 matrix is diag(mu) at the first point and B at the second point; between them it is interpolated
-linearly. At the fraction s of the step, two multipliers j and k have, relative to |mu_j mu_k|,
+linearly. At the fraction s of the step, two multipliers j and k have
 
     difference  g (1 - s) - s b,    g = |mu_j - mu_k|,    b = |B_jj - B_kk|
     coupling    s^2 c^2,            c^2 = 4 |B_jk B_kj|
 
+relative to sqrt(|mu_j mu_k|) and to |mu_j mu_k|.
+
 If B_jk B_kj / (B_jj - B_kk)^2 < 0 (opposite Krein signatures), the collision separates them in
 ln |mu| by at most
 
-    max over s of sqrt(s^2 c^2 - (s (g + b) - g)^2),    at s = g (g + b) / ((g + b)^2 - c^2).
+    max over s <= 1 of sqrt(s^2 c^2 - (s (g + b) - g)^2),   at s = g (g + b) / ((g + b)^2 - c^2).
 
-One of them leaves the circle if this exceeds 2 sqrt(d_j d_k). Otherwise they pass each other on the
-circle. Two multipliers do not collide if both matrices have them in the same order along the
-circle: the angles of mu_j / mu_k and of B_jj / B_kk, continued from the first by the shorter way,
-then have one sign.
+One of them leaves the circle if this exceeds 2 sqrt(a_j a_k). Two multipliers do not collide if
+both matrices have them in the same order along the circle. The angles of mu_j / mu_k and B_jj /
+B_kk, continued from the first by the shorter way, then have one sign.
 
 References
 ----------
@@ -201,7 +201,7 @@ class NeimarkSacker(Event):
         assert ends[0].observed is not None and ends[1].observed is not None
         pair_index = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
         end_excess = [pair_excess(multipliers_of(end), pair_index) for end in ends]
-        # What was within 1e-6 of the circle may have been beyond it all the time.
+        # A pair within the tolerance of the circle may have been outside all along.
         offset = 0.0 if end_excess[0] * end_excess[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:

@@ -124,7 +124,7 @@ def top_and_damping(
     damping : float
         Damping ratio by the half-power width; nan if a side of the peak is missing.
     """
-    from scipy.interpolate import CubicSpline  # takes longer to load than a curve to be drawn
+    from scipy.interpolate import CubicSpline  # loading takes longer than drawing a curve
 
     peak_point = float(values[peak_index]), float(amplitudes[peak_index])
     first_index, last_index = (
@@ -146,7 +146,7 @@ def top_and_damping(
     neighbour_values = np.sort(values[[peak_index - 1, peak_index + 1]])
     minima = minima[(minima > neighbour_values[0]) & (minima < neighbour_values[1])]
     top_value = float(min(minima, key=inverse_square, default=peak_point[0]))
-    if not inverse_square(top_value) > 0.0:  # as next to a place without this vibration
+    if not inverse_square(top_value) > 0.0:  # as next to a zero response
         return top_value, peak_point[1], math.nan
     half_power_values = inverse_square.solve(2.0 * inverse_square(top_value), extrapolate=False)
     band_start = half_power_values[half_power_values < top_value].max(initial=-math.inf)

@@ -1,10 +1,12 @@
-"""Phase resonance: where the displacement at the load has no part in phase with the load.
+"""Phase resonance: the displacement at the load has no part in phase with the load.
 
-What a modal test finds by its phase (:mod:`fenics_crack.balance.phase`). It is met on the response
-curve, followed from a frequency upwards where the displacement is in phase with the load, else
-downwards, through folds to the phase's zero. Over the load it is followed along p = ln v, v the
-factor of all of the load but its mean, with the frequency among the unknowns: in the units of v, s
-is constant where all is linear.
+A modal test finds the same resonance by its phase (:mod:`fenics_crack.balance.phase`). The search
+follows the response curve to the zero of the phase, through folds: upwards from a frequency with
+the displacement in phase with the load, otherwise downwards.
+
+Over the load the resonance is followed along p = ln v, with the frequency among the unknowns. The
+factor v multiplies the load without its mean. The other unknowns are s / v, constant if all is
+linear.
 """
 
 from __future__ import annotations
@@ -47,18 +49,23 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustl
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
 PHASE_SEARCH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
-"""Options of the response curve on which the first point is met. Its parameter is in halves of the
-frequency, so that steps are parts of the motion; up to three times the frequency, or down to a
-tenth."""
+"""Options for the response curve that leads to the first resonance.
+
+The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
+The curve reaches from a tenth of the frequency to three times the frequency.
+"""
 SMALL_LOAD_FACTOR = 1e-3
-"""Factor of a load that is a small one: less is lost in rounding beside a mean load."""
+"""Factor that makes a load small. A smaller one would lose more to rounding beside a mean load."""
 MAX_SPEED_CORRECTIONS = 20
-"""Maximum corrections by the secant of the speed at which an order meets a resonance."""
+"""Maximum number of secant steps to the speed at which an engine order meets a resonance."""
 
 
 class ResonanceSystem(CurveSystem):
-    """Phase resonance over the factor v of a load: unknowns s / (size v), and the frequency over
-    that of the problem, next to whose solution at ``start`` it is sought, ``begin``."""
+    """Phase resonance over the factor v of a load.
+
+    The unknowns are s / (size v), and the frequency relative to the problem's frequency.
+    ``start_unknown`` is a guess for the resonance at ``start``, from a nearby point.
+    """
 
     name, logarithmic = "resonance", True
 
@@ -98,20 +105,20 @@ class ResonanceSystem(CurveSystem):
 
 
 class _PhaseZero(ZeroCrossing):
-    """Zero of the part of the displacement that is in phase with the load, where a path ends."""
+    """Zero of the displacement in phase with the load, where a path ends."""
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
 
 def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
-    """The phase resonance that the response curve meets from a load frequency on.
+    """Return the first phase resonance on the response curve from a load frequency on.
 
     Raises
     ------
     InputError
         No damped mode answers to the load.
     ConvergenceError
-        There is no first solution, or the curve does not meet it.
+        There is no first solution, or no resonance on the curve.
     """
     if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         requirement = "the penalty law or the constraint, without friction, and subharmonic = 1"
@@ -119,7 +126,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", requirement)
-    start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # the phase of what is linear is not 0 then
+    start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # a linear phase is then not 0
     waves = FrequencyWaves(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(waves.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = waves.linearise(start_unknown, 0.0)
@@ -137,7 +144,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
         return power.real / abs(power)
 
     start_point = point_on_path(waves, start_unknown, 0.0)
-    if power.real > 0.0:  # upwards
+    if power.real > 0.0:  # the resonance is above
         start_point = replace(start_point, tangent=start_point.tangent.reverse())
     zero_point = Path(waves, start_point, PHASE_SEARCH_OPTIONS, [_PhaseZero(in_phase)]).run()
     if zero_point is None:
@@ -150,7 +157,10 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
 
 
 def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> PhasePoint:
-    """The resonance of a problem with some changes next to one, or else on its response curve."""
+    """Return the resonance of a changed problem next to a given resonance.
+
+    ``changes`` are fields of the problem. If Newton's method fails, the response curve is followed.
+    """
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
     system = ResonanceSystem(problem, resonance_point.drive, resonance_point.contact_point)
@@ -162,13 +172,25 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
 
 
 def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
-    """The same with so many harmonics that its error is below a tolerance, that several modes are
-    seen to answer together, or as many as a curve may have or as lead to a resonance; and that
-    error, inf where it is not known.
+    """Double the harmonics until the error is below a tolerance.
 
-    It is what half as many harmonics change, of the amplitude and of the frequency by what lowers
-    that as much, or what the exact flow predicts of the displacement, if that is more: many
-    harmonics may change nothing until one meets a mode."""
+    The search also ends if several modes answer together, at the maximum number of harmonics, or if
+    no resonance is found. The error is the larger of two numbers:
+
+    - The change from half as many harmonics: of the amplitude, and of the frequency as the
+    amplitude
+      loss by such a shift.
+    - The exact flow's prediction for the displacement. Many harmonics may change nothing until one
+    of
+      them meets a mode.
+
+    Returns
+    -------
+    point : PhasePoint
+        Resonance with the harmonics reached.
+    error : float
+        Relative error; inf if unknown.
+    """
     error, n_harmonics = math.inf, 2 * point.problem.harmonics
     while (
         error > tolerance
@@ -188,8 +210,16 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
 
 
 def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]:
-    """The resonance at the speed at which an order meets it, by the secant; and its rate, the
-    change of the order's speed there with the rotor's. Without an order, as it is."""
+    """Return the resonance at the speed at which an engine order meets it, by the secant method.
+
+    Returns
+    -------
+    point : PhasePoint
+        Resonance there; the given point without an order.
+    resonance_rate : float
+        Derivative of the resonance frequency over the order by the rotor's speed; 0 without an
+        order.
+    """
     if order is None:
         return point, 0.0
     rotor, omega = require_run_up_structure(point.problem.structure), point.omega
@@ -209,8 +239,10 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
 def _prepare_search(
     problem: Problem, near_omega: float | None, tolerance: float | None
 ) -> tuple[Problem, float]:
-    """The problem with a structure that is small, or else reduced to crack faces without mass, and
-    where a resonance of it is sought."""
+    """Return the problem with a small structure, and the load frequency of the search.
+
+    A structure with many dofs is reduced to crack faces without mass.
+    """
     for key, value in ("near", near_omega), ("tolerance", tolerance):
         if value is not None:
             check_number(key, value, 0.0, above=True)
@@ -245,9 +277,10 @@ def resonance_at(
 ) -> Resonance:
     """Find the phase resonance next to a load frequency, under the load as it is.
 
-    There the displacement at the load has no part in phase with the load, as in a modal test: next
-    to the largest response, unless several modes answer together, which is said. The response is
-    followed upwards from a frequency at which it is in phase with the load, else downwards.
+    At the resonance the displacement at the load has no part in phase with the load, as in a modal
+    test. The largest response is next to it, unless several modes answer together; the result says
+    so. The response is followed upwards from a frequency with displacement and load in phase,
+    otherwise downwards.
 
     ``resonance_at(structure, law, omega)`` is short for a problem with 5 harmonics, or as many as
     the load has.
@@ -258,25 +291,25 @@ def resonance_at(
         Structure, law, harmonics, and a load frequency. A structure with many dofs is reduced
         first, to crack faces without mass.
     near : float, optional
-        Load frequency [rad/s] next to which it is sought; default: the problem's.
+        Load frequency [rad/s] at which the search begins; default: the problem's.
     parameter : "omega" or "speed"
-        What follows the resonance: the load's frequency, or the speed of a rotor of
-        :func:`fenics_crack.run_up_structure`, whose modes are those of each speed.
+        Quantity that follows the resonance: the load frequency, or the speed of a rotor from
+        :func:`fenics_crack.run_up_structure`, with the modes at each speed.
     tolerance : float, optional
-        Take more harmonics, twice as many each time, until the estimated error of the amplitude is
-        below this, or several modes answer together: the curve shows more then.
+        Double the harmonics until the estimated error of the amplitude is below this, or until
+        several modes answer together: the curve shows more then.
 
     Returns
     -------
     Resonance
-        Its frequency, its width, and the motion there.
+        Frequency, width, and motion at the resonance.
 
     Raises
     ------
     InputError
         An argument cannot be used, or no damped mode answers to the load.
     ConvergenceError
-        No first solution, or the response from there on does not come to a resonance.
+        No first solution, or the response from there on has no resonance.
 
     Examples
     --------
@@ -310,8 +343,10 @@ def resonance_at(
 
 
 def resonance_under_small_load(problem: Problem, near_omega: float) -> float:
-    """Load frequency [rad/s] of the resonance under a small load, next to one: a crack that the
-    mean load holds open or closed stays so."""
+    """Return the load frequency [rad/s] of the nearby resonance under a small load.
+
+    Under such a load a crack that the mean load holds open or closed stays open or closed.
+    """
     return first_resonance(WAVES["resonance"].vary(problem, SMALL_LOAD_FACTOR), near_omega).omega
 
 
@@ -333,7 +368,7 @@ def follow_resonance(
     problem, near
         As in :func:`resonance_at`.
     start, end : float
-        Factors of all of the load but its mean, above 0.
+        Factors for the load without its mean, above 0.
     tolerance : float, optional
         Take as many harmonics as this error requires at the end.
     progress, throw, **steps
@@ -342,15 +377,15 @@ def follow_resonance(
     Returns
     -------
     ResponseCurve
-        With the parameter "resonance": a factor and the load frequency of each point. Its status
-        says at how many points several modes answer together.
+        Curve with the parameter "resonance": a factor and the load frequency at each point. The
+        status gives the number of points at which several modes answer together.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached; what was found is its ``found``.
+        No first point, or the end was not reached; the points so far are in the error's ``found``.
 
     Examples
     --------

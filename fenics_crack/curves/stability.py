@@ -1,29 +1,34 @@
 """Stability of periodic solutions: Floquet multipliers, and a verdict.
 
-The multipliers mu are those of the exact orbit next to a solution, which is stable where they lie
-within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit alone.
-:mod:`fenics_crack.balance.assessment` decides whether it is accepted for the solution.
+The multipliers mu belong to the exact orbit next to a solution. The orbit is stable if all lie
+within the unit circle (:mod:`fenics_crack.motion.orbit`). The function :func:`shoot` finds the
+orbit alone, and :mod:`fenics_crack.balance.assessment` decides whether it is accepted for the
+solution.
 
-Where no orbit is found, the exact motion that begins with the solution is followed: "irregular"
-if a small disturbance of it grows (:func:`fenics_crack.motion.attractors.find_irregular_motion`).
+If no orbit is found, the exact motion that begins with the solution is followed. The verdict is
+"irregular" if a small disturbance grows
+(:func:`fenics_crack.motion.attractors.find_irregular_motion`).
 
-Laws that are not linear in contact have no exact flow. Their multipliers are those of the linear
-flow along the solution, which decide if its error is small; they are as uncertain as they differ
-along the solution with twice the harmonics.
+Laws that are not linear in contact have no exact flow. Their multipliers come from the linear flow
+along the solution, and decide if the solution's error is small. Their uncertainty is the difference
+from the multipliers with twice the harmonics.
 
-**The linear flow.** Small disturbances z = (q, q') of a solution with gap s(t) follow, in modal
-coordinates,
+Linear flow
+-----------
+Small disturbances z = (q, q') of a solution with gap s(t) follow, in modal coordinates,
 
     q'' + C q' + (W^2 + P kappa(t) P^T) q = 0,      kappa = d lambda / ds along s(t).
 
-A step of length h is half a kick, q' -= h/2 P kappa P^T q, a drift of the structure without
-contact, which is exact, and half a kick with the stiffness there. The error of the product M_N of N
-steps in a period has even powers of h alone, so that that of (4 M_2N - M_N) / 3 is of fourth order.
-N is doubled until this hardly changes, or is large.
+A step with length h has three parts: half a kick, q' -= h/2 P kappa P^T q, an exact drift without
+contact, and half a kick with the stiffness at the end. The product M_N of N steps per period
+has an error with even powers of h alone. The error of (4 M_2N - M_N) / 3 is thus of fourth order. N
+is doubled until this matrix hardly changes, or is large.
 
-Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
-chapter 7; Strang, SIAM Journal on Numerical Analysis 5 (1968) 506; Hairer, Lubich and Wanner,
-Geometric Numerical Integration, 2006, section II.4.
+References
+----------
+Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004, chapter 7.
+Strang, SIAM Journal on Numerical Analysis 5, 1968, 506.
+Hairer, Lubich and Wanner, Geometric Numerical Integration, 2006, section II.4.
 """
 
 from __future__ import annotations
@@ -70,12 +75,25 @@ def monodromy(
     base_omega: float,
     static_cutoff: float | None = None,
 ) -> np.ndarray:
-    """M over one period of a solution, from phase zero: (2 n_modes, 2 n_modes); of a small
-    structure.
+    """Return M for the linear flow over one period from phase zero: (2 n_modes, 2 n_modes).
 
-    ``gap`` are the coefficients of the solution, (2H+1, n_pairs) [m], of the slow gap where modes
-    beyond ``static_above`` [rad/s] are quasi-static. Raises ConvergenceError where M is not found,
-    InputError where the law's tangent is not the slope of its force along the solution.
+    Parameters
+    ----------
+    structure : Structure
+        Small structure.
+    contact : ContactLaw
+    gap : (2H+1, n_pairs) [m]
+        Gap coefficients; with ``static_cutoff``, coefficients of the slow gap.
+    base_omega : float [rad/s]
+    static_cutoff : float, optional [rad/s]
+        Frequency above which modes are quasi-static.
+
+    Raises
+    ------
+    ConvergenceError
+        The steps cannot resolve M.
+    InputError
+        The law's tangent is not the slope of its force along the solution.
     """
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap, 4 * len(gap))
@@ -108,8 +126,10 @@ def monodromy(
 def _multiply_steps(
     modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, n_steps: int
 ) -> np.ndarray:
-    """M of so many steps, a power of two: of stretches of the period at once, then of these one
-    after the other."""
+    """Return the product M_N of N steps, N a power of two.
+
+    Stretches of the period are multiplied side by side, then one after the other.
+    """
     h = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
     gap_samples = sample_period(gap, n_steps)
@@ -123,7 +143,7 @@ def _multiply_steps(
     stretch_kicks = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
     transition = modes.transition(h)[0]
     states = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # of too few steps
+    with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in stretch_kicks.swapaxes(0, 1):
             states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
             states = _drift(modes, transition, states)
@@ -137,7 +157,7 @@ def _multiply_steps(
 
 
 def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """h P kappa P^T q."""
+    """Return the velocity change by a kick, h P kappa P^T q."""
     pair_displacement = modes.pairs.T @ displacement
     is_diagonal = modes.residual is None
     impulse = kick * pair_displacement if is_diagonal else kick @ pair_displacement
@@ -145,7 +165,7 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
 
 
 def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """E z of the structure without contact, E as :meth:`AllModes.transition` gives it."""
+    """Return E z for the structure without contact, with E from :meth:`AllModes.transition`."""
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)
     n_modes, blocks = transition.shape[1], transition[:, :, None]
@@ -158,7 +178,7 @@ def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.nd
 def _assessment_of(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None
 ) -> Assessment:
-    """The assessment of a solution of a structure, by default with the solution's own law."""
+    """Return the assessment of a solution, with another law if given."""
     law = solution.contact if contact is None else contact
     check_law(structure, law, rigid=True)
     if solution.structure.n_dofs != structure.n_dofs:
@@ -176,24 +196,24 @@ def shoot(
 ) -> PeriodicOrbit:
     """Refine a harmonic-balance solution to a periodic orbit in time: z(T) = z(0).
 
-    Newton's method on the exact flow at the solution's frequency, damped where its steps would
-    grow.
+    Newton's method on the exact flow at the solution's frequency; steps are damped if the residual
+    would grow.
 
     Parameters
     ----------
     structure, contact
-        Default of the law: the solution's.
+        Default for the law: the solution's.
     solution : PeriodicSolution
-        Where the orbit is sought.
+        First guess for the orbit.
     settle : int
-        Follow the flow for so many periods of the response first: towards what attracts it.
+        Follow the flow for so many response periods first, towards an attractor.
     tolerance : float
-        ``|z(T) - z(0)| / |z(0)|`` that is accepted.
+        Maximum ``|z(T) - z(0)| / |z(0)|``.
 
     Returns
     -------
     PeriodicOrbit
-        With its multipliers, gap and contact force.
+        Orbit with multipliers, gap and contact force.
 
     Raises
     ------
@@ -223,7 +243,7 @@ def shoot(
             orbit = find_by_homotopy(
                 FlowOrbits(flow, solution.omega, start, periods), SearchOptions()
             )
-    if orbit is not None and orbit.residual > tolerance:  # its last step was short, but M is large
+    if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         refined_orbit = find_orbit(
             orbit.flow, orbit.omega, orbit.state, subharmonic=orbit.subharmonic
         )
@@ -237,26 +257,26 @@ def shoot(
 def floquet(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
 ) -> Stability:
-    """Floquet multipliers of a solution, and whether it is stable.
+    """Return the Floquet multipliers of a solution, and the verdict on its stability.
 
-    The multipliers mu are the eigenvalues of the monodromy matrix dz(T)/dz(0), z being displacement
-    and velocity and T the period of the response: a small disturbance becomes mu times as large in
-    a period. Stable: ``|mu| < 1`` for all.
+    The multipliers mu are the eigenvalues of the monodromy matrix dz(T)/dz(0). z is displacement
+    and velocity, T the response's period. In each period a small disturbance is multiplied by mu.
+    The solution is stable if ``|mu| < 1`` for all.
 
     Parameters
     ----------
     structure : Structure
         The solution's; at most 600 dofs, else reduce it before solving.
     solution : PeriodicSolution
-        The orbit.
+        Solution to assess.
     contact : ContactLaw, optional
-        Its law; default: the solution's own.
+        Law; default: the solution's own.
 
     Returns
     -------
     Stability
-        The multipliers, largest first, the verdict, and the reason where no orbit decides it: with
-        the distance of the nearest orbit and its own stability, where one was found.
+        Multipliers in descending order of modulus, and the verdict. If no orbit decides, the
+        reason, with distance and stability of the nearest orbit if one was found.
 
     Raises
     ------
@@ -278,30 +298,31 @@ def floquet(
     if assessment.flow is None:
         assert law is not None
         if is_unilateral(law) or not is_small(structure):
-            exact_flow(structure, law)  # says what is missing
+            exact_flow(structure, law)  # raises InputError with the reason
         return _stability_by_linear_flow(structure, solution, law)
     return stability_of(assessment)
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions that are seen in place of an unstable solution, in the long run.
+    """Find the motions that replace an unstable solution in the long run.
 
-    They begin next to the orbit, away from it by 1 % of what moves in the direction v in which
-    small disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part,
-    along v and -v, and may go to two orbits, such as those above and below the unstable one of a
-    resonance that leans over. Of an irregular solution it is the exact motion that begins with it.
+    Each motion begins next to the orbit, at a distance of 1 % of the motion, and the exact flow
+    follows it. Small disturbances grow in the direction v, M v = mu v. If mu > 1, the motions along
+    v and -v part. They may go to two orbits: above and below the unstable orbit of a leaning
+    resonance, for example. For an irregular solution the result is the exact motion that begins
+    with the solution.
 
     Parameters
     ----------
     structure : Structure
         The solution's.
     solution : PeriodicSolution
-        Whose verdict by :func:`floquet` is "unstable" or "irregular".
+        Solution with the verdict "unstable" or "irregular" (:func:`floquet`).
 
     Returns
     -------
     tuple of Attractor
-        One, or two where they differ.
+        One attractor, or two different ones.
 
     Raises
     ------
@@ -355,10 +376,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
 
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
-    """Follow the exact motion from rest, for as long as the search of an orbit follows one, to see
-    whether it settles to another motion than a solution (collective).
+    """Follow the exact motion from rest, to compare with a solution (collective).
 
-    None where there is no exact flow, or more than 120 modes.
+    The motion is followed for as long as a search for an orbit follows one. The result is None
+    without an exact flow, or for more than 120 modes.
     """
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
@@ -368,7 +389,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
 
 
 def stability_of(assessment: Assessment) -> Stability:
-    """Stability of a solution by its orbit."""
+    """Return the stability of an assessed solution by its orbit."""
     orbit, motion = assessment.orbit, assessment.irregular_motion
     if orbit is None:
         assert assessment.flow is not None
@@ -396,8 +417,10 @@ def stability_of(assessment: Assessment) -> Stability:
 def _stability_by_linear_flow(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw
 ) -> Stability:
-    """Assess by the multipliers of the flow along the solution; their difference from those with
-    twice the harmonics is the uncertainty."""
+    """Assess a solution by the multipliers of its linear flow.
+
+    The uncertainty is their difference from the multipliers with twice the harmonics.
+    """
     gap, static_cutoff, uncertainty = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
         multipliers = eigenvalues(

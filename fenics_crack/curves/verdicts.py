@@ -1,18 +1,19 @@
-"""Verdicts of the points of a harmonic-balance curve: by their nearest exact orbits, or by
-the flow linearised along them.
+"""Verdicts on a harmonic-balance curve, by exact orbits or by the linear flow.
 
-Each point is assessed as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds
-and branch points are those of its own equations. Where none of its first, middle and last point has
-an orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
-Of the points that are left open eight are followed, spread evenly. Where two neighbours of these
-are irregular, so are the points between them, if all of these are open.
+Each point is assessed like a single solution (:mod:`fenics_crack.balance.assessment`) by its
+nearest exact orbit. Folds and branch points are those of the truncated equations. If no orbit
+decides at the first, the middle and the last point, the other points are not assessed. Of the
+points without a verdict, up to eight are followed in time, evenly spread. If two neighbours of
+these are irregular, so are the points between them, provided that none of these has a verdict.
 
-With laws without an exact flow it is the linearised flow. Between two points lies
-a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
-say so (:mod:`orbit_events`); it is located on the path between them
+Laws without an exact flow are assessed by the linear flow along the solution. Between two points
+there is a period doubling or a Neimark-Sacker point if the numbers of multipliers outside the unit
+circle say so (:mod:`orbit_events`). It is located on the path between the points
 (:class:`fenics_crack.numerics.path.ZeroCrossing`).
 
-Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
+References
+----------
+Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
 
 from __future__ import annotations
@@ -44,27 +45,27 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import ZeroCrossing
 
 MAX_FOLLOWED_POINTS = 8
-"""Points of a curve whose exact motion is followed. Each takes 0.05 to 0.5 s."""
+"""Maximum number of points whose exact motion is followed, at 0.05 to 0.5 s each."""
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Assess the points of a curve over any parameter by their nearest exact orbits.
 
-    Laws that are not linear in contact have no exact orbits: their points are assessed as
-    :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
-    the linearised flow leave the unit circle.
+    Laws that are not linear in contact have no exact orbits. Each point is then assessed like a
+    solution in :func:`floquet`. Period doublings and Neimark-Sacker points are found from the
+    multipliers of the linear flow.
 
     Parameters
     ----------
     curve : ResponseCurve
-        Of harmonic balance, followed with or without ``stability=True``.
+        Harmonic-balance curve, followed with or without ``stability=True``.
 
     Returns
     -------
     ResponseCurve
-        The same points, with the multipliers of their orbits; "irregular", with the growth of a
-        small disturbance, where exact motions are; else "undecided" (and nan) where the predicted
-        error is above 0.1, or no orbit is accepted for its solution.
+        Same points, with the multipliers of their orbits. Points with an irregular exact motion are
+        "irregular", with the growth of a small disturbance. Points are "undecided" (nan) if the
+        predicted error is above 0.1, or if no orbit is accepted for the solution.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     sampled_indices = {0, len(curve) // 2, len(curve) - 1}
     for indices in map(sorted, (sampled_indices, {*range(len(curve))} - sampled_indices)):
         for index, assessment in zip(indices, curve.assessments(indices), strict=True):
-            # With a larger error an orbit is seldom its own.
+            # With a larger error, the nearest orbit is seldom accepted.
             if assessment.predicted_error <= MAX_ERROR and assessment.is_accepted:
                 multipliers[index] = _deciding_multiplier(stability_of(assessment))
         if np.isnan(multipliers).all():
@@ -94,12 +95,14 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 
 
 def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
-    """Measure the growth of disturbances at some of the open points (n,) bool of a curve.
+    """Measure the growth of disturbances at some points without a verdict.
+
+    ``is_open`` (n,) is True at points without a verdict.
 
     Returns
     -------
     (n,)
-        In a period; between two irregular points geometric means, elsewhere nan.
+        Growth per period. Between two irregular points, geometric interpolation; elsewhere nan.
     """
     growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
     steps = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))
@@ -116,15 +119,17 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
 
 
 def _deciding_multiplier(stability: Stability) -> complex:
-    """The leading multiplier; nan where the stability is undecided."""
+    """Return the leading multiplier; nan if the stability is undecided."""
     if stability.verdict == "undecided":
         return math.nan
     return leading_multiplier(stability.multipliers)
 
 
 def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
-    """The same curve with verdicts, and with bifurcations where multipliers of the flow
-    linearised along it leave the unit circle."""
+    """Return the curve with verdicts and bifurcations by the linear flow.
+
+    Bifurcations are where multipliers leave the unit circle.
+    """
     begin("stability of each point")
     solutions = (curve.solution(index, search=False) for index in range(len(curve)))
     stabilities = [floquet(solution.structure, solution) for solution in solutions]
@@ -151,8 +156,22 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
 def _locate_bifurcation(
     curve: ResponseCurve, index: int, test_function: Callable[[np.ndarray], float]
 ) -> tuple[float, float, np.ndarray]:
-    """Value of the parameter, load frequency and unknown behind a point where a function of
-    multipliers is zero."""
+    """Locate a bifurcation between a point and the next one.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+    index : int
+        Index of the point before the bifurcation.
+    test_function : callable
+        Function of multipliers that is zero at the bifurcation.
+
+    Returns
+    -------
+    value, omega : float
+        Parameter value, and load frequency [rad/s].
+    unknown : (2H+1, n_pairs) [m]
+    """
     system = curve.system
     assert isinstance(system, Waves)
     ends = chord_ends(system, curve, index, index + 1)

@@ -1,10 +1,10 @@
-"""The condensed equations of harmonic balance along one parameter of a curve:
+"""Condensed equations of harmonic balance along one parameter of a curve:
 
-    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,
+    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0.
 
-with the parameter v a load frequency, a factor of the load, of the damping or of the contact
-stiffness, a clearance, or the speed of a rotor that the load's frequency follows. Only the small or
-reduced structure is touched, in closed form.
+The parameter v is a load frequency, a factor for load, damping, contact stiffness or friction, a
+clearance, or a rotor speed that the load frequency follows. The equations take the small or reduced
+structure alone, in closed form.
 """
 
 from __future__ import annotations
@@ -34,9 +34,14 @@ from fenics_crack.numerics.fourier import stretch_period
 
 
 class Waves(CurveSystem):
-    """The condensed equations of a small or reduced structure along a parameter.
+    """Condensed equations of a small or reduced structure along a parameter.
 
-    ``other_integrals``: the law, or its residual flexibility, changes along it.
+    Attributes
+    ----------
+    has_varying_integrals : bool
+        True if the law, or the residual flexibility, changes along the parameter.
+    counts : (2H+1, 1) or None
+        Weights of the unknowns in angles between tangents.
     """
 
     has_varying_integrals = False
@@ -53,10 +58,11 @@ class Waves(CurveSystem):
         start_system = self.system(start)
         self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
         self.counts: np.ndarray | None = None
-        """Weights of the unknowns in turns of a path. Of equations with so many
-        harmonics that J is not formed harmonic k counts 1 / k^2: where the phase of the motion
-        turns, that of harmonic k turns k times as far, and a tangent's high harmonics are not
-        small."""
+        """Weights of the unknowns in angles between tangents.
+
+        If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
+        the phase of harmonic k turns k times as far, and a tangent's high harmonics are not small.
+        """
         if self.matrix_free:
             order = (np.arange(self.shape[0]) + 1) // 2
             self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
@@ -67,70 +73,75 @@ class Waves(CurveSystem):
         check_number(key, value, 0.0, above=True)
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
+        """Return the frequency above which modes are quasi-static on the whole range [rad/s]."""
         return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
+        """Contact integrals of the problem."""
         return self.problem.integrals()
 
     @cached_property
     def max_force_slope(self) -> float:
-        """Largest slope of the contact forces where the law is stiffest, at one end [N/m]."""
+        """Largest slope of the contact forces, under the stiffer law of both ends [N/m]."""
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).steepest_force(law) for law in laws)
 
     @classmethod
     @abstractmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        """A problem where the parameter has a value."""
+        """Return a problem with another parameter value."""
 
     @classmethod
     def load_frequency(cls, problem: Problem, value: float) -> float:
-        """Load frequency of a problem where the parameter has a value [rad/s]."""
+        """Return the load frequency of a problem with another parameter value [rad/s]."""
         return problem.omega
 
     def problem_at(self, value: float) -> Problem:
-        """The problem where the parameter has a value."""
+        """Return the problem at a parameter value."""
         return self.vary(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
+        """Make the equations at a parameter value."""
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        """dF/dv."""
+        """Return dF/dv at a point."""
         assert isinstance(point.system.compliance, ModalCompliance)
         return point.system.compliance.derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
-        """The equations where the parameter has a value; the last ones are kept."""
+        """Return the equations at a parameter value; the last ones are kept."""
         if self._last_system is None or self._last_system[0] != value:
             self._last_system = value, self._make_system(value)
         return self._last_system[1]
 
     def compliance(self, value: float) -> ModalCompliance:
-        """Dynamic compliance where the parameter has a value."""
+        """Return the dynamic compliance at a parameter value."""
         return self._compliance
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return self.load_frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """The unknowns of what a curve keeps, also one of a shorter period."""
+        """Return the unknowns for a stored solution.
+
+        A solution with a shorter period is repeated.
+        """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
     # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
     def compiled(self) -> CompiledEquations | None:
-        """The same equations in the kernel; None where it does not have them."""
+        """Same equations in the kernel; None if the kernel lacks them."""
         system = self.system(self.start)
         return self._compile_equations(system) if system.integrals.exact else None
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """The kernel's equations, from the system at p = 0; by default it has none."""
+        """Return the kernel's equations, given the system at p = 0; by default None."""
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
@@ -142,14 +153,13 @@ class Waves(CurveSystem):
 
     @property
     def means(self) -> int:
-        """Number of unknowns, the first ones, that are mean values: a mean gap of each row."""
+        """Number of leading unknowns that are means over time, one per gap row."""
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x| near a point of a curve.
+        """Return the rounding error of |F| / |x| near a point.
 
-        The largest slope of R lambda counts: k R, or less where pairs are seen through a static
-        compliance.
+        It follows from the largest slope of R lambda: k R, or less with a static compliance.
         """
         if self.compiled is not None:
             largest_compliance = self.compiled.largest_compliance(parameter)
@@ -159,8 +169,10 @@ class Waves(CurveSystem):
         return residual_rounding(4.0 * largest_compliance * self.max_force_slope)
 
     def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Change of a motion over half its period, relative to its size: twice what its odd
-        harmonics are."""
+        """Return a motion's change over half its period, relative to its size.
+
+        The change is twice the odd harmonics.
+        """
         is_odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
         return float(2.0 * np.linalg.norm(unknown[is_odd]) / (np.linalg.norm(unknown) or 1.0))
 
@@ -170,7 +182,10 @@ class Waves(CurveSystem):
         omega_and_change: tuple[float, float],
         damping_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
-        """The kernel's equations along base frequencies, or factors of the damping."""
+        """Return the kernel's equations along base frequencies, or along factors for the damping.
+
+        Each tuple has the value at p = 0 and the change to p = 1.
+        """
         modal_part = self._compliance.modal_part(
             omega_and_change, damping_and_change, self.problem.residual
         )
@@ -182,7 +197,7 @@ class Waves(CurveSystem):
 
 
 class FrequencyWaves(Waves):
-    """v: load frequency [rad/s]."""
+    """Equations along v: load frequency [rad/s]."""
 
     name = "omega"
 
@@ -211,7 +226,7 @@ class FrequencyWaves(Waves):
 
 
 class _VariedStructureWaves(Waves):
-    """The parameter is one of those of :meth:`Structure.varied`, by its name."""
+    """Equations along a parameter of :meth:`Structure.varied`, by its name."""
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -225,7 +240,7 @@ class _VariedStructureWaves(Waves):
         return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Compile the equations where g_lin alone depends on the parameter, and linearly."""
+        """Return the kernel's equations if v changes g_lin alone, and linearly."""
         residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
         linear_change = -(self.end - self.start) * residual_by_value
         return start_system.compile(
@@ -234,7 +249,7 @@ class _VariedStructureWaves(Waves):
 
 
 class LoadWaves(_VariedStructureWaves):
-    """v: factor of the load; a negative one reverses it."""
+    """Equations along v: factor for the load; a negative factor reverses it."""
 
     name = "load"
 
@@ -249,7 +264,7 @@ class LoadWaves(_VariedStructureWaves):
 
 
 class DampingWaves(_VariedStructureWaves):
-    """v: factor of the damping."""
+    """Equations along v: factor for the damping."""
 
     name = "damping"
 
@@ -267,13 +282,13 @@ class DampingWaves(_VariedStructureWaves):
 
 
 class ClearanceWaves(_VariedStructureWaves):
-    """v: clearance [m] added to that of every pair."""
+    """Equations along v: clearance [m] added to every pair."""
 
     name = "clearance"
 
 
 class StiffnessWaves(Waves):
-    """v: factor of the contact stiffness; p is proportional to ln v."""
+    """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
     name, logarithmic, has_varying_integrals = "stiffness", True, True
 
@@ -291,7 +306,7 @@ class StiffnessWaves(Waves):
 
 
 class FrictionWaves(Waves):
-    """v: factor of the coefficient of friction."""
+    """Equations along v: factor for the coefficient of friction."""
 
     name, has_varying_integrals = "friction", True
 
@@ -308,10 +323,10 @@ class FrictionWaves(Waves):
 
 
 class SpeedWaves(Waves):
-    """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
+    """Equations along v: rotor speed [rad/s], in a constant ratio to the load frequency.
 
-    The modes are those of each speed. dF/dv is a central difference: beside the compliance its
-    quasi-static part changes, and with it the sets of closed pairs.
+    The modes change with the speed. dF/dv is a central difference, since the quasi-static part of
+    the compliance and with it the sets of closed pairs change, too.
     """
 
     name, has_varying_integrals = "speed", True
@@ -331,7 +346,10 @@ class SpeedWaves(Waves):
         return problem.omega * value / require_run_up_structure(problem.structure).speed
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Between two modes whose frequencies do not cross it, for they would change the sides."""
+        """Return a cutoff between two modes whose frequencies do not cross it on the range [rad/s].
+
+        A mode that crosses the cutoff would become quasi-static.
+        """
         min_cutoff = super()._common_cutoff(problem, start, end)
         rotor = require_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
@@ -360,7 +378,7 @@ class SpeedWaves(Waves):
 
 
 def require_run_up_structure(structure: Structure) -> RunUpStructure:
-    """A structure that knows itself at every speed; InputError for another one."""
+    """Return a structure with modes at every speed; InputError for any other structure."""
     if not isinstance(structure, RunUpStructure):
         requirement = "one of run_up_structure(structure, start, stop, modes)"
         raise InputError("structure", repr(structure), requirement)
@@ -368,8 +386,10 @@ def require_run_up_structure(structure: Structure) -> RunUpStructure:
 
 
 class ResonanceWaves(Waves):
-    """v: factor of the load but its mean, whose frequency follows the resonance (:mod:`resonance`):
-    that is none of the equations' at one frequency."""
+    """Equations along v: factor for the load without its mean, at a resonance (:mod:`resonance`).
+
+    The load frequency follows the resonance; these equations hold at one frequency.
+    """
 
     name = "resonance"
 
@@ -393,4 +413,4 @@ WAVES: dict[str, type[Waves]] = {
         ResonanceWaves,
     )
 }
-"""Equations of harmonic balance along each parameter of a curve, by its name."""
+"""Equations of harmonic balance along each parameter of a curve, by name."""
