@@ -303,13 +303,13 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         if self.tolerance is not None:
             return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
-        problem, point = self._balanced_point(index)
+        problem, point = self._harmonic_balance_point(index)
         assessment = Assessment(problem.wave(point), flow=self._common_flow)
         return solution_of(
             problem, point, status="point of a curve", search=search, known=assessment
         )
 
-    def _balanced_point(self, index: int) -> tuple[Problem, ContactPoint]:
+    def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """Return the problem and the equations at a harmonic-balance point."""
         problem, waves = self.problem_of(index), self.system
         if isinstance(waves, ResonanceWaves) or not isinstance(waves, Waves):
@@ -345,7 +345,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         Over the frequency, the motions of many points are computed together.
         """
         if self._common_flow is None or not isinstance(self.system, Waves):
-            for problem, point in map(self._balanced_point, places):
+            for problem, point in map(self._harmonic_balance_point, places):
                 yield Assessment(problem.wave(point))
             return
         waves = self.system
@@ -465,13 +465,13 @@ class ResponseCurve(ObservedMotion, Tabular):
         multipliers: np.ndarray | None = None,
     ) -> Bifurcation:  # fmt: skip
         """Return a special point of this curve, from its parameter and load frequency."""
-        entries = {"values": value, "omega": omega, "iterations": 0, "points": point}
-        rows = {name: np.array([entry]) for name, entry in entries.items()}
+        point_fields = {"values": value, "omega": omega, "iterations": 0, "points": point}
+        arrays = {name: np.array([entry]) for name, entry in point_fields.items()}
         leading_multipliers = (
             None if multipliers is None else np.array([leading_multiplier(multipliers)])
         )
         point_curve = replace(
-            self, **rows, multipliers=leading_multipliers, irregular=None, bifurcations=()
+            self, **arrays, multipliers=leading_multipliers, irregular=None, bifurcations=()
         )
         return Bifurcation(kind, point_curve, multipliers)
 

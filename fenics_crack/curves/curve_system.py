@@ -87,14 +87,14 @@ class CurveSystem(ABC):
         raise NotImplementedError
 
     @property
-    def size(self) -> int:
+    def n_unknowns(self) -> int:
         """Number of unknowns."""
         return math.prod(self.shape)
 
     @property
     def points_per_call(self) -> int:
         """Maximum number of points per kernel call."""
-        return MAX_UNKNOWNS_PER_CALL // self.size
+        return MAX_UNKNOWNS_PER_CALL // self.n_unknowns
 
     def make_step_control(self, longest_step: float) -> StepControl | None:
         """Return a control that may reject steps; None if steps need no control."""

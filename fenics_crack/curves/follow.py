@@ -218,7 +218,7 @@ def _find_other_curve(
             try:
                 growing_curve = grow(stage_start, stage_end, start_solution)
                 max_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
-                max_points = max(n_first_points, max_unknowns // growing_curve.system.size)
+                max_points = max(n_first_points, max_unknowns // growing_curve.system.n_unknowns)
                 n_left_points = max(1, max_points - n_spent_points)
                 growing_curve.most_points = min(n_left_points, growing_curve.most_points)
                 growing_curve.run()

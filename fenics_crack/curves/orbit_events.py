@@ -184,7 +184,10 @@ class PeriodDoubling(Event):
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         point = find_zero(
-            system, ends, lambda candidate: doubling_function(multipliers_of(candidate)), rtol
+            system,
+            ends,
+            lambda candidate: period_doubling_function(multipliers_of(candidate)),
+            rtol,
         )[0]
         return point if np.abs(1.0 + multipliers_of(point)).min() <= MULTIPLIER_TOLERANCE else None
 
@@ -200,12 +203,12 @@ class NeimarkSacker(Event):
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         assert ends[0].observed is not None and ends[1].observed is not None
         pair_index = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
-        end_excess = [pair_excess(multipliers_of(end), pair_index) for end in ends]
+        end_excesses = [pair_modulus_excess(multipliers_of(end), pair_index) for end in ends]
         # A pair within the tolerance of the circle may have been outside all along.
-        offset = 0.0 if end_excess[0] * end_excess[1] < 0.0 else MULTIPLIER_TOLERANCE
+        offset = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
-            excess = pair_excess(multipliers_of(point), pair_index) - offset
+            excess = pair_modulus_excess(multipliers_of(point), pair_index) - offset
             return excess if abs(excess) > ROOT_TOLERANCE else 0.0
 
         zero_point, residual = find_zero(system, ends, crossing_function, rtol)
@@ -218,7 +221,7 @@ def multipliers_of(point: PathPoint) -> np.ndarray:
     return point.observed[:-3]
 
 
-def doubling_function(multipliers: np.ndarray) -> float:
+def period_doubling_function(multipliers: np.ndarray) -> float:
     """Return a number with the sign and the zeros of the product of all 1 + mu.
 
     Every factor is scaled to a modulus of at most 1. The result is 0 if a factor is smaller than
@@ -229,7 +232,7 @@ def doubling_function(multipliers: np.ndarray) -> float:
     return product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
 
 
-def pair_excess(multipliers: np.ndarray, pair_index: int) -> float:
+def pair_modulus_excess(multipliers: np.ndarray, pair_index: int) -> float:
     """Return |mu| - 1 of a complex pair; -1 if there are fewer pairs.
 
     Pairs are numbered from 0 in descending order of |mu|.

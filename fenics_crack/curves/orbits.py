@@ -101,7 +101,7 @@ class Orbits(CurveSystem):
     @property
     def records(self) -> int:
         """Number of entries in M."""
-        return self.size**2
+        return self.n_unknowns**2
 
     @property
     def points_per_call(self) -> int:
@@ -113,8 +113,8 @@ class Orbits(CurveSystem):
         return MultiplierControl(longest_step)
 
     @cached_property
-    def _rest_start_and_change(self) -> np.ndarray:
-        """x_0 and x_1: (2, size)."""
+    def _scaled_rest_and_change(self) -> np.ndarray:
+        """x_0 and x_1: (2, n_unknowns)."""
         start_rest, end_rest = (
             self._scale_state(self.flow(value).rest_state, value)
             for value in (self.start, self.end)
@@ -123,14 +123,14 @@ class Orbits(CurveSystem):
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return z for x at a parameter value."""
-        state = (unknown + self._rest_unknown(value)) / self.scale
+        state = (unknown + self._scaled_rest_state(value)) / self.scale
         if self.name == "speed":
             state = state @ self._state_transformation(value).T
         return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """Return x for z at a parameter value."""
-        return self._scale_state(state, value) - self._rest_unknown(value)
+        return self._scale_state(state, value) - self._scaled_rest_state(value)
 
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
         """Return x + x_0 + p x_1 for z."""
@@ -138,9 +138,9 @@ class Orbits(CurveSystem):
             state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
 
-    def _rest_unknown(self, value: float) -> np.ndarray:
+    def _scaled_rest_state(self, value: float) -> np.ndarray:
         """Return x_0 + p x_1."""
-        rest_start, rest_change = self._rest_start_and_change
+        rest_start, rest_change = self._scaled_rest_and_change
         return np.asarray(rest_start + self.parameter(value) * rest_change)
 
     def _state_transformation(self, value: float) -> np.ndarray:
@@ -184,7 +184,7 @@ class Orbits(CurveSystem):
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         flow = start_flow = self._start_flow
         kernel_fields: dict[str, Any] = (
-            {"rest": self._rest_start_and_change} if self._rest_start_and_change.any() else {}
+            {"rest": self._scaled_rest_and_change} if self._scaled_rest_and_change.any() else {}
         )
         if self.name != "omega":
             end_flow = self.flow(self.end)
@@ -239,7 +239,7 @@ class Orbits(CurveSystem):
             state = self.state(unknown, value)
             softness = -self.value_rate(value) / value * motion.track.flow.softness
             change = self.scale * motion.track.derivative_by_softness(state, softness)
-            rest_change = self._rest_start_and_change[1]
+            rest_change = self._scaled_rest_and_change[1]
             return np.asarray(change + monodromy() @ rest_change - rest_change)
 
         events, pieces = motion.events, motion.pieces
@@ -247,7 +247,9 @@ class Orbits(CurveSystem):
 
     def observe(self, records: np.ndarray) -> np.ndarray:
         """Return leading multipliers and counts for M at each point (:mod:`orbit_events`)."""
-        return leading_multipliers(np.linalg.eigvals(records.reshape(-1, self.size, self.size)))
+        return leading_multipliers(
+            np.linalg.eigvals(records.reshape(-1, self.n_unknowns, self.n_unknowns))
+        )
 
 
 def system_along(

@@ -98,13 +98,13 @@ class ResonanceSystem(CurveSystem):
         value, omega = self.value(parameter), self.omega(1.0, unknown)
         contact_point = self._waves.system(omega).linearise(self.state(unknown, 1.0))
         inverse_load, inverse_load_rate = 1.0 / value, -self.value_rate(value) / value**2
-        size = self._slow_gap_size
         return PhasePoint(
-            self.problem, self.drive, contact_point, omega, size, inverse_load, inverse_load_rate
-        )
+            self.problem, self.drive, contact_point, omega,
+            self._slow_gap_size, inverse_load, inverse_load_rate,
+        )  # fmt: skip
 
 
-class _PhaseZero(ZeroCrossing):
+class _PhaseResonanceEvent(ZeroCrossing):
     """Zero of the displacement in phase with the load, where a path ends."""
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
@@ -146,7 +146,9 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     start_point = point_on_path(waves, start_unknown, 0.0)
     if power.real > 0.0:  # the resonance is above
         start_point = replace(start_point, tangent=start_point.tangent.reverse())
-    zero_point = Path(waves, start_point, PHASE_SEARCH_OPTIONS, [_PhaseZero(in_phase)]).run()
+    zero_point = Path(
+        waves, start_point, PHASE_SEARCH_OPTIONS, [_PhaseResonanceEvent(in_phase)]
+    ).run()
     if zero_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {near_omega:.6g} rad/s on")
     problem = replace(waves.problem, omega=waves.value(zero_point.parameter))

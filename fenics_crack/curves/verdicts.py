@@ -33,9 +33,9 @@ from fenics_crack.curves.branch import chord_ends
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier
 from fenics_crack.curves.orbit_events import (
     count_changes,
-    doubling_function,
     leading_multipliers,
-    pair_excess,
+    pair_modulus_excess,
+    period_doubling_function,
 )
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.curves.waves import Waves
@@ -86,7 +86,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         for index, assessment in zip(indices, curve.assessments(indices), strict=True):
             # With a larger error, the nearest orbit is seldom accepted.
             if assessment.predicted_error <= MAX_ERROR and assessment.is_accepted:
-                multipliers[index] = _deciding_multiplier(stability_of(assessment))
+                multipliers[index] = _leading_multiplier_if_decided(stability_of(assessment))
         if np.isnan(multipliers).all():
             break
     growth = _growth_along(curve, np.isnan(multipliers))
@@ -118,7 +118,7 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
     return growth
 
 
-def _deciding_multiplier(stability: Stability) -> complex:
+def _leading_multiplier_if_decided(stability: Stability) -> complex:
     """Return the leading multiplier; nan if the stability is undecided."""
     if stability.verdict == "undecided":
         return math.nan
@@ -142,13 +142,13 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
         kind = ("period_doubling", "neimark_sacker")[kind_index]
         pair_counts = multipliers_and_counts[index : index + 2, -1]
         pair_index = int(pair_counts.real.max()) - 1
-        crosses_by_pair = partial(pair_excess, pair_index=pair_index)
-        test_function = crosses_by_pair if kind_index else doubling_function
-        location = _locate_bifurcation(curve, index, test_function)
-        bifurcations.append(curve.bifurcation(kind, *location))
+        pair_test_function = partial(pair_modulus_excess, pair_index=pair_index)
+        test_function = pair_test_function if kind_index else period_doubling_function
+        bifurcation_location = _locate_bifurcation(curve, index, test_function)
+        bifurcations.append(curve.bifurcation(kind, *bifurcation_location))
     bifurcations.sort(key=curve.nearest)
     curve_multipliers = np.array(
-        [_deciding_multiplier(stability) for stability in stabilities], dtype=complex
+        [_leading_multiplier_if_decided(stability) for stability in stabilities], dtype=complex
     )
     return replace(curve, bifurcations=tuple(bifurcations), multipliers=curve_multipliers)
 
