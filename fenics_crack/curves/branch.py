@@ -65,8 +65,8 @@ class ParentJunction(Event):
         for event in self._crossing_events:
             point = event.locate(system, ends, rtol)
             if point is not None:
-                change = self._system.half_period_change(point.unknown, point.parameter)
-                if change <= math.sqrt(ARRIVAL_DISTANCE):
+                half_period_change = self._system.half_period_change(point.unknown, point.parameter)
+                if half_period_change <= math.sqrt(ARRIVAL_DISTANCE):
                     return point
         return None
 
@@ -79,8 +79,8 @@ def chord_ends(
     end_states = curve.points[[first_index, last_index]]
     first_unknown, last_unknown = map(system.unknown, end_states, end_values)
     first_parameter, last_parameter = map(system.parameter, end_values)
-    changes = last_unknown - first_unknown, last_parameter - first_parameter
-    chord = Tangent(*changes, *norm_at(system, last_unknown))
+    chord_vector = last_unknown - first_unknown, last_parameter - first_parameter
+    chord = Tangent(*chord_vector, *norm_at(system, last_unknown))
     first_point = PathPoint(first_unknown, first_parameter, 0, chord)
     return first_point, PathPoint(last_unknown, last_parameter, 0, chord)
 
@@ -120,13 +120,13 @@ def branch_start(
         )
         old_tangent = neighbours[0].tangent
     branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, old_tangent)
-    start = PathPoint(unknown, parameter, 0, branch_tangent)
+    origin = PathPoint(unknown, parameter, 0, branch_tangent)
     tolerance = max(PathOptions.rtol, system.rounding(parameter))
     # Distances from the bifurcation to try, relative to the longest step.
     for step in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
-            point = predict_and_correct(system, start, step, tolerance, reach=longest_step)
-            if point is None or MIN_DIRECTION_COSINE * chord_length(system, start, point) > step:
+            point = predict_and_correct(system, origin, step, tolerance, reach=longest_step)
+            if point is None or MIN_DIRECTION_COSINE * chord_length(system, origin, point) > step:
                 continue
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_new = (
@@ -157,22 +157,23 @@ def _branch_tangent(
     old_tangent = old_tangent or tangent_of(system, unknown, linearisation)
     parameter_scale = math.sqrt(old_tangent.weight)  # gives p the units of x
     if is_doubling:
-        vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
+        tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
-        derivative = linearisation.by_parameter.reshape(-1, 1)
+        parameter_derivative = linearisation.by_parameter.reshape(-1, 1)
         null_vectors = scipy.linalg.svd(
-            np.hstack([linearisation.jacobian, derivative * parameter_scale])
+            np.hstack([linearisation.jacobian, parameter_derivative * parameter_scale])
         )[2][-2:]
         old_components = null_vectors @ np.append(
             old_tangent.x.ravel(), old_tangent.p / parameter_scale
         )
-        vector = old_components[1] * null_vectors[0] - old_components[0] * null_vectors[1]
-    parameter_component = float(vector[-1]) * parameter_scale
-    length = math.sqrt(
-        old_tangent.weight * float(vector[:-1] @ vector[:-1]) + parameter_component**2
+        tangent_vector = old_components[1] * null_vectors[0] - old_components[0] * null_vectors[1]
+    parameter_component = float(tangent_vector[-1]) * parameter_scale
+    tangent_length = math.sqrt(
+        old_tangent.weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
+        + parameter_component**2
     )
     return Tangent(
-        vector[:-1].reshape(old_tangent.x.shape) / length,
-        parameter_component / length,
+        tangent_vector[:-1].reshape(old_tangent.x.shape) / tangent_length,
+        parameter_component / tangent_length,
         old_tangent.weight,
     )

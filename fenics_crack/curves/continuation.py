@@ -135,7 +135,11 @@ class GrowingCurve:
         return self._curve_point(point.parameter, point.unknown, point.iterations, point.observed)
 
     def _curve_point(
-        self, parameter: float, unknown: np.ndarray, iterations: int, observed: np.ndarray | None
+        self,
+        parameter: float,
+        unknown: np.ndarray,
+        iterations: int,
+        multipliers_and_counts: np.ndarray | None,
     ) -> CurvePoint:
         """Return a point of the curve from a path point's numbers.
 
@@ -143,7 +147,7 @@ class GrowingCurve:
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
-        multipliers = None if observed is None else observed[:-3]
+        multipliers = None if multipliers_and_counts is None else multipliers_and_counts[:-3]
         return CurvePoint(value, omega, unknown, iterations, multipliers)
 
     # --- what there is so far ---------------------------------------------------------------------
@@ -397,9 +401,13 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            entry = branch_start(system, initial, step_limits.longest_step, branch_of)
+            branch_entry = branch_start(system, initial, step_limits.longest_step, branch_of)
             start_point = first_point(
-                system, entry.unknown, entry.parameter, entry.iterations, entry.tangent
+                system,
+                branch_entry.unknown,
+                branch_entry.parameter,
+                branch_entry.iterations,
+                branch_entry.tangent,
             )
         elif exact:
             orbit = _find_start_orbit(start_problem, initial)
@@ -477,7 +485,9 @@ def _find_start_orbit(
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        failure = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
-        advice = "with harmonics in place of a tolerance the curve of harmonic balance is followed"
-        raise ConvergenceError(f"{failure}; {advice}")
+        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+        advice_words = (
+            "with harmonics in place of a tolerance the curve of harmonic balance is followed"
+        )
+        raise ConvergenceError(f"{failure_words}; {advice_words}")
     return search.orbit

@@ -350,9 +350,12 @@ class ResponseCurve(ObservedMotion, Tabular):
             return
         waves = self.system
         system, compliance = waves.system(waves.start), waves.compliance(waves.start)
-        n_chunk = max(1, waves.points_per_call)
-        for chunk in (places[begin : begin + n_chunk] for begin in range(0, len(places), n_chunk)):
-            unknowns, omega = self.points[chunk], self.omega[chunk]
+        points_per_chunk = max(1, waves.points_per_call)
+        for chunk_indices in (
+            places[first_position : first_position + points_per_chunk]
+            for first_position in range(0, len(places), points_per_chunk)
+        ):
+            unknowns, omega = self.points[chunk_indices], self.omega[chunk_indices]
             forces = np.stack([system.integrals.force(unknown) for unknown in unknowns], axis=1)
             displacements = compliance.displacements(omega / self.subharmonic, forces)
             for index, unknown in enumerate(unknowns):
@@ -483,10 +486,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         curve = self if self.exact else replace(self, multipliers=None, irregular=None)
         bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]
-        parts: list[ResponseCurve] = [curve.part([0]), *bifurcation_curves, curve.part([-1])]
-        columns = [_array_fields(part) for part in parts]
+        curves: list[ResponseCurve] = [curve.part([0]), *bifurcation_curves, curve.part([-1])]
+        array_fields = [_array_fields(part_curve) for part_curve in curves]
         joined_columns = {
-            name: np.concatenate([arrays[name] for arrays in columns]) for name in columns[0]
+            name: np.concatenate([arrays[name] for arrays in array_fields])
+            for name in array_fields[0]
         }
         return replace(curve, **joined_columns, bifurcations=())
 
@@ -515,8 +519,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
-        value, height, _ = top_and_damping(self.values, amplitude, index)
-        return Top(index, value, height, index in (0, len(self) - 1))
+        peak_value, peak_amplitude, _ = top_and_damping(self.values, amplitude, index)
+        return Top(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
         """Return the largest response at a dof, with error, verdict and damping.
@@ -558,10 +562,11 @@ class ResponseCurve(ObservedMotion, Tabular):
             for index in open_indices:
                 error_by_index[index] = self._displacement_error(index)
             open_indices = {
-                (start + end) // 2
-                for start, end in pairwise(sorted(error_by_index))
-                if end - start > 1
-                and (error_by_index[start] > LARGE_ERROR) != (error_by_index[end] > LARGE_ERROR)
+                (start_index + end_index) // 2
+                for start_index, end_index in pairwise(sorted(error_by_index))
+                if end_index - start_index > 1
+                and (error_by_index[start_index] > LARGE_ERROR)
+                != (error_by_index[end_index] > LARGE_ERROR)
             }
         indices = sorted(error_by_index)
         return np.interp(
@@ -593,15 +598,15 @@ class ResponseCurve(ObservedMotion, Tabular):
         return with_frequency(columns | self.indicators().to_dict())
 
     def _title(self) -> str:
-        parts = [
+        title_parts = [
             f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
             counted(len(self), "point"),
             self.method,
             counted(len(self.bifurcations), "bifurcation"),
         ]
         if self.multipliers is not None:
-            parts.append(f"{np.mean(self.stable):.0%} stable")
-        return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
+            title_parts.append(f"{np.mean(self.stable):.0%} stable")
+        return ", ".join([*title_parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
 def _array_fields(curve: ResponseCurve) -> dict[str, np.ndarray]:

@@ -279,9 +279,9 @@ def follow_branch(
     --------
     >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
-    kinds = ("period_doubling", "branch_point")
-    if bifurcation.kind not in kinds:
-        requirement = "a Bifurcation of kind " + " or ".join(kinds)
+    branching_kinds = ("period_doubling", "branch_point")
+    if bifurcation.kind not in branching_kinds:
+        requirement = "a Bifurcation of kind " + " or ".join(branching_kinds)
         raise InputError("bifurcation", bifurcation.kind, requirement)
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):

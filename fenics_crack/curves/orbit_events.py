@@ -86,11 +86,13 @@ def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
         The k = min(n, 8) multipliers of largest modulus, in descending order, then r, d and c.
     """
     modulus = np.abs(multipliers)
-    order = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
-    rows = np.arange(len(order))[:, None]
-    multipliers = multipliers[rows, order]
-    is_outside = modulus[rows, order] > 1.0 + MULTIPLIER_TOLERANCE
-    multipliers_and_counts = np.empty((len(order), order.shape[1] + 3), dtype=complex)
+    leading_order = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
+    rows = np.arange(len(leading_order))[:, None]
+    multipliers = multipliers[rows, leading_order]
+    is_outside = modulus[rows, leading_order] > 1.0 + MULTIPLIER_TOLERANCE
+    multipliers_and_counts = np.empty(
+        (len(leading_order), leading_order.shape[1] + 3), dtype=complex
+    )
     multipliers_and_counts[:, :-3] = multipliers
     is_real = multipliers.imag == 0.0
     multipliers_and_counts[:, -3] = (is_outside & is_real & (multipliers.real > 0.0)).sum(axis=1)
@@ -107,14 +109,14 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
     Two real multipliers that become a complex pair, or the reverse, change no count.
     """
     count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
-    steps = np.flatnonzero(count_change[:, 2])
-    if not len(steps):
+    step_indices = np.flatnonzero(count_change[:, 2])
+    if not len(step_indices):
         return count_change
-    real_change, pair_change = count_change[steps, :2], count_change[steps, 2]
+    real_change, pair_change = count_change[step_indices, :2], count_change[step_indices, 2]
     is_merger = (np.abs(real_change).max(axis=1) == 2.0) & (
         real_change.sum(axis=1) == -2.0 * pair_change
     )
-    count_change[steps[is_merger]] = 0.0
+    count_change[step_indices[is_merger]] = 0.0
     return count_change
 
 
@@ -157,12 +159,12 @@ class MultiplierControl(StepControl):
 
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         log_modulus = np.log(np.maximum(np.abs(segment.observed[:, :-3]), MULTIPLIER_TOLERANCE))
-        change, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
+        log_change, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
         max_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), MIN_LOG_CHANGE)
-        is_coarse = np.any(np.abs(change) > max_change, axis=1)
-        if len(change) > 1:
+        is_coarse = np.any(np.abs(log_change) > max_change, axis=1)
+        if len(log_change) > 1:
             length_ratio = (lengths[1:] / lengths[:-1])[:, None]
-            prediction_error = np.abs(change[1:] - length_ratio * change[:-1])
+            prediction_error = np.abs(log_change[1:] - length_ratio * log_change[:-1])
             is_coarse[1:] |= np.any(prediction_error > max_change[1:], axis=1)
         n_states = math.isqrt(segment.records.shape[1])
         matrices = segment.records[first_index:].reshape(-1, n_states, n_states)

@@ -237,10 +237,10 @@ class Orbits(CurveSystem):
                 step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
-            softness = -self.value_rate(value) / value * motion.track.flow.softness
-            change = self.scale * motion.track.derivative_by_softness(state, softness)
+            softness_rate = -self.value_rate(value) / value * motion.track.flow.softness
+            unknown_change = self.scale * motion.track.derivative_by_softness(state, softness_rate)
             rest_change = self._scaled_rest_and_change[1]
-            return np.asarray(change + monodromy() @ rest_change - rest_change)
+            return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
         events, pieces = motion.events, motion.pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)

@@ -91,18 +91,19 @@ class Peak(Described, Top):
         return with_frequency(dict(vars(self)))
 
     def _title(self) -> str:
-        width = f"damping {self.damping:.3g}"
+        damping_words = f"damping {self.damping:.3g}"
         if self.at_end:
-            width = RISING_AT_END
+            damping_words = RISING_AT_END
         elif math.isnan(self.damping):
-            width = "the load's own harmonic has no half-power width"
-        error = f"error {self.error:.2g}"
+            damping_words = "the load's own harmonic has no half-power width"
+        error_words = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):
-            error += f", of the frequency {self.omega_error:.2g}"
-        error += f" ({self.without})" if self.without else ""
-        place = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
-        size = quantity(self.amplitude, "m")
-        return f"{size} at {place}, {error}, {self.verdict}, {width}"
+            error_words += f", of the frequency {self.omega_error:.2g}"
+        error_words += f" ({self.without})" if self.without else ""
+        frequency_words = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
+        amplitude_words = quantity(self.amplitude, "m")
+        peak_words = f"{amplitude_words} at {frequency_words}"
+        return f"{peak_words}, {error_words}, {self.verdict}, {damping_words}"
 
 
 def top_and_damping(
@@ -175,11 +176,11 @@ def _half_power_index(
 
     If the curve ends or turns back before, return the last point before. ``step`` is -1 or 1.
     """
-    index, last_change = peak_index, 0.0
+    index, last_value_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)
     while amplitudes[index] >= half_power_amplitude and 0 <= index + step < len(values):
-        change = values[index + step] - values[index]
-        if change * last_change < 0.0 or change == 0.0:
+        value_change = values[index + step] - values[index]
+        if value_change * last_value_change < 0.0 or value_change == 0.0:
             break
-        index, last_change = index + step, change
+        index, last_value_change = index + step, value_change
     return index

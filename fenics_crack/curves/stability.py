@@ -168,10 +168,10 @@ def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.nd
     """Return E z for the structure without contact, with E from :meth:`AllModes.transition`."""
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)
-    n_modes, blocks = transition.shape[1], transition[:, :, None]
+    n_modes, transition_blocks = transition.shape[1], transition[:, :, None]
     displacement, velocity = states[:, :n_modes], states[:, n_modes:]
-    new_displacement = blocks[0] * displacement + blocks[1] * velocity
-    new_velocity = blocks[2] * displacement + blocks[3] * velocity
+    new_displacement = transition_blocks[0] * displacement + transition_blocks[1] * velocity
+    new_velocity = transition_blocks[2] * displacement + transition_blocks[3] * velocity
     return np.concatenate([new_displacement, new_velocity], axis=1)
 
 
@@ -228,20 +228,20 @@ def shoot(
     >>> distance = orbit.multipliers
     """
     check_count("settle", settle, 0)
-    assessment, periods = _assessment_of(structure, solution, contact), solution.subharmonic
+    assessment, n_load_periods = _assessment_of(structure, solution, contact), solution.subharmonic
     assert assessment.wave.contact is not None
     flow = exact_flow(structure, assessment.wave.contact)
     orbit = None if settle else assessment.orbit
     if orbit is None:
-        orbits = FlowOrbits(flow, solution.omega, assessment.states[0], periods)
+        orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
         settled_unknown = orbits.start
         for _ in range(settle):
             settled_unknown = orbits.advance_period(settled_unknown, 1.0)
-        start = orbits.state(settled_unknown)
-        orbit = find_orbit(flow, solution.omega, start, subharmonic=periods)
+        start_state = orbits.state(settled_unknown)
+        orbit = find_orbit(flow, solution.omega, start_state, subharmonic=n_load_periods)
         if orbit is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             orbit = find_by_homotopy(
-                FlowOrbits(flow, solution.omega, start, periods), SearchOptions()
+                FlowOrbits(flow, solution.omega, start_state, n_load_periods), SearchOptions()
             )
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         refined_orbit = find_orbit(
@@ -361,10 +361,9 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     rms_motion = motion_size(orbits.scale * states) / np.sqrt(len(states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
     motions: list[Attractor] = []
-    for start in (orbits.start + start_change, orbits.start - start_change)[
-        : 2 if mu == abs(mu) else 1
-    ]:
-        motion = find_attractor(orbits, start)
+    start_unknowns = orbits.start + start_change, orbits.start - start_change
+    for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
+        motion = find_attractor(orbits, start_unknown)
         if not any(
             motion.orbit
             and earlier_motion.orbit

@@ -105,16 +105,17 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
         Growth per period. Between two irregular points, geometric interpolation; elsewhere nan.
     """
     growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    steps = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))
-    followed_indices = open_indices[steps.astype(int)].tolist()
+    positions = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))
+    followed_indices = open_indices[positions.astype(int)].tolist()
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
         if motion := assessment.irregular_motion:
             growth[index] = motion.growth
-    for start, end in pairwise(followed_indices):
-        if is_open[start : end + 1].all() and growth[start] * growth[end] > 0.0:
-            growth[start : end + 1] = np.geomspace(growth[start], growth[end], end + 1 - start)
+    for start_index, end_index in pairwise(followed_indices):
+        stretch, end_growths = slice(start_index, end_index + 1), growth[[start_index, end_index]]
+        if is_open[stretch].all() and np.prod(end_growths) > 0.0:
+            growth[stretch] = np.geomspace(*end_growths, end_index + 1 - start_index)
     return growth
 
 

@@ -64,8 +64,8 @@ class Waves(CurveSystem):
         the phase of harmonic k turns k times as far, and a tangent's high harmonics are not small.
         """
         if self.matrix_free:
-            order = (np.arange(self.shape[0]) + 1) // 2
-            self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
+            harmonic_order = (np.arange(self.shape[0]) + 1) // 2
+            self.counts = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -146,9 +146,9 @@ class Waves(CurveSystem):
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
-        rate = self.value_rate(value)
+        value_rate = self.value_rate(value)
         return self.system(value).with_derivative(
-            unknown, lambda point: rate * self._residual_by_value(value, point)
+            unknown, lambda point: value_rate * self._residual_by_value(value, point)
         )
 
     @property
@@ -242,9 +242,9 @@ class _VariedStructureWaves(Waves):
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Return the kernel's equations if v changes g_lin alone, and linearly."""
         residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
-        linear_change = -(self.end - self.start) * residual_by_value
+        linear_gap_rate = -(self.end - self.start) * residual_by_value
         return start_system.compile(
-            start_system.linear, start_system.dynamic_part, linear_rate=linear_change
+            start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate
         )
 
 
