@@ -401,13 +401,9 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            branch_entry = branch_start(system, initial, step_limits.longest_step, branch_of)
+            point = branch_start(system, initial, step_limits.longest_step, branch_of)
             start_point = first_point(
-                system,
-                branch_entry.unknown,
-                branch_entry.parameter,
-                branch_entry.iterations,
-                branch_entry.tangent,
+                system, point.unknown, point.parameter, point.iterations, point.tangent
             )
         elif exact:
             orbit = _find_start_orbit(start_problem, initial)
