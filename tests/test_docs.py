@@ -260,7 +260,7 @@ def test_names_exist() -> None:
 MARK = re.compile(r"<!-- by ([\w/.\s]+) -->")
 """What prints the numbers of the paragraph or table above: tests and benchmarks, or modules of the
 package in which they are constants."""
-NO_TEXT = re.compile(r"```.*?```|\$\$.*?\$\$|^## Sources\n.*|^(?:    |#+ )[^\n]*", re.S | re.M)
+NO_TEXT = re.compile(r"<!-- (?!by )[^\n]*?-->|```.*?```|\$\$.*?\$\$|^## Sources\n.*|^(?:    |#+ )[^\n]*", re.S | re.M)
 NO_NUMBERS = re.compile(r"`[^`\n]*`|\]\([^)]*\)|\(\d+(?:, \d+)*\)")
 """Code, links, and numbers of equations."""
 NUMBER = re.compile(r"(?<![\w.,^/+-])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?(?!\w)(?: %)?")
@@ -274,7 +274,11 @@ def numbers_in(text: str) -> list[str]:
 
 
 def constants_of(module: Path) -> set[str]:
-    """Return the constants of a module as a page has them: as they are, inverse, in per cent."""
+    """Return the constants of a module as a page has them: as they are, inverse, in per cent, and
+    those of a template in mm."""
+    if module.suffix == ".toml":
+        numbers = [float(text) for text in re.findall(r"\d+\.\d+", module.read_text())]
+        return {f"{size:.6g}" for x in numbers for size in (x, 1e3 * x)}
     nodes = ast.walk(ast.parse(module.read_text()))
     values = [node.value for node in nodes if isinstance(node, ast.Constant)]
     numbers = [float(value) for value in values if isinstance(value, int | float) and value]
@@ -294,7 +298,10 @@ def marked_texts(page: Path) -> Iterator[tuple[str, list[str]]]:
             yield row, re.findall(r"(?:tests|benchmarks)/[\w/]+\.py", row)
 
 
-@pytest.mark.parametrize("page", ["theory", "error_report", "short_answers", "the_paper"])
+@pytest.mark.parametrize(
+    "page",
+    ["../README", "first_hour", "theory", "error_report", "short_answers", "the_paper"],
+)
 def test_numbers_name_what_prints_them(page: str) -> None:
     """A mark below the paragraph or table names it, or the row: files that exist, and of the
     package those that hold the numbers."""
