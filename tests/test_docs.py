@@ -260,7 +260,9 @@ def test_names_exist() -> None:
 MARK = re.compile(r"<!-- by ([\w/.\s]+) -->")
 """What prints the numbers of the paragraph or table above: tests and benchmarks, or modules of the
 package in which they are constants."""
-NO_TEXT = re.compile(r"<!-- (?!by )[^\n]*?-->|```.*?```|\$\$.*?\$\$|^## Sources\n.*|^(?:    |#+ )[^\n]*", re.S | re.M)
+NO_TEXT = re.compile(
+    r"<!-- (?!by )[^\n]*?-->|```.*?```|\$\$.*?\$\$|^## Sources\n.*|^(?:    |#+ )[^\n]*", re.S | re.M
+)
 NO_NUMBERS = re.compile(r"`[^`\n]*`|\]\([^)]*\)|\(\d+(?:, \d+)*\)")
 """Code, links, and numbers of equations."""
 NUMBER = re.compile(r"(?<![\w.,^/+-])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?(?!\w)(?: %)?")
@@ -299,8 +301,7 @@ def marked_texts(page: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 @pytest.mark.parametrize(
-    "page",
-    ["../README", "first_hour", "theory", "error_report", "short_answers", "the_paper"],
+    "page", ["../README", "first_hour", "theory", "error_report", "short_answers", "the_paper"]
 )
 def test_numbers_name_what_prints_them(page: str) -> None:
     """A mark below the paragraph or table names it, or the row: files that exist, and of the
