@@ -41,7 +41,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage
-from fenics_crack.kernel import shaped
+from fenics_crack.kernel import require_shape
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
@@ -326,11 +326,15 @@ class ModalCompliance:
             "omega_rate": omega[1],
             "damping": damping[0],
             "damping_rate": damping[1],
-            "squares": shaped(modes.squares, n_modes),
-            "rates": shaped(modes.damping, n_modes),
-            "shapes": shaped(modes.pairs, n_modes, self.shape[1]),
-            "load": shaped(self._load * self._unit_load, len(self._order), n_modes, kind=complex),
-            "at_once": None if static_part is None else shaped(static_part, n_pairs, n_pairs),
+            "squares": require_shape(modes.squares, n_modes),
+            "rates": require_shape(modes.damping, n_modes),
+            "shapes": require_shape(modes.pairs, n_modes, self.shape[1]),
+            "load": require_shape(
+                self._load * self._unit_load, len(self._order), n_modes, kind=complex
+            ),
+            "at_once": None
+            if static_part is None
+            else require_shape(static_part, n_pairs, n_pairs),
         }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:

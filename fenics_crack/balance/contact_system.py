@@ -50,7 +50,7 @@ from fenics_crack.balance.friction_integrals import (
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import hertz_of
-from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
+from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     ContactLaw,
     add_friction_pairs,
@@ -539,29 +539,31 @@ class CompiledEquations(Equations):
         self.shape = linear.shape
         harmonics, n_pairs = self.shape[0] // 2, self.shape[1]
         if isinstance(compliance, np.ndarray):
-            matrices = shaped(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
+            matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
         n_columns = n_pairs if basis is None else basis.shape[1]
         static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
         rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         structure = Struct(
             "seen_structure", harmonics=harmonics, pairs=n_pairs,
-            linear=shaped(linear, *self.shape), linear_rate=shaped(rate, *self.shape), **compliance,
+            linear=require_shape(linear, *self.shape),
+            linear_rate=require_shape(rate, *self.shape), **compliance,
         )  # fmt: skip
         self._kernel_input = Struct(
             "contact_pairs", seen=structure, seen_gaps=n_columns, growth=growth, softness=softness,
-            residual=shaped(static_compliance, n_pairs, n_pairs),
-            springs=shaped(springs, n_pairs), coupled=has_coupled_pairs, formed=forms_jacobian,
-            basis=None if basis is None else shaped(basis, n_pairs, n_columns),
+            residual=require_shape(static_compliance, n_pairs, n_pairs),
+            springs=require_shape(springs, n_pairs), coupled=has_coupled_pairs,
+            formed=forms_jacobian,
+            basis=None if basis is None else require_shape(basis, n_pairs, n_columns),
         )  # fmt: skip
-        self._point = owned(
-            kernel.new_contact_point(self._kernel_input.at), kernel.free_contact_point
+        self._point = attach_destructor(
+            kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point
         )
         self.function_table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """Return the equations at a point."""
-        return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
+        return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def evaluate_at(self, point: CompiledPoint) -> Any:
         """Return the kernel's functions, evaluated at a point.

@@ -752,7 +752,7 @@ def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading
 
         gmsh calls it 1e5 times for a mesh.
         """
-        return min([size, *(kernel.length_at(struct.at, x, y) for struct in structs)])
+        return min([size, *(kernel.length_at(struct.address, x, y) for struct in structs)])
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)

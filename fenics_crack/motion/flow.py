@@ -30,7 +30,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
+from fenics_crack.kernel import NULL, Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     SETS_MEMORY_FRACTION,
     ContactLaw,
@@ -260,7 +260,7 @@ class ContactFlow(Flow):
             gap=self.load_gap, fastest=self.max_rate, apart=self.max_open_rate,
             most=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
-        self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
+        self.handle = attach_destructor(kernel.new_flow(parts.address), kernel.free_flow)
         """The kernel's flow."""
         self._max_intervals = 0
 
@@ -388,10 +388,12 @@ class ContactFlow(Flow):
             budget, omega=omega, now=start, end=start + duration, state=end_state,
             count=n_instants, instants=instants, states=states, answers=answers, closed=pair_states,
         )  # fmt: skip
-        _check_outcome(kernel.flow_advance(self.handle, motion_struct.at), motion_struct.at.events)
-        track = Track(self, omega, start, **copy_track(motion_struct.at.passed))
+        _check_outcome(
+            kernel.flow_advance(self.handle, motion_struct.address), motion_struct.address.events
+        )
+        track = Track(self, omega, start, **copy_track(motion_struct.address.passed))
         samples = Samples(self, omega, instants, states, answers, pair_states)
-        n_events, n_pieces = int(motion_struct.at.events), int(motion_struct.at.pieces)
+        n_events, n_pieces = int(motion_struct.address.events), int(motion_struct.address.pieces)
         return Motion(end_state, n_events, n_pieces, track, samples)
 
     def steps(
@@ -422,11 +424,11 @@ class ContactFlow(Flow):
         end_states, interval_counts = np.empty_like(states), np.empty(len(states), dtype=np.intc)
         motion_struct, copy_track = self._make_motion_struct(None, omega=omega)
         outcome = kernel.flow_wave(
-            self.handle, motion_struct.at, len(states), period, pointer(states),
+            self.handle, motion_struct.address, len(states), period, pointer(states),
             pointer(end_states), pointer(interval_counts),
         )  # fmt: skip
-        _check_outcome(outcome, motion_struct.at.events)
-        track = Track(self, omega, 0.0, **copy_track(motion_struct.at.passed))
+        _check_outcome(outcome, motion_struct.address.events)
+        track = Track(self, omega, 0.0, **copy_track(motion_struct.address.passed))
         return end_states, track, interval_counts
 
     def _make_motion_struct(
@@ -453,7 +455,7 @@ class ContactFlow(Flow):
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
             return {name: array[:n_intervals].copy() for name, array in arrays.items()}
 
-        return self._base_struct.but(**limits, **members), copy_track
+        return self._base_struct.with_members(**limits, **members), copy_track
 
 
 @dataclass(frozen=True)
@@ -498,7 +500,7 @@ class Track:
     def tangent(self) -> np.ndarray:
         """Return the derivative dz(end) / dz(start): (size, size)."""
         matrix = np.empty((self.flow.size, self.flow.size))
-        outcome = kernel.flow_tangent(self.flow.handle, self._struct.at, pointer(matrix))
+        outcome = kernel.flow_tangent(self.flow.handle, self._struct.address, pointer(matrix))
         _check_outcome(outcome, len(self.lengths) - 1)
         return matrix
 
@@ -515,9 +517,9 @@ class Track:
             Derivative of the softness by the parameter.
         """
         derivative = np.empty(self.flow.size)
-        rates = shaped(softness_rate, *self.flow.softness.shape)
+        rates = require_shape(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._struct.at, pointer(as_doubles(start)), NULL,
+            self.flow.handle, self._struct.address, pointer(as_doubles(start)), NULL,
             pointer(rates), pointer(derivative),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
@@ -553,7 +555,7 @@ class Track:
         changes = np.empty((len(interval_counts) + 1, self.flow.size))
         changes[0] = start
         outcome = kernel.flow_carry(
-            self.flow.handle, self._struct.at, len(interval_counts), pointer(interval_counts),
+            self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
             pointer(as_doubles(excess)),
             pointer(changes),
         )  # fmt: skip

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.kernel import Struct, kernel, owned, pointer
+from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, orbit_from
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
@@ -107,7 +107,9 @@ class ShootingEquations(Equations):
             turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
             intervals=Budget.intervals, **arrays,
         )  # fmt: skip
-        self._point = owned(kernel.new_shooting_point(self._struct.at), kernel.free_shooting_point)
+        self._point = attach_destructor(
+            kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point
+        )
         self.function_table = kernel.equations_of_shooting(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:

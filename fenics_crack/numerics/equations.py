@@ -239,7 +239,7 @@ class _PythonEquations(Equations):
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
             sign=kernel.python_sign,
         )  # fmt: skip
-        self.function_table = self._struct.at
+        self.function_table = self._struct.address
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._state.linearisation

@@ -47,7 +47,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
+from fenics_crack.kernel import NULL, Struct, kernel, pointer, require_shape
 from fenics_crack.numerics.equations import MACHINE_EPSILON, Linearisation, System, equations_of
 
 COMM_SELF = PETSc.COMM_SELF
@@ -496,13 +496,14 @@ def solve_in_plane(
     solution, solution_parameter = np.array(unknown, float, order="C"), np.array([parameter], float)
     n_iterations, border = np.zeros(1, np.intc), NULL
     if plane is not None:
-        normal = shaped(plane.x, *equations.shape)
+        normal = require_shape(plane.x, *equations.shape)
         norm = Struct("norm", weight=plane.weight, of_means=plane.of_means)
-        border = Struct("plane", across=normal, slope=plane.p, size=norm).at
+        border = Struct("plane", across=normal, slope=plane.p, size=norm).address
     min_damping = -1.0 if least_damping is None else least_damping
     options = correction_struct(tolerance, reach, iterations, min_damping, stall)
     outcome = equations.run(
-        kernel.solve_in_plane, border, options.at, pointer(shaped(solution, *equations.shape)),
+        kernel.solve_in_plane, border, options.address,
+        pointer(require_shape(solution, *equations.shape)),
         pointer(solution_parameter), pointer(n_iterations),
     )  # fmt: skip
     if not equations.check_outcome(outcome):

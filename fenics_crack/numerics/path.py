@@ -449,8 +449,10 @@ def _find_between(
     )
     target_pointer = NULL if target is None else pointer(np.array([target]))
     path_struct = segment.struct(2)
-    outcome = equations.run(kernel.find_between, stepping.at, target_pointer, path_struct.at)
-    return segment[path_struct.at.known] if equations.check_outcome(outcome) else None
+    outcome = equations.run(
+        kernel.find_between, stepping.address, target_pointer, path_struct.address
+    )
+    return segment[path_struct.address.known] if equations.check_outcome(outcome) else None
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -703,10 +705,12 @@ class Path:
             highest=min(p for p in bounds if p >= parameter),
         )  # fmt: skip
         step = self._step
-        outcome = self._equations.run(kernel.follow, stepping.at, path_struct.at)
-        self._orientation, self._step = path_struct.at.orientation, path_struct.at.step
-        if path_struct.at.known == len(start_points):
+        outcome = self._equations.run(kernel.follow, stepping.address, path_struct.address)
+        self._orientation, self._step = path_struct.address.orientation, path_struct.address.step
+        if path_struct.address.known == len(start_points):
             self._equations.check_outcome(outcome)
-        if path_struct.at.known == len(start_points) or self._control is None:
-            return segment[len(start_points) - 1 : path_struct.at.known]
-        return self._cut_at_halved_step(segment[: path_struct.at.known], len(start_points), step)
+        if path_struct.address.known == len(start_points) or self._control is None:
+            return segment[len(start_points) - 1 : path_struct.address.known]
+        return self._cut_at_halved_step(
+            segment[: path_struct.address.known], len(start_points), step
+        )

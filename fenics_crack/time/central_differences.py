@@ -325,7 +325,7 @@ class _ModalDifferences(Scheme):
             steps = slice(first_step, min(first_step + n_in_cache, count))
             shape = np.empty((steps.stop - first_step, len(modes.squares)))
             n_made = kernel.march_central(
-                self._kernel_data.at, first_step, len(shape), pointer(window.gap[steps]),
+                self._kernel_data.address, first_step, len(shape), pointer(window.gap[steps]),
                 pointer(window.force[steps]), pointer(shape),
             )  # fmt: skip
             if n_made < len(shape):
