@@ -312,7 +312,7 @@ class ModalCompliance:
         dict or None
             None if damping couples modes. Otherwise ``squares``, s (n_modes,) [rad^2/s^2];
             ``rates``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l (H+1,
-            n_modes); ``at_once`` (n_pairs, n_pairs); and the numbers of the path.
+            n_modes); ``static_compliance`` (n_pairs, n_pairs); and the numbers of the path.
         """
         modes = self._modes
         if modes.damping.ndim == 2:
@@ -327,12 +327,12 @@ class ModalCompliance:
             "damping": damping[0],
             "damping_rate": damping[1],
             "squares": require_shape(modes.squares, n_modes),
-            "rates": require_shape(modes.damping, n_modes),
+            "modal_damping": require_shape(modes.damping, n_modes),
             "shapes": require_shape(modes.pairs, n_modes, self.shape[1]),
             "load": require_shape(
                 self._load * self._unit_load, len(self._order), n_modes, kind=complex
             ),
-            "at_once": None
+            "static_compliance": None
             if static_part is None
             else require_shape(static_part, n_pairs, n_pairs),
         }

@@ -38,7 +38,7 @@ from fenics_crack.balance.more_modes import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.contact import REGULAR, is_regular, is_rigid, with_penalty
+from fenics_crack.model.contact import REGULAR_EIGENVALUE_RATIO, is_regular, is_rigid, with_penalty
 from fenics_crack.model.modal import MAX_DENSE_SIZE, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
@@ -301,7 +301,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
             all_modes(reference_problem.row_structure).static_part(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
-            max_stiffness = len(residual) / (REGULAR * np.trace(residual))
+            max_stiffness = len(residual) / (REGULAR_EIGENVALUE_RATIO * np.trace(residual))
             reference_problem = replace(
                 reference_problem, contact=with_penalty(problem.contact, float(max_stiffness))
             )

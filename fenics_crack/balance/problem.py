@@ -363,7 +363,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     n_unknowns, order = (2 * harmonics + 1) * n_pairs, 2
     n_numbers = N_MATRICES_IN_MEMORY * n_unknowns**2
     if structure.light_lips:  # an error estimate has twice the harmonics
-        n_vectors = 2 * kernel.KRYLOV_MOST + 2  # vectors kept, and those for a solution
+        n_vectors = 2 * kernel.MAX_KRYLOV_VECTORS + 2  # vectors kept, and those for a solution
         n_numbers, order = 2 * (2 * N_MATRICES_IN_MEMORY * n_pairs + n_vectors) * n_unknowns, 1
     memory = machine_memory()
     if 8 * n_numbers > 0.8 * memory:
@@ -527,7 +527,7 @@ class Search:
         if problem.friction:
             yield "from contact without friction", self._guesses_without_friction(problem)
         else:
-            is_large = system.residual is not None or system.size > kernel.MANY
+            is_large = system.residual is not None or system.size > kernel.MANY_UNKNOWNS
             min_harmonics = problem.least_harmonics if is_large else problem.harmonics
             counts = halve_harmonics(problem.harmonics, min_harmonics)
             name = "from fewer harmonics" if is_large else "full Newton steps"

@@ -88,7 +88,9 @@ def parting(monodromy: np.ndarray) -> np.ndarray:
     n_points, size = monodromy.shape[:2]
     severity = np.empty(n_points - 1)
     matrices = np.ascontiguousarray(monodromy)
-    kernel.partings(n_points, size, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity))
+    kernel.collision_severities(
+        n_points, size, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity)
+    )
     return severity
 
 

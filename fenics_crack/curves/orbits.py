@@ -162,18 +162,21 @@ class Orbits(CurveSystem):
             return None
         omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         flow = first = self._first
-        along: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
+        along: dict[str, Any] = {"rest_states": self._rest} if self._rest.any() else {}
         if self.name != "omega":
             last = self.flow(self.end)
             # Its own: it changes.
             flow = self._flow_at(max(self.start, self.end) if damped else self.start)
             if damped:
                 rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
-                along |= {"damping": as_doubles(damping), "damping_by": as_doubles(rate)}
-                along["rates"] = damping.size
+                along |= {"damping": as_doubles(damping), "damping_rate": as_doubles(rate)}
+                along["n_damping"] = damping.size
             else:
-                along |= {"force": flow.modal_load, "force_by": last.modal_load - first.modal_load}
-                along |= {"gap": flow.load_gap, "gap_by": last.load_gap - first.load_gap}
+                along |= {
+                    "force": flow.modal_load,
+                    "force_rate": last.modal_load - first.modal_load,
+                }
+                along |= {"gap": flow.load_gap, "gap_rate": last.load_gap - first.load_gap}
         return ShootingEquations(flow, self.scale, omega, self.subharmonic, **along)
 
     def rounding(self, parameter: float) -> float:

@@ -8,25 +8,25 @@
  * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
  * residual (0: any number; else at most 30). */
 typedef struct {
-    double tolerance, reach, least_damping;
-    int iterations, stall;
+    double tolerance, max_parameter_change, min_damping;
+    int max_iterations, max_stalled_steps;
 } correction;
 
 /* How changes are measured beside a solution: weight times their square, of which that of means
  * counts so much. */
 typedef struct {
-    double weight, of_means;
+    double weight, mean_weight;
 } norm;
 
 /* What is orthogonal to a tangent (t_x, t_p). */
 typedef struct {
-    const double *across;
+    const double *normal;
     double slope;
-    norm size;
+    norm metric;
 } plane;
 
 /* Relative residual of other solutions with J that take products. */
-extern const double SHARP;
+extern const double SOLUTION_TOLERANCE;
 
 /* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
  * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
@@ -38,12 +38,12 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
 
 /* Of a solution x: its size is that of what moves, to which its means contribute no more than all
  * else; and where they are larger they change by parts of themselves. */
-norm norm_at(const equations *at, const double *x);
+norm norm_of_solution(const equations *at, const double *x);
 /* <x, y> in a norm. */
 double product(const equations *at, norm in, const double *x, const double *y);
 /* x += s y; the opposite direction. */
-void add_to(int n, double *x, double s, const double *y);
-void turn_round(int n, double *tangent, double *slope);
+void add_scaled(int n, double *x, double s, const double *y);
+void reverse_tangent(int n, double *tangent, double *slope);
 /* The unit tangent towards growing p at a point that has been evaluated, and its norm; its slope
  * t_p. */
 double unit_tangent(equations *at, int n, const double *x, double *tangent, norm *own);

@@ -11,7 +11,7 @@
 #include "sets.h"
 
 /* Of a relaxation, at most; a hundred are many. */
-enum { SWEEPS = 1000 };
+enum { MAX_SWEEPS = 1000 };
 
 struct closed_sets {
     int modes, pairs, contacts; /* contacts: the rows r, with friction twice the pairs */
@@ -21,7 +21,7 @@ struct closed_sets {
     double *given; /* (r) gaps whose states are sought */
     int *pivots;   /* (r) */
     int next;      /* bucket that is emptied */
-    closed_set *bucket[BUCKETS];
+    closed_set *bucket[N_BUCKETS];
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
@@ -49,9 +49,9 @@ closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const dou
     return NULL;
 }
 
-int pairs_of(const closed_sets *s) { return s->pairs; }
+int count_pairs(const closed_sets *s) { return s->pairs; }
 
-const double *row_of_compliance(const closed_sets *s, int row)
+const double *get_compliance_row(const closed_sets *s, int row)
 {
     return s->d + (long)row * s->contacts;
 }
@@ -80,7 +80,7 @@ static long numbers_of(const closed_sets *s, long size)
  * than there is room for, some are known when it is followed again. */
 static void forget(closed_sets *s, long left)
 {
-    for (int tried = 0; s->kept > left && tried < BUCKETS; tried++) {
+    for (int tried = 0; s->kept > left && tried < N_BUCKETS; tried++) {
         closed_set *first = s->bucket[s->next], *next;
         for (; first; first = next) {
             next = first->next;
@@ -89,7 +89,7 @@ static void forget(closed_sets *s, long left)
             free(first);
         }
         s->bucket[s->next] = NULL;
-        s->next = (s->next + 1) % BUCKETS;
+        s->next = (s->next + 1) % N_BUCKETS;
     }
 }
 
@@ -161,7 +161,7 @@ static int fill_with_friction(closed_sets *s, closed_set *a)
     return 0;
 }
 
-void force_gaps(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
+void solve_friction_forces(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
                 double *forces)
 {
     const int r = s->contacts, size = a->size;
@@ -198,7 +198,7 @@ static int fill(closed_sets *s, closed_set *a)
     return 0;
 }
 
-void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *gaps, double *answers)
+void make_answers(closed_sets *s, const closed_set *a, int count, const double *gaps, double *answers)
 {
     const int p = s->pairs, size = a->size, others = p - size;
     const int *in = a->members, *out = in + size;
@@ -247,10 +247,10 @@ static closed_set *room_for(const closed_sets *s, int size, const signed char *c
     return made;
 }
 
-const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
+const closed_set *get_closed_set(closed_sets *s, const signed char *closed)
 {
     const int p = s->pairs;
-    closed_set **bucket = &s->bucket[bucket_of(p, closed)];
+    closed_set **bucket = &s->bucket[hash_set(p, closed)];
     for (closed_set *a = *bucket; a; a = a->next)
         if (!memcmp(a->closed, closed, (size_t)p)) return a;
     int closing = 0, size;
@@ -273,18 +273,18 @@ const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
     return made;
 }
 
-const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed, double *answers)
+const closed_set *find_closed_set(closed_sets *s, const double *gap, signed char *closed, double *answers)
 {
     const int p = s->pairs;
-    for (long turn = 0; turn < PIVOTS + 20L * p; turn++) {
-        const closed_set *a = closed_set_of(s, closed);
+    for (long turn = 0; turn < MAX_TRUSTED_PIVOTS + 20L * p; turn++) {
+        const closed_set *a = get_closed_set(s, closed);
         if (!a) return NULL;
-        answer_gaps(s, a, 1, gap, answers);
+        make_answers(s, a, 1, gap, answers);
         int wrong = 0;
         for (int i = 0; i < p; i++) {
             /* Without force a pair is open. */
             if (closed[i] ? answers[i] > 0.0 : answers[i] >= 0.0) continue;
-            if (!wrong || turn < PIVOTS) closed[i] = !closed[i];
+            if (!wrong || turn < MAX_TRUSTED_PIVOTS) closed[i] = !closed[i];
             wrong = 1;
         }
         if (!wrong) return a;
@@ -316,7 +316,7 @@ static void relax(const closed_sets *s, const double *held, const double *given,
     const int p = s->pairs, r = s->contacts;
     double moved = INFINITY, largest = 0.0;
     memset(forces, 0, bytes(r));
-    for (int sweep = 0; sweep < SWEEPS && moved > AS_ZERO * largest; sweep++) {
+    for (int sweep = 0; sweep < MAX_SWEEPS && moved > ZERO_TOLERANCE * largest; sweep++) {
         moved = largest = 0.0;
         for (int i = 0; i < p; i++) {
             const double *normal = s->d + (long)i * r, *tangent = normal + (long)p * r;
@@ -343,7 +343,7 @@ static void relax(const closed_sets *s, const double *held, const double *given,
     }
 }
 
-const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,
+const closed_set *find_states(closed_sets *s, const double *held, signed char *closed, double *gaps,
                             double *forces)
 {
     const int p = s->pairs, r = s->contacts;
@@ -351,15 +351,15 @@ const closed_set *states_at(closed_sets *s, const double *held, signed char *clo
     for (int i = 0; i < r; i++) largest = fmax(largest, fabs(gaps[i]));
     for (int i = 0; i < p; i++) largest = fmax(largest, fabs(held[i]));
     memcpy(given, gaps, bytes(r));
-    for (long turn = 0; turn < 2 * PIVOTS; turn++) {
-        if (turn == PIVOTS) relax(s, held, given, closed, forces);
-        const closed_set *a = closed_set_of(s, closed);
+    for (long turn = 0; turn < 2 * MAX_TRUSTED_PIVOTS; turn++) {
+        if (turn == MAX_TRUSTED_PIVOTS) relax(s, held, given, closed, forces);
+        const closed_set *a = get_closed_set(s, closed);
         if (!a) return NULL;
         memcpy(gaps, given, bytes(r));
-        force_gaps(s, a, 1, held, gaps, forces);
+        solve_friction_forces(s, a, 1, held, gaps, forces);
         int wrong = 0;
         for (int i = 0; i < p; i++) {
-            const double gap = AS_ZERO * largest, force = gap * a->scale[i];
+            const double gap = ZERO_TOLERANCE * largest, force = gap * a->scale[i];
             const int next = next_state(s, a, i, held, gaps, forces, force, gap);
             wrong |= next != closed[i];
             closed[i] = (signed char)next;
@@ -369,9 +369,9 @@ const closed_set *states_at(closed_sets *s, const double *held, signed char *clo
     return NULL;
 }
 
-int rub(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces)
+int step_friction(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces)
 {
-    if (!states_at(s, held, closed, gaps, forces)) return 1;
+    if (!find_states(s, held, closed, gaps, forces)) return 1;
     for (int i = 0; i < s->pairs; i++)
         if (closed[i] != STICK) held[i] = gaps[s->pairs + i];
     return 0;

@@ -38,30 +38,30 @@ typedef struct closed_sets closed_sets;
 closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
                              const double *friction, long most);
 void free_closed_sets(closed_sets *s);
-int pairs_of(const closed_sets *s);
-const double *row_of_compliance(const closed_sets *s, int row);
+int count_pairs(const closed_sets *s);
+const double *get_compliance_row(const closed_sets *s, int row);
 /* Valid until the next one is asked for; NULL where D_AA is singular, with friction where det A is not
  * positive and the answer not the only one, or without memory. */
-const closed_set *closed_set_of(closed_sets *s, const signed char *closed);
+const closed_set *get_closed_set(closed_sets *s, const signed char *closed);
 /* The set that answers gaps s (p), from a guess of it, and the answers (p): pairs whose answer is
  * negative are turned, all at once or, where that goes round, the first of them alone (sets.h). NULL
  * where that does not end, too. */
-const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed, double *answers);
+const closed_set *find_closed_set(closed_sets *s, const double *gap, signed char *closed, double *answers);
 /* Answers (count, p) to gaps s (count, p), count at most TERMS: forces f = S s_A of the closed pairs,
  * openings D_.A f - s of the others. */
-void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *gaps,
+void make_answers(closed_sets *s, const closed_set *a, int count, const double *gaps,
                  double *answers);
 /* With friction: of a series of gaps s (count, rows), whose stuck pairs are held in places h (p), the
  * forces lambda (count, rows), and in place of the gaps s - D lambda. */
-void force_gaps(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
+void solve_friction_forces(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
                 double *forces);
 /* With friction: the set that answers gaps s (r) of pairs that stuck in places h (p) until now, from a
  * guess of it, the forces (r), and in place of the gaps s - D lambda. A pair sticks while its forces
  * stay in Coulomb's cone, and slips away from its place else. NULL as set_at. */
-const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,
+const closed_set *find_states(closed_sets *s, const double *held, signed char *closed, double *gaps,
                             double *forces);
 /* The same of one instant after the other: h becomes where pairs are held from here on. 0, or 1 where
  * no set answers. */
-int rub(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces);
+int step_friction(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces);
 
 #endif

@@ -7,10 +7,10 @@
 
 #include "lapack.h"
 
-const double SINGULAR = DBL_EPSILON * 4.0; /* the roundings of s, w and k w */
+const double SINGULARITY_TOLERANCE = DBL_EPSILON * 4.0; /* the roundings of s, w and k w */
 
 struct compliance {
-    seen_structure of;
+    structure_at_pairs of;
     int unknowns, formed; /* formed: whether `matrices` are those at the parameter */
     double parameter;
     double *matrices, *linear, *receptance;
@@ -23,7 +23,7 @@ struct compliance {
 /* h_kj at a parameter: 0, or 1 where the structure is singular. */
 static int set_receptance(compliance *at, double parameter)
 {
-    const seen_structure *of = &at->of;
+    const structure_at_pairs *of = &at->of;
     const double omega = of->omega + parameter * of->omega_rate;
     const double damping = of->damping + parameter * of->damping_rate;
     const double nudge = sqrt(DBL_EPSILON); /* as much as rounding of what it then answers */
@@ -32,14 +32,14 @@ static int set_receptance(compliance *at, double parameter)
     for (int k = 0; k <= of->harmonics; k++) {
         const double w = k * omega;
         for (int j = 0; j < of->modes; j++, h += 2, load += 2) {
-            double re = of->squares[j] - w * w, im = w * damping * of->rates[j];
+            double re = of->squares[j] - w * w, im = w * damping * of->modal_damping[j];
             const double scale = fabs(of->squares[j]) + w * w;
             double square = re * re + im * im;
             if (square <= nudge * nudge * scale * scale) {
                 if (load[0] == 0.0 && load[1] == 0.0 && w != 0.0) {
                     re = nudge * scale, im = 0.0;
                     square = re * re;
-                } else if (square <= SINGULAR * SINGULAR * scale * scale) {
+                } else if (square <= SINGULARITY_TOLERANCE * SINGULARITY_TOLERANCE * scale * scale) {
                     return 1;
                 }
             }
@@ -52,7 +52,7 @@ static int set_receptance(compliance *at, double parameter)
 
 int set_parameter(compliance *at, double parameter)
 {
-    const seen_structure *of = &at->of;
+    const structure_at_pairs *of = &at->of;
     if (parameter == at->parameter) return 0;
     at->parameter = NAN;
     at->formed = 0;
@@ -73,7 +73,7 @@ static void seen_by_one(int modes, const double *h, const double *shape, double 
     }
 }
 
-const double *matrices_of(compliance *at)
+const double *get_compliance_matrices(compliance *at)
 {
     const int pairs = at->of.pairs, modes = at->of.modes;
     if (!modes) return at->of.compliance;
@@ -88,7 +88,7 @@ const double *matrices_of(compliance *at)
                     scaled[0] = h[0] * *shape, scaled[1] = h[1] * *shape;
             multiply_matrices(pairs, modes, 2 * pairs, at->across, at->scaled, 0.0, block);
         }
-        for (int i = 0; i < pairs * pairs && at->of.at_once; i++) block[2 * i] += at->of.at_once[i];
+        for (int i = 0; i < pairs * pairs && at->of.static_compliance; i++) block[2 * i] += at->of.static_compliance[i];
     }
     at->formed = 1;
     return at->matrices;
@@ -132,7 +132,7 @@ static void respond_by_modes(compliance *at, const double *force, const double *
                              double *found)
 {
     const int rows = 2 * at->of.harmonics + 1, pairs = at->of.pairs, modes = at->of.modes;
-    const double *at_once = at->of.at_once;
+    const double *at_once = at->of.static_compliance;
     multiply_matrices(rows, pairs, modes, force, at->across, 0.0, q);
     for (int i = 0; i < rows * modes && loads; i++) q[i] -= loads[i];
     scale(at->of.harmonics, modes, at->receptance, q, at->answer);
@@ -140,22 +140,22 @@ static void respond_by_modes(compliance *at, const double *force, const double *
     if (at_once) multiply_matrices(rows, pairs, pairs, force, at_once, 1.0, found);
 }
 
-void respond_at(compliance *at, const double *force, double *gap)
+void respond_at_parameter(compliance *at, const double *force, double *gap)
 {
     if (at->of.modes) respond_by_modes(at, force, NULL, at->other, gap);
-    else respond(at->of.harmonics, at->of.pairs, matrices_of(at), force, gap);
+    else respond(at->of.harmonics, at->of.pairs, get_compliance_matrices(at), force, gap);
 }
 
-void answer_to(compliance *at, const double *force, double *found)
+void evaluate_response(compliance *at, const double *force, double *found)
 {
     if (at->of.modes) respond_by_modes(at, force, at->loads, at->drive, found);
-    else respond(at->of.harmonics, at->of.pairs, matrices_of(at), force, found);
+    else respond(at->of.harmonics, at->of.pairs, get_compliance_matrices(at), force, found);
     for (int i = 0; i < at->unknowns; i++) found[i] -= at->linear[i];
 }
 
-void rate_of_answer(compliance *at, double *found)
+void differentiate_response(compliance *at, double *found)
 {
-    const seen_structure *of = &at->of;
+    const structure_at_pairs *of = &at->of;
     const int pairs = of->pairs, modes = of->modes, rows = 2 * of->harmonics + 1;
     const double omega = of->omega + at->parameter * of->omega_rate;
     const double damping = of->damping + at->parameter * of->damping_rate;
@@ -168,7 +168,7 @@ void rate_of_answer(compliance *at, double *found)
         const double viscous = k * (of->omega_rate * damping + omega * of->damping_rate);
         double *rate = at->rates + 2 * k * modes;
         for (int j = 0; j < modes; j++) {
-            const double drag = viscous * of->rates[j];
+            const double drag = viscous * of->modal_damping[j];
             const double re = h[2 * j] * h[2 * j] - h[2 * j + 1] * h[2 * j + 1];
             const double im = 2.0 * h[2 * j] * h[2 * j + 1];
             rate[2 * j] = im * drag - re * inert;
@@ -179,11 +179,11 @@ void rate_of_answer(compliance *at, double *found)
     multiply_matrices(rows, modes, pairs, at->answer, of->shapes, 1.0, found);
 }
 
-double largest_row(compliance *at, double parameter)
+double largest_row_sum(compliance *at, double parameter)
 {
     if (set_parameter(at, parameter)) return INFINITY;
     const int pairs = at->of.pairs, rows = (at->of.harmonics + 1) * pairs;
-    const double *matrices = matrices_of(at);
+    const double *matrices = get_compliance_matrices(at);
     double largest = 0.0;
     for (int row = 0; row < rows; row++) {
         double sum = 0.0;
@@ -193,7 +193,7 @@ double largest_row(compliance *at, double parameter)
     return largest;
 }
 
-compliance *new_compliance(const seen_structure *given)
+compliance *new_compliance(const structure_at_pairs *given)
 {
     compliance *at = calloc(1, sizeof(compliance));
     if (!at) return NULL;

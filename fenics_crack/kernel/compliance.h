@@ -14,32 +14,32 @@ typedef struct {
     const double *linear, *linear_rate; /* (2H+1, pairs) */
     const double *compliance;           /* R: (H+1, pairs, pairs), complex */
     double omega, omega_rate, damping, damping_rate;
-    const double *squares, *rates;      /* s, c: (modes) */
+    const double *squares, *modal_damping;      /* s, c: (modes) */
     const double *shapes;               /* P: (modes, pairs) */
     const double *load;                 /* l: (H+1, modes), complex */
-    const double *at_once;              /* (pairs, pairs), or NULL */
-} seen_structure;
+    const double *static_compliance;              /* (pairs, pairs), or NULL */
+} structure_at_pairs;
 
 /* Of s + (k w)^2: below what an undamped resonance has no answer; without load it is moved away by the
  * root of rounding (fenics_crack/model/modal.py, AllModes.receptance). */
-extern const double SINGULAR;
+extern const double SINGULARITY_TOLERANCE;
 
 typedef struct compliance compliance;
 
 /* NULL without memory. */
-compliance *new_compliance(const seen_structure *given);
+compliance *new_compliance(const structure_at_pairs *given);
 void free_compliance(compliance *at);
 /* Goes to a parameter: 0, or 1 where the structure is singular. */
 int set_parameter(compliance *at, double parameter);
 /* R there, (H+1, pairs, pairs) complex. */
-const double *matrices_of(compliance *at);
+const double *get_compliance_matrices(compliance *at);
 /* R b - g_lin of forces b (2H+1, pairs), and behind it its derivative by the parameter for this b. */
-void answer_to(compliance *at, const double *force, double *found);
-void rate_of_answer(compliance *at, double *found);
+void evaluate_response(compliance *at, const double *force, double *found);
+void differentiate_response(compliance *at, double *found);
 /* R b alone. */
-void respond_at(compliance *at, const double *force, double *gap);
+void respond_at_parameter(compliance *at, const double *force, double *gap);
 /* Largest sum of |R_k| over a row of it at a parameter; infinite where the structure is singular. */
-double largest_row(compliance *at, double parameter);
+double largest_row_sum(compliance *at, double parameter);
 
 /* R b of coefficients b (2H+1, pairs), from R (H+1, pairs, pairs), complex. */
 void respond(int harmonics, int pairs, const double *matrices, const double *force, double *gap);

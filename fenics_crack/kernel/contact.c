@@ -57,12 +57,12 @@ static void set_compliance(contact_point *at, double parameter)
     const contact_pairs *of = &at->of;
     const size_t p = of->seen.pairs;
     const double factor = exp(-of->growth * parameter), left = 1.0 - parameter;
-    memcpy(at->compliance, of->residual, p * p * sizeof(double));
+    memcpy(at->compliance, of->residual_compliance, p * p * sizeof(double));
     for (size_t i = 0; i < p; i++) {
-        const double spring = factor * of->springs[i];
+        const double spring = factor * of->spring_compliances[i];
         at->compliance[i * (p + 1)] += spring + of->softness * fabs(left) * left * left;
         at->rate[i] = -of->growth * spring - 3.0 * of->softness * left * fabs(left);
-        if (!of->coupled) at->stiffness[i] = 1.0 / at->compliance[i * (p + 1)];
+        if (!of->has_coupled_pairs) at->stiffness[i] = 1.0 / at->compliance[i * (p + 1)];
     }
     at->parameter = parameter;
 }
@@ -75,22 +75,22 @@ static int evaluate(equations *own, const double *gap, double parameter)
     if (set_parameter(at->seen, parameter)) return SINGULAR_STRUCTURE;
     if (parameter != at->parameter) set_compliance(at, parameter);
     memcpy(at->gap, gap, own->unknowns * sizeof(double));
-    if (at->of.coupled) {
+    if (at->of.has_coupled_pairs) {
         const int outcome = find_forces(at->forces, at->compliance, at->gap, at->force);
         if (outcome != FOUND) return outcome;
     } else if (contact_integrals(harmonics, pairs, gap, at->stiffness, at->waves, at->means,
                                  at->force, at->tangent)) {
         return NO_MEMORY;
     }
-    answer_to(at->seen, at->force, at->residual);
+    evaluate_response(at->seen, at->force, at->residual);
     for (int i = 0; i < own->unknowns; i++) at->residual[i] += gap[i];
     return FOUND;
 }
 
-double largest_moving(contact_point *at, double parameter)
+double largest_dynamic_row_sum(contact_point *at, double parameter)
 {
     at->common.factored = 0; /* what has been evaluated holds no longer */
-    return largest_row(at->seen, parameter);
+    return largest_row_sum(at->seen, parameter);
 }
 
 static void residual_at(const equations *own, double *found)
@@ -102,7 +102,7 @@ static void residual_at(const equations *own, double *found)
 static void forces_by(contact_point *at, const double *x)
 {
     const int pairs = at->of.seen.pairs, rows = 2 * at->of.seen.harmonics + 1;
-    if (at->of.coupled) {
+    if (at->of.has_coupled_pairs) {
         forces_by_gap(at->forces, x, at->change);
         return;
     }
@@ -118,7 +118,7 @@ static void apply_jacobian(equations *own, const double *x, double *found)
 {
     contact_point *at = (contact_point *)own;
     forces_by(at, x);
-    respond_at(at->seen, at->change, found);
+    respond_at_parameter(at->seen, at->change, found);
     for (int i = 0; i < own->unknowns; i++) found[i] += x[i];
 }
 
@@ -126,22 +126,22 @@ static void by_parameter(equations *own, double *found)
 {
     contact_point *at = (contact_point *)own;
     const int pairs = at->of.seen.pairs;
-    rate_of_answer(at->seen, found);
+    differentiate_response(at->seen, found);
     if (at->of.growth == 0.0 && at->of.softness == 0.0) return;
-    if (at->of.coupled)
+    if (at->of.has_coupled_pairs)
         forces_by_compliance(at->forces, at->rate, at->change);
     else
         for (int i = 0; i < own->unknowns; i++)
             at->change[i] = -at->rate[i % pairs] * at->stiffness[i % pairs] * at->force[i];
-    respond_at(at->seen, at->change, at->beside);
+    respond_at_parameter(at->seen, at->change, at->beside);
     for (int i = 0; i < own->unknowns; i++) found[i] += at->beside[i];
 }
 
 /* R'_k as a real matrix on (a, b) of a - i b, [[Re, Im], [-Im, Re]]; for k = 0 Re alone. */
 static void set_block(contact_point *at, int k)
 {
-    const int p = at->of.seen.pairs, q = at->of.seen_gaps, size = k ? 2 * q : q;
-    const double *basis = at->of.basis, *moving = matrices_of(at->seen) + 2 * (size_t)k * p * p;
+    const int p = at->of.seen.pairs, q = at->of.n_basis_gaps, size = k ? 2 * q : q;
+    const double *basis = at->of.basis, *moving = get_compliance_matrices(at->seen) + 2 * (size_t)k * p * p;
     if (basis) multiply_matrices(q, p, 2 * p, at->transposed, moving, 0.0, at->half);
     for (int a = 0; a < q; a++)
         for (int b = 0; b < q; b++) {
@@ -163,10 +163,10 @@ static void set_block(contact_point *at, int k)
 static void form_jacobian(dense *common)
 {
     contact_point *at = (contact_point *)common;
-    const int harmonics = at->of.seen.harmonics, q = at->of.seen_gaps, n = common->size;
+    const int harmonics = at->of.seen.harmonics, q = at->of.n_basis_gaps, n = common->size;
     double *rows = common->matrix;
-    if (!at->of.coupled) {
-        respond_to_columns(harmonics, q, 2 * harmonics + 1, matrices_of(at->seen), at->tangent,
+    if (!at->of.has_coupled_pairs) {
+        respond_to_columns(harmonics, q, 2 * harmonics + 1, get_compliance_matrices(at->seen), at->tangent,
                            rows);
     } else {
         if (means_of_stiffness(at->forces, at->of.basis, q, at->means)) at->means[0] = NAN;
@@ -186,7 +186,7 @@ static void form_jacobian(dense *common)
 static void solve_by_factors(contact_point *at, double *x)
 {
     equations *own = &at->common.own;
-    const int p = at->of.seen.pairs, q = at->of.seen_gaps, n = own->unknowns;
+    const int p = at->of.seen.pairs, q = at->of.n_basis_gaps, n = own->unknowns;
     const int rows = 2 * at->of.seen.harmonics + 1;
     if (!at->of.basis) {
         solve_dense(own, x);
@@ -196,7 +196,7 @@ static void solve_by_factors(contact_point *at, double *x)
     multiply_matrices(rows, q, p, at->within, at->transposed, 0.0, at->beside);
     for (int i = 0; i < n; i++) at->beside[i] = x[i] - at->beside[i];
     forces_by(at, at->beside);
-    respond_at(at->seen, at->change, at->moved);
+    respond_at_parameter(at->seen, at->change, at->moved);
     for (int i = 0; i < n; i++) at->moved[i] = x[i] - at->moved[i];
     multiply_matrices(rows, p, q, at->moved, at->of.basis, 0.0, at->within);
     solve_dense(own, at->within);
@@ -207,13 +207,13 @@ static void solve_by_factors(contact_point *at, double *x)
 static void solve(equations *own, double *x)
 {
     contact_point *at = (contact_point *)own;
-    if (at->inverse) solve_by_products(at->inverse, own, x, own->sharp);
+    if (at->inverse) solve_by_products(at->inverse, own, x, own->solve_tolerance);
     else solve_by_factors(at, x);
 }
 
 static double sign(equations *own)
 {
-    return ((contact_point *)own)->of.formed ? sign_of_dense(own) : NAN;
+    return ((contact_point *)own)->of.forms_jacobian ? sign_of_dense(own) : NAN;
 }
 
 /* Largest k R of pairs that nothing couples, at p = 0. */
@@ -222,7 +222,7 @@ static double largest_product(contact_point *at)
     double stiffest = 0.0;
     set_compliance(at, 0.0);
     for (int i = 0; i < at->of.seen.pairs; i++) stiffest = fmax(stiffest, at->stiffness[i]);
-    return stiffest * largest_row(at->seen, 0.0);
+    return stiffest * largest_row_sum(at->seen, 0.0);
 }
 
 /* What pairs need whose forces are their own, or those of coupled ones: 0, or 1 without memory. */
@@ -230,15 +230,15 @@ static int make_forces(contact_point *at)
 {
     const contact_pairs *of = &at->of;
     equations *own = &at->common.own;
-    own->products = !of->formed || own->unknowns > MANY;
-    if (of->coupled) {
+    own->uses_products = !of->forms_jacobian || own->unknowns > MANY_UNKNOWNS;
+    if (of->has_coupled_pairs) {
         at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
     } else {
         switching_waves(of->seen.harmonics, at->waves);
-        own->products = own->products && REGULAR * largest_product(at) < 1.0;
+        own->uses_products = own->uses_products && REGULAR_EIGENVALUE_RATIO * largest_product(at) < 1.0;
     }
-    if (own->products) at->inverse = new_krylov(own->unknowns);
-    return (of->coupled && !at->forces) || (own->products && !at->inverse);
+    if (own->uses_products) at->inverse = new_krylov(own->unknowns);
+    return (of->has_coupled_pairs && !at->forces) || (own->uses_products && !at->inverse);
 }
 
 contact_point *new_contact_point(const contact_pairs *given)
@@ -246,9 +246,9 @@ contact_point *new_contact_point(const contact_pairs *given)
     contact_point *at = calloc(1, sizeof(contact_point));
     if (!at) return NULL;
     at->of = *given;
-    const size_t H = given->seen.harmonics, p = given->seen.pairs, q = given->seen_gaps;
-    const size_t rows = 2 * H + 1, n = rows * p, size = rows * q, alone = !given->coupled;
-    const size_t formed = given->formed ? size : 0; /* what only a J that is formed needs */
+    const size_t H = given->seen.harmonics, p = given->seen.pairs, q = given->n_basis_gaps;
+    const size_t rows = 2 * H + 1, n = rows * p, size = rows * q, alone = !given->has_coupled_pairs;
+    const size_t formed = given->forms_jacobian ? size : 0; /* what only a J that is formed needs */
     const size_t waves = 2 * H * (switching_cells((int)H) / 4 + 1);
     at->common.own = (equations){
         .unknowns = (int)n, .means = (int)p, .evaluate = evaluate, .residual = residual_at,
@@ -281,7 +281,7 @@ contact_point *new_contact_point(const contact_pairs *given)
         const double k = fmax(1.0, (double)((i / p + 1) / 2));
         at->counts[i] = 1.0 / (k * k);
     }
-    if (!given->formed) at->common.own.counts = at->counts;
+    if (!given->forms_jacobian) at->common.own.angle_weights = at->counts;
     at->parameter = NAN;
     return at;
 }

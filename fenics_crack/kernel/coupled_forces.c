@@ -10,7 +10,7 @@
 #include "rounding.h"
 
 struct coupled_forces {
-    breathing found;       /* the sets, with room for `most` events */
+    breathing_pairs found;       /* the sets, with room for `most` events */
     int harmonics, pairs, instants, events;
     waves *gaps, *steps;   /* H harmonics at N instants, and 2H */
     double *behind;        /* of each event: a wave that is 1 behind it and 0 before, cut off, as */
@@ -25,14 +25,14 @@ static double *numbers(size_t count) { return malloc((count + 1) * sizeof(double
 /* Room for so many events: 0, or 1 without memory. */
 static int make_room(coupled_forces *at, int most)
 {
-    breathing *m = &at->found;
+    breathing_pairs *m = &at->found;
     const size_t count = most, p = at->pairs, n = at->instants;
-    free(m->theta), free(m->pair);
-    m->pair = malloc((count + 1) * sizeof(int));
+    free(m->theta), free(m->event_pairs);
+    m->event_pairs = malloc((count + 1) * sizeof(int));
     m->theta = numbers(count * (2 + p + 4 * (size_t)at->harmonics + 1 + 2 * n));
-    if (!m->theta || !m->pair) return 1;
-    m->most = most;
-    m->gain = m->theta + count, m->vectors = m->gain + count;
+    if (!m->theta || !m->event_pairs) return 1;
+    m->max_events = most;
+    m->gains = m->theta + count, m->vectors = m->gains + count;
     at->behind = m->vectors + count * p;
     at->shares = at->behind + count * (4 * (size_t)at->harmonics + 1);
     at->jumps = at->shares + count * n;
@@ -45,21 +45,21 @@ coupled_forces *new_coupled_forces(int harmonics, int pairs)
 {
     coupled_forces *at = calloc(1, sizeof(coupled_forces));
     if (!at) return NULL;
-    breathing *m = &at->found;
+    breathing_pairs *m = &at->found;
     const size_t p = pairs, square = p * p, instants = 4 * (harmonics + 1);
     at->harmonics = harmonics, at->pairs = pairs, at->instants = (int)instants;
-    m->cells = interval_cells(harmonics, pairs), m->columns = 2 * harmonics + 1;
+    m->cells = interval_cells(harmonics, pairs), m->n_waves = 2 * harmonics + 1;
     m->contact.pairs = pairs;
-    const size_t work = intervals_room(pairs, harmonics, m->cells);
+    const size_t work = interval_work_size(pairs, harmonics, m->cells);
     at->room = numbers(3 * square + 4 * p + work + 3 * instants * p);
-    m->first = malloc(2 * p + 1);
+    m->first_set = malloc(2 * p + 1);
     at->gaps = new_waves(harmonics, (int)instants, pairs);
     m->waves = new_waves(harmonics, m->cells, pairs);
-    if (!at->room || !m->first || !at->gaps || !m->waves || make_room(at, 4 * pairs + 16)) {
+    if (!at->room || !m->first_set || !at->gaps || !m->waves || make_room(at, 4 * pairs + 16)) {
         free_coupled_forces(at);
         return NULL;
     }
-    m->contact.closed = m->first + p;
+    m->contact.closed = m->first_set + p;
     m->stiffness = at->room, m->contact.table = m->stiffness + square;
     m->contact.room = m->contact.table + square, m->work = m->contact.room + 4 * p;
     at->values = m->work + work, at->moved = at->values + instants * p;
@@ -71,7 +71,7 @@ void free_coupled_forces(coupled_forces *at)
 {
     if (!at) return;
     free_waves(at->gaps), free_waves(at->steps), free_waves(at->found.waves);
-    free(at->found.first), free(at->found.theta), free(at->found.pair);
+    free(at->found.first_set), free(at->found.theta), free(at->found.event_pairs);
     free(at->room);
     free(at);
 }
@@ -79,7 +79,7 @@ void free_coupled_forces(coupled_forces *at)
 /* What is behind each event, from the means of exp(i m theta) there, m = 0 to 2H. */
 static void set_shares(coupled_forces *at)
 {
-    const breathing *m = &at->found;
+    const breathing_pairs *m = &at->found;
     const long events = at->events;
     for (long e = 0; e < events; e++) {
         const double c1 = cos(m->theta[e]), s1 = sin(m->theta[e]);
@@ -92,37 +92,37 @@ static void set_shares(coupled_forces *at)
             wave[2 * k * events] = size * (c - 1.0);
         }
     }
-    if (events) values_of(at->steps, (int)events, at->behind, at->shares);
+    if (events) waves_to_values(at->steps, (int)events, at->behind, at->shares);
 }
 
 void forces_by_gap(coupled_forces *at, const double *change, double *found)
 {
-    const breathing *m = &at->found;
+    const breathing_pairs *m = &at->found;
     const int p = at->pairs, n = at->instants, events = at->events;
-    values_of(at->gaps, p, change, at->values);
+    waves_to_values(at->gaps, p, change, at->values);
     multiply_matrices(n, p, p, at->values, m->stiffness, 0.0, at->forces);
     multiply_transposed(n, p, events, at->values, m->vectors, at->jumps);
     for (long i = 0; i < n; i++)
         for (long e = 0; e < events; e++)
-            at->jumps[i * events + e] *= at->shares[i * events + e] * m->gain[e];
+            at->jumps[i * events + e] *= at->shares[i * events + e] * m->gains[e];
     if (events) multiply_matrices(n, events, p, at->jumps, m->vectors, 1.0, at->forces);
-    coefficients_of(at->gaps, p, at->forces, found);
+    values_to_waves(at->gaps, p, at->forces, found);
 }
 
 int find_forces(coupled_forces *at, const double *compliance, const double *gap, double *force)
 {
-    breathing *m = &at->found;
+    breathing_pairs *m = &at->found;
     const int p = at->pairs;
     double largest = 0.0;
     for (int i = 0; i < p; i++) {
         double sum = 0.0;
-        for (int row = 0; row < m->columns; row++) sum += fabs(gap[(long)row * p + i]);
+        for (int row = 0; row < m->n_waves; row++) sum += fabs(gap[(long)row * p + i]);
         if (!(sum <= largest)) largest = sum;
     }
     if (!isfinite(largest)) return NOT_FOUND;
-    m->contact.d = compliance, m->gaps = gap, m->allowed = AS_ZERO * largest;
-    while ((at->events = intervals(m)) == -1)
-        if (make_room(at, 2 * m->most)) return NO_MEMORY;
+    m->contact.compliance = compliance, m->gaps = gap, m->tolerance = ZERO_TOLERANCE * largest;
+    while ((at->events = find_intervals(m)) == -1)
+        if (make_room(at, 2 * m->max_events)) return NO_MEMORY;
     if (at->events < 0) return NOT_FOUND;
     set_shares(at);
     forces_by_gap(at, gap, force);
@@ -131,11 +131,11 @@ int find_forces(coupled_forces *at, const double *compliance, const double *gap,
 
 void forces_by_compliance(coupled_forces *at, const double *rate, double *found)
 {
-    const breathing *m = &at->found;
+    const breathing_pairs *m = &at->found;
     const int p = at->pairs, n = at->instants, events = at->events;
     double *stiffness = at->stiffness; /* S of one interval after the other */
     memcpy(stiffness, m->stiffness, (size_t)p * p * sizeof(double));
-    values_of(at->gaps, p, m->gaps, at->values);
+    waves_to_values(at->gaps, p, m->gaps, at->values);
     memset(at->forces, 0, (size_t)n * p * sizeof(double));
     for (long e = 0; e <= events; e++) { /* the interval that ends with the event */
         multiply_matrices(n, p, p, at->values, stiffness, 0.0, at->moved);
@@ -147,9 +147,9 @@ void forces_by_compliance(coupled_forces *at, const double *rate, double *found)
         multiply_matrices(n, p, p, at->moved, stiffness, 1.0, at->forces);
         const double *v = m->vectors + e * p;
         for (long i = 0; i < p && e < events; i++)
-            for (long j = 0; j < p; j++) stiffness[i * p + j] += m->gain[e] * v[i] * v[j];
+            for (long j = 0; j < p; j++) stiffness[i * p + j] += m->gains[e] * v[i] * v[j];
     }
-    coefficients_of(at->gaps, p, at->forces, found);
+    values_to_waves(at->gaps, p, at->forces, found);
 }
 
 /* U^T S U of a matrix (p, p), or S itself. */
@@ -171,7 +171,7 @@ static void seen_by(int p, int q, const double *basis, const double *matrix, dou
 
 int means_of_stiffness(const coupled_forces *at, const double *basis, int q, double *means)
 {
-    const breathing *m = &at->found;
+    const breathing_pairs *m = &at->found;
     const size_t p = at->pairs, square = (size_t)q * q, events = at->events;
     const int rows = 4 * at->harmonics + 1;
     double *products = numbers((events + 1) * square + q + p * q);
@@ -183,7 +183,7 @@ int means_of_stiffness(const coupled_forces *at, const double *basis, int q, dou
         if (basis) multiply_matrices(1, (int)p, q, v, basis, 0.0, seen);
         else memcpy(seen, v, p * sizeof(double));
         for (int i = 0; i < q; i++)
-            for (int j = 0; j < q; j++) *product++ = m->gain[e] * seen[i] * seen[j];
+            for (int j = 0; j < q; j++) *product++ = m->gains[e] * seen[i] * seen[j];
     }
     multiply_matrices(rows, (int)events, (int)square, at->behind, products, 0.0, means);
     for (size_t i = square; i < rows * square; i++) means[i] *= 0.5;

@@ -7,7 +7,7 @@ enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
 /* Unknowns from which on factors of J are dear: solutions with it take products, and full steps from
  * the linear solution more time than beginning with fewer harmonics. */
-enum { MANY = 100 };
+enum { MANY_UNKNOWNS = 100 };
 
 /* The points of each kind begin with it; `at` is such a point. */
 typedef struct equations {
@@ -16,11 +16,11 @@ typedef struct equations {
     int (*evaluate)(struct equations *at, const double *x, double p); /* FOUND, or why not */
     void (*residual)(const struct equations *at, double *found);      /* F there */
     void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there, */
-    double sharp;                          /* to this relative residual where it takes products: */
-    int products;                          /* whether it does; the sign is dear then */
+    double solve_tolerance;                          /* to this relative residual where it takes products: */
+    int uses_products;                          /* whether it does; the sign is dear then */
     void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
     double (*sign)(struct equations *at);  /* of det J there; NAN where it is not known: then turns */
-    const double *counts;                  /* are judged with unknowns that count so much (n) */
+    const double *angle_weights;                  /* are judged with unknowns that count so much (n) */
     void *context; /* what equations in Python are made of (numerics/equations.py) */
     void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
     int records; /* numbers that paths may keep of each point: */

@@ -40,7 +40,7 @@ struct exponentials {
 };
 
 /* Turn of what is fastest in a step by kicks, whose error is then 1e-14. */
-#define KICKED_STEP 0.01
+#define MAX_KICK_ANGLE 0.01
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
@@ -355,7 +355,7 @@ int multiply_exponential(exponentials *e, const closed_set *a, double length, in
                          double *product)
 {
     const int size = 2 * e->modes;
-    const double time = e->unit * length, steps = ceil(time * (1.0 + e->rate) / KICKED_STEP);
+    const double time = e->unit * length, steps = ceil(time * (1.0 + e->rate) / MAX_KICK_ANGLE);
     const double kicks = 2.0 * steps * a->size;
     const int few = a->size && !e->coupled && kicks < e->modes;
     if (!few || e->kicks + kicks > e->modes) add_kicks(e, product);

@@ -11,7 +11,7 @@
 #include "series.h"
 
 /* Steps of the search for events in a piece, at most. */
-enum { STEPS = GRID * FLOW_REACH };
+enum { MAX_SEARCH_STEPS = STEPS_PER_RADIAN * MAX_PIECE_ANGLE };
 
 struct flow {
     flow_parts of;
@@ -48,7 +48,7 @@ static long numbers_of_state(const flow *f)
 /* A set turns no faster, nor does the load: contact may be stiffer than all modes. */
 static double fastest(const flow *f, const closed_set *a, double omega)
 {
-    return fmax(fmax(a->size ? f->of.fastest : f->of.apart, f->of.harmonics * omega), 1e-300);
+    return fmax(fmax(a->size ? f->of.max_rate : f->of.max_open_rate, f->of.harmonics * omega), 1e-300);
 }
 
 /* y = C x of a damping. */
@@ -188,18 +188,18 @@ static void answer(flow *f, const closed_set *a, const double *gap)
     multiply_matrices(terms, f->loads, r, f->weights, gap, 0.0, f->gaps);
     multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->gaps);
     if (!f->of.friction) {
-        answer_gaps(f->known, a, terms, f->gaps, f->answers);
+        make_answers(f->known, a, terms, f->gaps, f->answers);
         return;
     }
     memcpy(f->reached, f->gaps, bytes((long)terms * r));
-    force_gaps(f->known, a, terms, f->held, f->reached, f->forces);
+    solve_friction_forces(f->known, a, terms, f->held, f->reached, f->forces);
     answer_states(f, a);
 }
 
 static void round_off(flow *f, const closed_set *a, double length)
 {
     const double largest = series_size(f->rows, f->order, f->gaps, length);
-    for (int i = 0; i < f->rows; i++) f->allowed[i] = AS_ZERO * largest * a->scale[i];
+    for (int i = 0; i < f->rows; i++) f->allowed[i] = ZERO_TOLERANCE * largest * a->scale[i];
 }
 
 static void state_at(const flow *f, double length, double time, double *state)
@@ -266,8 +266,8 @@ WIDE static int may_fall(int p, const double *restrict low, const double *restri
 static int next_event(flow *f, double step, double end, double *when)
 {
     const int p = f->rows;
-    const int steps = (int)fmin(fmax(ceil(end / step), 3), STEPS); /* three show how answers bend */
-    double at[TIMES];
+    const int steps = (int)fmin(fmax(ceil(end / step), 3), MAX_SEARCH_STEPS); /* three show how answers bend */
+    double at[MAX_TIMES];
     for (int k = 0; k <= steps; k++) at[k] = k < steps ? k * end / steps : end;
     values_at(p, f->order, f->answers, steps + 1, at, f->value);
     for (int k = 0; k < steps && p; k++) {
@@ -308,9 +308,9 @@ static int contact_at(flow *f, double omega, double time, const double *state,
     for (int i = 0; i < p; i++) f->closed[i] = guess ? guess[i] : f->near[i] > 0.0;
     if (f->of.friction) {
         memcpy(f->held, state + 2 * m, bytes(p));
-        return !states_at(f->known, f->held, f->closed, f->near, f->force);
+        return !find_states(f->known, f->held, f->closed, f->near, f->force);
     }
-    if (!set_at(f->known, f->near, f->closed, f->force)) return 1;
+    if (!find_closed_set(f->known, f->near, f->closed, f->force)) return 1;
     for (int i = 0; i < p; i++)
         if (!f->closed[i]) f->force[i] = 0.0;
     return 0;
@@ -321,10 +321,10 @@ static void sample(const flow *f, flow_motion *m, const signed char *closed, dou
                    double end, int last)
 {
     const int n = f->of.modes, p = f->of.pairs, r = f->rows, both = f->of.friction ? 2 * r : p;
-    for (; m->sampled < m->count; m->sampled++) {
-        const double at = fmax(0.0, (m->instants[m->sampled] - m->now) / length);
+    for (; m->n_samples < m->n_instants; m->n_samples++) {
+        const double at = fmax(0.0, (m->instants[m->n_samples] - m->time) / length);
         const double time = fmin(at, end);
-        const long row = m->sampled;
+        const long row = m->n_samples;
         double *found = m->answers + row * both;
         if (!last && at >= end) break;
         state_at(f, length, time, m->states + row * 2 * n);
@@ -337,29 +337,29 @@ static void sample(const flow *f, flow_motion *m, const signed char *closed, dou
 /* Another piece of the track, in the last interval or in a new one. */
 static void passed(const flow *f, flow_motion *m, const signed char *closed, double length)
 {
-    const int p = f->of.pairs, last = m->passed - 1;
+    const int p = f->of.pairs, last = m->n_intervals - 1;
     const int goes_on = f->of.friction ? last >= 0 && m->causes[last] < 0
                                        : last >= 0 && !memcmp(m->sets + (long)last * p, closed, (size_t)p);
     if (goes_on) {
         m->lengths[last] += length;
         return;
     }
-    memcpy(m->sets + (long)m->passed * p, closed, (size_t)p);
-    if (f->of.friction) m->causes[m->passed] = -1;
-    m->lengths[m->passed++] = length;
+    memcpy(m->sets + (long)m->n_intervals * p, closed, (size_t)p);
+    if (f->of.friction) m->causes[m->n_intervals] = -1;
+    m->lengths[m->n_intervals++] = length;
 }
 
 /* A pair leaves its state, as one of the answers fell at a time of the piece behind others at the same
  * instant or, `first`, not; of the last interval is kept what changes of it will need. */
 static void turn(flow *f, flow_motion *m, int fallen, double when, int first)
 {
-    const int p = f->of.pairs, r = f->rows, pair = fallen % p, interval = m->passed - 1;
+    const int p = f->of.pairs, r = f->rows, pair = fallen % p, interval = m->n_intervals - 1;
     const int state = f->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
     signed char *zeros = f->zeros;
     double slope, rate;
     if (first) memset(zeros, 0, (size_t)r);
     m->causes[interval] = fallen;
-    m->firsts[interval] = (signed char)first;
+    m->is_first[interval] = (signed char)first;
     const double place = column_at(r, f->order, f->reached, p + pair, 0, when, &rate);
     column_at(r, f->order, f->answers, fallen, 0, when, &slope);
     if (first) f->slope = slope / f->length;
@@ -404,33 +404,33 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
     double stayed = 0.0, allowed = INFINITY;
     int at_once = 0; /* events at one instant */
     signed char *closed = f->closed;
-    if (contact_at(f, m->omega, m->now, m->state, guess)) return FLOW_LOST;
+    if (contact_at(f, m->omega, m->time, m->state, guess)) return FLOW_FAILED;
     memset(f->zeros, 0, (size_t)f->rows);
-    for (; m->now < m->end; m->pieces++) {
-        const closed_set *a = closed_set_of(f->known, closed);
-        if (!a) return friction ? FLOW_LOST : FLOW_MEMORY;
-        const double rate = fastest(f, a, m->omega), longest = FLOW_REACH / rate;
+    for (; m->time < m->end; m->n_pieces++) {
+        const closed_set *a = get_closed_set(f->known, closed);
+        if (!a) return friction ? FLOW_FAILED : FLOW_NO_MEMORY;
+        const double rate = fastest(f, a, m->omega), longest = MAX_PIECE_ANGLE / rate;
         /* Those between which a crack closes are short, and a short series has few terms. */
-        const double reach = fmin(longest, fmax(1.0 / (GRID * rate), allowed));
-        const double length = fmin(reach, m->end - m->now), left = (m->end - m->now) / length;
-        if (m->pieces + (m->end - m->now) / longest > m->most_pieces) return FLOW_PIECES;
-        if (m->passed == m->most) return FLOW_INTERVALS;
+        const double reach = fmin(longest, fmax(1.0 / (STEPS_PER_RADIAN * rate), allowed));
+        const double length = fmin(reach, m->end - m->time), left = (m->end - m->time) / length;
+        if (m->n_pieces + (m->end - m->time) / longest > m->max_pieces) return FLOW_TOO_MANY_PIECES;
+        if (m->n_intervals == m->max_intervals) return FLOW_TOO_MANY_INTERVALS;
         f->order = order_for(length * rate);
-        wave(f, m->omega, m->now, length, 0);
+        wave(f, m->omega, m->time, length, 0);
         expand(f, a, f->of.force, f->of.gap, NULL, length, m->state);
         answer(f, a, f->of.gap);
         double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
         end = series_reach(f->rows, f->order, f->gaps, end);
-        if (!(end > 0.0)) return FLOW_LOST;
+        if (!(end > 0.0)) return FLOW_FAILED;
         round_off(f, a, end);
         double when = end;
-        const int fallen = next_event(f, 1.0 / (GRID * length * rate), end, &when);
+        const int fallen = next_event(f, 1.0 / (STEPS_PER_RADIAN * length * rate), end, &when);
         const int last = fallen < 0 && end == left;
         sample(f, m, closed, length, when, last);
         state_at(f, length, when, m->state);
-        if (!finite_state(2 * f->of.modes, m->state)) return FLOW_LOST;
+        if (!finite_state(2 * f->of.modes, m->state)) return FLOW_FAILED;
         passed(f, m, closed, when * length);
-        m->now = last ? m->end : m->now + when * length;
+        m->time = last ? m->end : m->time + when * length;
         stayed += when * length;
         allowed = INFINITY;
         if (friction && last) place_at_end(f, when, m->state);
@@ -440,11 +440,11 @@ static int advance(flow *f, flow_motion *m, const signed char *guess)
         if (friction) {
             f->length = length;
             turn(f, m, fallen, when, at_once == 1);
-            if (at_once > 6 * p) return FLOW_LOST;
+            if (at_once > 6 * p) return FLOW_FAILED;
         } else closed[fallen] = !closed[fallen];
         allowed = 2.0 * stayed;
         stayed = 0.0;
-        m->events++;
+        m->n_events++;
     }
     return FLOW_DONE;
 }
@@ -454,10 +454,10 @@ int flow_advance(flow *f, flow_motion *m) { return advance(f, m, NULL); }
 /* The set of an interval of a track, and the length of its pieces; NULL without memory. */
 static const closed_set *enter(flow *f, const flow_track *track, int interval, double *length)
 {
-    const closed_set *a = closed_set_of(f->known, track->sets + (long)interval * f->of.pairs);
+    const closed_set *a = get_closed_set(f->known, track->sets + (long)interval * f->of.pairs);
     if (!a) return NULL;
     const double whole = track->lengths[interval], rate = fastest(f, a, track->omega);
-    *length = whole / ceil(whole * rate / FLOW_REACH);
+    *length = whole / ceil(whole * rate / MAX_PIECE_ANGLE);
     f->order = order_for(*length * rate);
     return a;
 }
@@ -528,7 +528,7 @@ static void change_place(const flow *f, const closed_set *a, int pair, changes *
 
 static int sticks_throughout(const flow *f, const flow_track *track, int pair)
 {
-    for (int k = 0; k < track->intervals; k++)
+    for (int k = 0; k < track->n_intervals; k++)
         if (track->sets[(long)k * f->of.pairs + pair] != STICK) return 0;
     return 1;
 }
@@ -540,7 +540,7 @@ static void change_state(flow *f, const flow_track *track, int interval, const c
     const int p = f->of.pairs, fallen = track->causes[interval];
     if (fallen < 0) return;
     const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
-    if (track->firsts[interval]) {
+    if (track->is_first[interval]) {
         double sign;
         const int row = answer_row(f, a, fallen, c->weights, &sign);
         changed(f, a, c, row, sign, by_rate ? c->rate : c->moved, c->fell);
@@ -567,7 +567,7 @@ static void change_along(flow *f, const closed_set *a, double length, changes *c
     const int m = f->of.modes, p = f->of.pairs, stuck = a->size - a->closing, n = c->count;
     const long all = (long)m * n;
     const double rate = fastest(f, a, 0.0);
-    const int pieces = (int)ceil(length * rate / FLOW_REACH);
+    const int pieces = (int)ceil(length * rate / MAX_PIECE_ANGLE);
     double *before = c->terms, *now = before + all, *next = now + all;
     if (a->stiffness) transpose(m, m, a->stiffness, c->matrix);
     else {
@@ -623,7 +623,7 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
     const closed_set *a = NULL;
     const long m = f->of.modes, p = f->of.pairs, r = f->rows, n = 2 * m + p;
     double *room = malloc(bytes(4 * m * n + m * m + 2 * n + r + m / 2 * n));
-    if (!room) return FLOW_MEMORY;
+    if (!room) return FLOW_NO_MEMORY;
     changes c = {.count = (int)n, .moved = tangent, .rate = tangent + m * n,
                  .held = tangent + 2 * m * n, .terms = room, .push = room + 3 * m * n};
     c.matrix = c.push + m * n;
@@ -633,11 +633,11 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
     c.seen = c.weights + r;
     memset(tangent, 0, bytes(n * n));
     for (long i = 0; i < n; i++) tangent[i * (n + 1)] = 1.0;
-    for (int k = 0; k < track->intervals; k++) {
-        a = closed_set_of(f->known, track->sets + (long)k * p);
+    for (int k = 0; k < track->n_intervals; k++) {
+        a = get_closed_set(f->known, track->sets + (long)k * p);
         if (!a) {
             free(room);
-            return FLOW_MEMORY;
+            return FLOW_NO_MEMORY;
         }
         change_along(f, a, track->lengths[k], &c);
         change_state(f, track, k, a, &c);
@@ -650,7 +650,7 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
         } else if (sticks_throughout(f, track, i)) memset(place, 0, bytes(n));
     }
     free(room);
-    return finite_state((int)(n * n), tangent) ? FLOW_DONE : FLOW_LOST;
+    return finite_state((int)(n * n), tangent) ? FLOW_DONE : FLOW_FAILED;
 }
 
 /* At the end of a series of changes a pair may leave its state, and the motion end: that of the answer
@@ -659,17 +659,17 @@ static void change_places(flow *f, const flow_track *track, int interval, const 
                           const double *gap, double length, double end)
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows, terms = f->order + 1;
-    const int fallen = track->causes[interval], last = interval + 1 == track->intervals;
+    const int fallen = track->causes[interval], last = interval + 1 == track->n_intervals;
     double *force = f->force, *near = f->near, *rate = f->falling, sign;
     if (fallen < 0 && !last) return;
     multiply_matrices(terms, f->loads, r, f->weights, gap, 0.0, f->reached);
     multiply_matrices(terms, m, r, f->series, f->columns, 1.0, f->reached);
-    force_gaps(f->known, a, terms, f->held, f->reached, f->forces);
+    solve_friction_forces(f->known, a, terms, f->held, f->reached, f->forces);
     series_at(r, f->order, f->forces, end, force, rate);
     series_at(r, f->order, f->reached, end, near, rate);
     if (fallen >= 0) {
         const int pair = fallen % p, state = a->closed[pair], by_rate = state >= SLIP_UP && fallen >= p;
-        if (track->firsts[interval]) {
+        if (track->is_first[interval]) {
             const int row = answer_row(f, a, fallen, f->value, &sign);
             f->fell = row < 0 ? dot(r, force, f->value)
                               : sign * (by_rate ? rate[row] / length : near[row]);
@@ -682,20 +682,20 @@ static void change_places(flow *f, const flow_track *track, int interval, const 
         if (a->closed[i] != STICK) f->held[i] = near[p + i];
 }
 
-int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
+int flow_by_load(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state)
 {
     double now = track->start, *places = state + 2 * f->of.modes;
     if (f->of.friction) memcpy(f->held, places, bytes(f->of.pairs));
-    for (int k = 0; k < track->intervals; k++) {
+    for (int k = 0; k < track->n_intervals; k++) {
         double length;
         const closed_set *a = enter(f, track, k, &length);
-        if (!a) return FLOW_MEMORY;
+        if (!a) return FLOW_NO_MEMORY;
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
             expand(f, a, force, gap, NULL, length, state);
             const double end = series_reach(f->of.modes, f->order, f->series, fmin(1.0, left));
-            if (!(end > 0.0)) return FLOW_LOST;
+            if (!(end > 0.0)) return FLOW_FAILED;
             state_at(f, length, end, state);
             left -= end;
             now += end * length;
@@ -724,7 +724,7 @@ int flow_by_omega(flow *f, const flow_track *track, double *state)
     memset(state, 0, bytes(numbers_of_state(f)));
     turn_load(f->loads, m, f->of.force, force);
     turn_load(f->loads, f->rows, f->of.gap, gap);
-    return flow_column(f, track, force, gap, 1, state);
+    return flow_by_load(f, track, force, gap, 1, state);
 }
 
 /* What drives the derivative of a motion, of which the series are known: -C' q' and P_A S D' lambda,
@@ -754,14 +754,14 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     const int m = f->of.modes;
     double *still = f->turned, *here = f->motion + (long)TERMS * m, *series = f->series;
     double now = track->start;
-    if (f->of.friction) return FLOW_LOST; /* not yet: where pairs stick changes, too */
+    if (f->of.friction) return FLOW_FAILED; /* not yet: where pairs stick changes, too */
     memset(still, 0, bytes(f->loads * (m + f->rows)));
     memset(state, 0, bytes(2 * m));
     memcpy(here, start, bytes(2 * m));
-    for (int k = 0; k < track->intervals; k++) {
+    for (int k = 0; k < track->n_intervals; k++) {
         double length;
         const closed_set *a = enter(f, track, k, &length);
-        if (!a) return FLOW_MEMORY;
+        if (!a) return FLOW_NO_MEMORY;
         for (double left = length > 0.0 ? track->lengths[k] / length : 0.0; left > 0.0;) {
             wave(f, track->omega, now, length, 0);
             expand(f, a, f->of.force, f->of.gap, NULL, length, here);
@@ -773,26 +773,26 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
             end = series_reach(m, f->order, f->series, end);
             if (end > 0.0) state_at(f, length, end, state);
             f->series = series;
-            if (!(end > 0.0)) return FLOW_LOST;
+            if (!(end > 0.0)) return FLOW_FAILED;
             state_at(f, length, end, here);
             left -= end;
             now += end * length;
         }
     }
-    return finite_state(2 * m, state) ? FLOW_DONE : FLOW_LOST;
+    return finite_state(2 * m, state) ? FLOW_DONE : FLOW_FAILED;
 }
 
 int flow_rate(flow *f, double omega, double time, const signed char *closed, const double *state,
               double *rate)
 {
     const int m = f->of.modes, p = f->of.pairs, r = f->rows;
-    const closed_set *a = f->of.friction ? closed_set_of(f->known, closed) : NULL;
+    const closed_set *a = f->of.friction ? get_closed_set(f->known, closed) : NULL;
     double *faster = rate + m;
     if (f->of.friction) { /* where a pair slips its place does not tell which way, or if at all */
         if (!a) return 1;
         gaps_at(f, omega, time, state);
         memcpy(f->held, state + 2 * m, bytes(p));
-        force_gaps(f->known, a, 1, f->held, f->near, f->force);
+        solve_friction_forces(f->known, a, 1, f->held, f->near, f->force);
     } else if (contact_at(f, omega, time, state, NULL)) return 1;
     memcpy(rate, state + m, bytes(m));
     multiply(m, f->rows, f->columns, f->force, faster);
@@ -806,7 +806,7 @@ int flow_rate(flow *f, double omega, double time, const signed char *closed, con
     multiply(r, m, f->of.rows, rate, f->near);
     add_rows(f->loads, r, f->of.gap, f->weights + f->loads, f->near);
     memset(f->held, 0, bytes(p)); /* places where pairs stick stay */
-    force_gaps(f->known, a, 1, f->held, f->near, f->force);
+    solve_friction_forces(f->known, a, 1, f->held, f->near, f->force);
     for (int i = 0; i < p; i++) rate[2 * m + i] = closed[i] == STICK ? 0.0 : f->near[p + i];
     return 0;
 }
@@ -814,21 +814,21 @@ int flow_rate(flow *f, double omega, double time, const signed char *closed, con
 int flow_tangent(flow *f, const flow_track *track, double *tangent)
 {
     const long size = 2L * f->of.modes, half = size * f->of.modes, p = f->of.pairs;
-    const double unit = fmax(f->of.fastest, 1e-300);
+    const double unit = fmax(f->of.max_rate, 1e-300);
     int apart = 1;
     if (f->of.friction) return tangent_with_friction(f, track, tangent);
     if (!f->exponential)
         f->exponential = new_exponentials(f->of.modes, f->of.coupled, f->of.squares,
                                           f->of.damping, unit);
-    if (!f->exponential) return FLOW_MEMORY;
+    if (!f->exponential) return FLOW_NO_MEMORY;
     memset(tangent, 0, bytes(2 * half));
     for (long i = 0; i < size; i++) tangent[i * (size + 1)] = i < f->of.modes ? unit : 1.0;
-    for (int k = 0, next; k < track->intervals; k = next) { /* those of one set together */
+    for (int k = 0, next; k < track->n_intervals; k = next) { /* those of one set together */
         const signed char *closed = track->sets + k * p;
-        const closed_set *a = closed_set_of(f->known, closed);
+        const closed_set *a = get_closed_set(f->known, closed);
         double length = track->lengths[k];
-        if (!a) return FLOW_MEMORY;
-        for (next = k + 1; next < track->intervals; next++) {
+        if (!a) return FLOW_NO_MEMORY;
+        for (next = k + 1; next < track->n_intervals; next++) {
             if (memcmp(track->sets + next * p, closed, (size_t)p)) break;
             length += track->lengths[next];
         }
@@ -836,34 +836,34 @@ int flow_tangent(flow *f, const flow_track *track, double *tangent)
     }
     add_kicks(f->exponential, tangent);
     for (long i = 0; i < half; i++) tangent[i] /= unit;
-    return finite_state((int)(2 * half), tangent) ? FLOW_DONE : FLOW_LOST;
+    return finite_state((int)(2 * half), tangent) ? FLOW_DONE : FLOW_FAILED;
 }
 
-int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
+int flow_advance_parts(flow *f, flow_motion *m, int nodes, double period, const double *states,
               double *moved, int *ends)
 {
     const long size = numbers_of_state(f);
     flow_motion part = *m;
     memcpy(moved, states, bytes(nodes * size));
     for (int i = 0; i < nodes; i++) {
-        part.now = i * period / nodes, part.end = (i + 1) * period / nodes;
+        part.time = i * period / nodes, part.end = (i + 1) * period / nodes;
         part.state = moved + i * size;
         const int outcome = advance(f, &part, i ? f->closed : NULL);
-        m->passed += part.passed;
-        m->events = part.events;
+        m->n_intervals += part.n_intervals;
+        m->n_events = part.n_events;
         if (outcome != FLOW_DONE) return outcome;
-        ends[i] = m->passed;
-        part.most -= part.passed;
-        part.sets += (long)part.passed * f->of.pairs;
-        part.lengths += part.passed;
+        ends[i] = m->n_intervals;
+        part.max_intervals -= part.n_intervals;
+        part.sets += (long)part.n_intervals * f->of.pairs;
+        part.lengths += part.n_intervals;
         if (f->of.friction)
-            part.causes += part.passed, part.firsts += part.passed, part.ratios += part.passed;
-        part.passed = 0;
+            part.causes += part.n_intervals, part.is_first += part.n_intervals, part.ratios += part.n_intervals;
+        part.n_intervals = 0;
     }
     return FLOW_DONE;
 }
 
-int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
+int flow_carry_changes(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
                double *changes)
 {
     const long size = numbers_of_state(f);
@@ -872,15 +872,15 @@ int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, con
     memset(still, 0, bytes(f->loads * (f->of.modes + f->rows)));
     for (int i = 0; i < nodes; i++, changes += size, excess += size) {
         double *next = changes + size;
-        part.intervals = ends[i] - (i ? ends[i - 1] : 0);
+        part.n_intervals = ends[i] - (i ? ends[i - 1] : 0);
         memcpy(next, changes, bytes(size));
-        const int outcome = flow_column(f, &part, still, still + f->loads * f->of.modes, 0, next);
+        const int outcome = flow_by_load(f, &part, still, still + f->loads * f->of.modes, 0, next);
         if (outcome != FLOW_DONE) return outcome;
         for (long j = 0; j < size; j++) next[j] += excess[j];
-        part.sets += (long)part.intervals * f->of.pairs;
-        part.lengths += part.intervals;
+        part.sets += (long)part.n_intervals * f->of.pairs;
+        part.lengths += part.n_intervals;
         if (f->of.friction)
-            part.causes += part.intervals, part.firsts += part.intervals, part.ratios += part.intervals;
+            part.causes += part.n_intervals, part.is_first += part.n_intervals, part.ratios += part.n_intervals;
     }
     return FLOW_DONE;
 }
@@ -903,7 +903,7 @@ flow *new_flow(const flow_parts *given)
 {
     const long m = given->modes, pairs = given->pairs, damping = given->coupled ? m * m : m;
     const long p = given->friction ? 2 * pairs : pairs, loads = 2L * given->harmonics + 1;
-    const long room = m + damping + p * p + 2 * p * m + TERMS * (loads + m + 4 * p) + (STEPS + 2) * p
+    const long room = m + damping + p * p + 2 * p * m + TERMS * (loads + m + 4 * p) + (MAX_SEARCH_STEPS + 2) * p
                       + 6 * p + m + 2 * loads * (m + p) + (2 * TERMS + 2) * m;
     flow *f = calloc(1, sizeof(flow));
     if (!f) return NULL;
@@ -933,7 +933,7 @@ flow *new_flow(const flow_parts *given)
     f->series = taken(&place, TERMS * m);
     f->gaps = taken(&place, TERMS * p);
     f->answers = taken(&place, TERMS * p);
-    f->value = taken(&place, (STEPS + 1) * p);
+    f->value = taken(&place, (MAX_SEARCH_STEPS + 1) * p);
     f->falling = taken(&place, p);
     f->allowed = taken(&place, p);
     f->near = taken(&place, p);
@@ -945,13 +945,13 @@ flow *new_flow(const flow_parts *given)
     f->source = taken(&place, TERMS * m);
     f->motion = taken(&place, (TERMS + 2) * m);
     f->known = new_closed_sets((int)m, (int)pairs, f->of.rows, f->of.compliance, f->of.friction,
-                               given->most);
+                               given->max_set_numbers);
     if (f->known) return f;
     free_flow(f);
     return NULL;
 }
 
-void flow_damp(flow *f, const double *damping)
+void flow_set_damping(flow *f, const double *damping)
 {
     const long m = f->of.modes;
     memcpy((double *)f->of.damping, damping, bytes(f->of.coupled ? m * m : m));

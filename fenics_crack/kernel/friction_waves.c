@@ -23,7 +23,7 @@ static int repeats(int p, const signed char *now, const signed char *states, con
 int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
                    double *forces, signed char *states, double *places, int *origins)
 {
-    const int p = pairs_of(s), r = 2 * p;
+    const int p = count_pairs(s), r = 2 * p;
     double *gap = malloc(bytes(r + 1)), largest = 0.0;
     signed char *now = calloc((size_t)p + 1, 1);
     int failed = !gap || !now;
@@ -32,7 +32,7 @@ int march_friction(closed_sets *s, int count, int turns, const double *gaps, dou
     for (long t = 0; t < (long)turns * count && !failed; t++) {
         const long at = t % count;
         memcpy(gap, gaps + at * r, bytes(r));
-        failed = rub(s, held, now, gap, forces + at * r);
+        failed = step_friction(s, held, now, gap, forces + at * r);
         if (t >= count && repeats(p, now, states + at * p, held, places + at * p, ROUNDING * largest)) break;
         for (int i = 0; i < p; i++)
             if (now[i] != STICK) origins[i] = (int)at;
@@ -67,7 +67,7 @@ static int always_sticks(int count, const signed char *states, int pairs, int pa
 int friction_changes(closed_sets *s, int count, const signed char *states, const int *origins,
                      const double *gaps, double *forces)
 {
-    const int p = pairs_of(s), r = 2 * p;
+    const int p = count_pairs(s), r = 2 * p;
     double *held = calloc((size_t)p + 1, sizeof(double));
     if (!held) return 1;
     for (int i = 0; i < p; i++)
@@ -77,7 +77,7 @@ int friction_changes(closed_sets *s, int count, const signed char *states, const
         const signed char *next = states + (t + 1) % count * p;
         const int memory = some_begin_to_stick(states + at * p, next, p);
         if (t < count && !memory) continue;
-        const closed_set *a = closed_set_of(s, states + at * p);
+        const closed_set *a = get_closed_set(s, states + at * p);
         if (!a) {
             free(held);
             return 1;
@@ -92,7 +92,7 @@ int friction_changes(closed_sets *s, int count, const signed char *states, const
         }
         for (int i = 0; i < p && memory; i++)
             if (begins_to_stick(a->closed, next, i))
-                held[i] = gap[p + i] - dot(r, row_of_compliance(s, p + i), force);
+                held[i] = gap[p + i] - dot(r, get_compliance_row(s, p + i), force);
     }
     free(held);
     return 0;
@@ -102,7 +102,7 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, const
                      int rows, const double *waves, const double *means, int n, const double *basis,
                      double *tangent)
 {
-    const int p = pairs_of(s), r = 2 * p;
+    const int p = count_pairs(s), r = 2 * p;
     const long columns = (long)rows * n;
     double *room = malloc(bytes(columns * (r + p + n) + (long)r * n + 2L * r + 1));
     if (!room) return 1;
@@ -120,7 +120,7 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, const
         const long at = t % count;
         const signed char *next = states + (t + 1) % count * p;
         if (t < count && !some_begin_to_stick(states + at * p, next, p)) continue;
-        const closed_set *a = closed_set_of(s, states + at * p);
+        const closed_set *a = get_closed_set(s, states + at * p);
         const double *wave = waves + at * rows, *mean = means + at * rows;
         if (!a) {
             free(room);
@@ -137,7 +137,7 @@ int friction_tangent(closed_sets *s, int count, const signed char *states, const
         }
         for (int i = 0; i < p; i++) { /* dh = U w - D_t L r */
             if (!begins_to_stick(a->closed, next, i)) continue;
-            const double *d = row_of_compliance(s, p + i), *own = basis + (long)(p + i) * n;
+            const double *d = get_compliance_row(s, p + i), *own = basis + (long)(p + i) * n;
             double *place = held + i * columns;
             for (int j = 0; j < rows; j++)
                 for (int b = 0; b < n; b++) place[(long)j * n + b] = wave[j] * own[b];

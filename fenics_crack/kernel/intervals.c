@@ -128,7 +128,7 @@ static void expand(int harmonics, double middle, double width, double *taylor)
 
 /* What is known while a motion is followed. */
 typedef struct {
-    breathing *of;
+    breathing_pairs *of;
     int count, since;         /* events; changes since rounding was looked for */
     int begin, end, next;     /* cells whose answers are known; none: end 0; how many come next */
     double *gaps, *answers;   /* s at the beginnings of all cells and at the last one's end, (cells +
@@ -141,26 +141,26 @@ typedef struct {
                                  behind `taylor`; else NULL */
     double *circle, *rows;    /* (cells) cosines and sines; (TERMS, 2H+1) waves */
     int *some;                /* (p) */
-} walk;
+} interval_search;
 
 /* X of all s_j, where they are carried along. */
-static void answer_waves(walk *now)
+static void answer_waves(interval_search *now)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = now->of;
     if (now->answered) /* as many rows at a time as there is room for */
-        for (int row = 0; row < m->columns; row += TERMS) {
-            const int count = m->columns - row < TERMS ? m->columns - row : TERMS;
+        for (int row = 0; row < m->n_waves; row += TERMS) {
+            const int count = m->n_waves - row < TERMS ? m->n_waves - row : TERMS;
             const size_t first = (size_t)row * m->contact.pairs;
-            answers_to(&m->contact, count, m->gaps + first, now->room, now->answered + first);
+            transform_gaps(&m->contact, count, m->gaps + first, now->room, now->answered + first);
         }
 }
 
 /* Bounds of how much waves bend, per cell squared, from their coefficients (2H+1, p). */
-static void bend(const breathing *m, const double *coefficients, double *bends)
+static void bend(const breathing_pairs *m, const double *coefficients, double *bends)
 {
     const int pairs = m->contact.pairs;
     memset(bends, 0, pairs * sizeof(double));
-    for (int row = 1; row < m->columns; row++) {
+    for (int row = 1; row < m->n_waves; row++) {
         const double rate = TWO_PI / m->cells * ((row + 1) / 2);
         for (int i = 0; i < pairs; i++)
             bends[i] += rate * rate * fabs(coefficients[(long)row * pairs + i]);
@@ -169,9 +169,9 @@ static void bend(const breathing *m, const double *coefficients, double *bends)
 
 /* What answers where cells begin are found from: the answers to waves where these are fewer than
  * pairs; else all gaps there. */
-static void begin(walk *now)
+static void begin(interval_search *now)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = now->of;
     const int pairs = m->contact.pairs;
     answer_waves(now);
     if (now->answered) {
@@ -181,30 +181,30 @@ static void begin(walk *now)
         }
         return;
     }
-    values_of(m->waves, pairs, m->gaps, now->gaps);
+    waves_to_values(m->waves, pairs, m->gaps, now->gaps);
     memcpy(now->gaps + (size_t)m->cells * pairs, now->gaps, pairs * sizeof(double));
     bend(m, m->gaps, now->bends);
 }
 
 /* Answers (count, p) of combinations of the waves (count, 2H+1). */
-static void answer(walk *now, int count, const double *waves, double *found)
+static void answer(interval_search *now, int count, const double *waves, double *found)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = now->of;
     const int pairs = m->contact.pairs;
     const double *coefficients = now->answered ? now->answered : m->gaps;
     double *combined = now->answered ? found : now->values;
-    multiply_matrices(count, m->columns, pairs, waves, coefficients, 0.0, combined);
-    if (!now->answered) answers_to(&m->contact, count, combined, now->room, found);
+    multiply_matrices(count, m->n_waves, pairs, waves, coefficients, 0.0, combined);
+    if (!now->answered) transform_gaps(&m->contact, count, combined, now->room, found);
 }
 
 /* The waves where cells begin. */
-static const double *waves_at(walk *now, int cell, int count)
+static const double *waves_at(interval_search *now, int cell, int count)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = now->of;
     for (int i = 0; i < count; i++) {
-        double *row = now->rows + (long)i * m->columns;
+        double *row = now->rows + (long)i * m->n_waves;
         row[0] = 1.0;
-        for (int k = 1; 2 * k < m->columns; k++) {
+        for (int k = 1; 2 * k < m->n_waves; k++) {
             const double *at = now->circle + 2 * ((long)k * (cell + i) % m->cells);
             row[2 * k - 1] = at[0], row[2 * k] = at[1];
         }
@@ -213,9 +213,9 @@ static const double *waves_at(walk *now, int cell, int count)
 }
 
 /* The answers at both ends of a cell; those at its end stand behind the others. */
-static const double *look(walk *now, int cell)
+static const double *look(interval_search *now, int cell)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = now->of;
     const int pairs = m->contact.pairs;
     if (cell < now->begin || cell >= now->end) {
         const int changed = !now->end;
@@ -227,8 +227,8 @@ static const double *look(walk *now, int cell)
             if (changed) bend(m, now->answered, now->bends + pairs);
             answer(now, count, waves_at(now, cell, count), now->answers);
         } else {
-            if (changed) bounds_of(&m->contact, now->bends, now->bends + pairs);
-            answers_to(&m->contact, count, now->gaps + (size_t)cell * pairs, now->room,
+            if (changed) bound_answers(&m->contact, now->bends, now->bends + pairs);
+            transform_gaps(&m->contact, count, now->gaps + (size_t)cell * pairs, now->room,
                        now->answers);
         }
     }
@@ -236,15 +236,15 @@ static const double *look(walk *now, int cell)
 }
 
 /* The set has changed. */
-static void forget(walk *now) { now->end = 0, now->next = 1; }
+static void forget(interval_search *now) { now->end = 0, now->next = 1; }
 
 /* Whether a pair with an answer is in its place: closed pairs press, others do not penetrate. */
-static int right(const breathing *m, int i, double answer)
+static int right(const breathing_pairs *m, int i, double answer)
 {
-    return m->contact.closed[i] ? answer > 0.0 : !(answer > m->allowed);
+    return m->contact.closed[i] ? answer > 0.0 : !(answer > m->tolerance);
 }
 
-static int all_right(const breathing *m, const double *answers)
+static int all_right(const breathing_pairs *m, const double *answers)
 {
     for (int i = 0; i < m->contact.pairs; i++)
         if (!right(m, i, answers[i])) return 0;
@@ -252,10 +252,10 @@ static int all_right(const breathing *m, const double *answers)
 }
 
 /* Rates of the answers, per cell, at both ends of one. */
-static void look_for_slopes(walk *now, int cell)
+static void look_for_slopes(interval_search *now, int cell)
 {
-    const breathing *m = now->of;
-    const int columns = m->columns;
+    const breathing_pairs *m = now->of;
+    const int columns = m->n_waves;
     double *wave = now->basis;
     for (int end = 0; end < 2; end++, wave += columns) {
         wave[0] = 0.0;
@@ -269,7 +269,7 @@ static void look_for_slopes(walk *now, int cell)
 
 /* Whether two tangents at the ends of a cell meet on the wrong side of zero. An answer that keeps
  * its sign at both, and more distance from zero than it can bend, is not looked at. */
-static int grazes(walk *now, int cell, const double *answers)
+static int grazes(interval_search *now, int cell, const double *answers)
 {
     const pivot_table *contact = &now->of->contact;
     const int pairs = contact->pairs;
@@ -289,53 +289,53 @@ static int grazes(walk *now, int cell, const double *answers)
 }
 
 /* Opens or closes a pair; with it go `terms` rows of `taylor`, and what else is carried along. */
-static int turn_and_carry(walk *now, int pair, int terms, double *v, double *gain)
+static int turn_and_carry(interval_search *now, int pair, int terms, double *v, double *gain)
 {
     pivot_table *contact = &now->of->contact;
     double *first = now->taylor + (TERMS - terms) * contact->pairs;
-    const int carried = now->answered ? now->of->columns : 0;
-    const int failed = turn_pair(contact, pair, terms + carried, first, v, gain);
+    const int carried = now->answered ? now->of->n_waves : 0;
+    const int failed = toggle_pair(contact, pair, terms + carried, first, v, gain);
     if (!failed) forget(now);
     return failed;
 }
 
 /* A pair opens or closes at a phase, with `terms` answers to be carried along. Returns 1 where that
  * cannot be done, -1 where there is no room for it. */
-static int record(walk *now, int pair, double theta, int terms)
+static int record(interval_search *now, int pair, double theta, int terms)
 {
-    breathing *m = now->of;
-    if (now->count == m->most) return -1;
+    breathing_pairs *m = now->of;
+    if (now->count == m->max_events) return -1;
     const long at = now->count;
     double *v = m->vectors + at * m->contact.pairs;
-    if (turn_and_carry(now, pair, terms, v, m->gain + at)) return 1;
+    if (turn_and_carry(now, pair, terms, v, m->gains + at)) return 1;
     m->theta[at] = at ? fmax(m->theta[at - 1], theta) : theta;
-    m->pair[at] = pair;
+    m->event_pairs[at] = pair;
     now->count++;
     now->since++;
     return 0;
 }
 
 /* Looks for rounding now and then. */
-static void keep_sharp(walk *now)
+static void keep_sharp(interval_search *now)
 {
-    if (now->since < PIVOTS) return;
-    if (refresh(&now->of->contact)) answer_waves(now), forget(now);
+    if (now->since < MAX_TRUSTED_PIVOTS) return;
+    if (recompute_if_inaccurate(&now->of->contact)) answer_waves(now), forget(now);
     now->since = 0;
 }
 
 /* The set where a cell begins: pairs in the wrong place are turned, all of them, or where that goes
  * round the first alone (sets.h). Only behind phase zero is it recorded. Returns 0, -1 without room,
  * or -2 where that does not end. */
-static int settle(walk *now, int cell, int recorded)
+static int settle(interval_search *now, int cell, int recorded)
 {
-    breathing *m = now->of;
+    breathing_pairs *m = now->of;
     const long pairs = m->contact.pairs;
-    for (long turn = 0; turn < PIVOTS + 20L * pairs * pairs; turn++) {
+    for (long turn = 0; turn < MAX_TRUSTED_PIVOTS + 20L * pairs * pairs; turn++) {
         int wrong = 0;
         keep_sharp(now);
         const double *answers = look(now, cell);
         for (int i = 0; i < pairs; i++) {
-            if (right(m, i, answers[i]) || (wrong && turn >= PIVOTS)) continue;
+            if (right(m, i, answers[i]) || (wrong && turn >= MAX_TRUSTED_PIVOTS)) continue;
             const int failed = recorded ? record(now, i, cell * (TWO_PI / m->cells), 0)
                                         : turn_and_carry(now, i, 0, NULL, NULL);
             if (failed < 0) return -1;
@@ -348,14 +348,14 @@ static int settle(walk *now, int cell, int recorded)
 }
 
 /* All events in a cell, in order. Returns 0, or -1 without room. */
-static int search(walk *now, int cell)
+static int search(interval_search *now, int cell)
 {
-    breathing *m = now->of;
+    breathing_pairs *m = now->of;
     const int pairs = m->contact.pairs;
     const double width = TWO_PI / m->cells, middle = (cell + 0.5) * width;
     double begun = -1.0, place = 0.0;
     int last = -1;
-    expand(m->columns / 2, middle, width, now->basis);
+    expand(m->n_waves / 2, middle, width, now->basis);
     answer(now, TERMS, now->basis, now->taylor);
     for (int turn = 0; turn < 4 * pairs + 8; turn++) {
         const int count = candidates(&m->contact, now->taylor, now->some, now->candidates);
@@ -380,35 +380,35 @@ int interval_cells(int harmonics, int pairs)
     return cells;
 }
 
-long intervals_room(int pairs, int harmonics, int cells)
+long interval_work_size(int pairs, int harmonics, int cells)
 {
     const long columns = 2L * harmonics + 1;
     return pairs * (cells + 5L * TERMS + 6L + columns) + 2L * cells +
            columns * 2L * TERMS;
 }
 
-int intervals(breathing *m)
+int find_intervals(breathing_pairs *m)
 {
     const long pairs = m->contact.pairs;
-    walk now = {.of = m, .next = 1, .gaps = m->work};
+    interval_search now = {.of = m, .next = 1, .gaps = m->work};
     now.answers = now.gaps + (m->cells + 1) * pairs;
     now.room = now.answers + TERMS * pairs;
     now.bends = now.room + TERMS * pairs;
     now.slopes = now.bends + 2 * pairs;
     now.taylor = now.slopes + 2 * pairs;
     now.answered = now.taylor + TERMS * pairs;
-    now.values = now.answered + m->columns * pairs;
+    now.values = now.answered + m->n_waves * pairs;
     now.candidates = now.values + TERMS * pairs;
     now.basis = now.candidates + TERMS * pairs;
-    now.rows = now.basis + TERMS * m->columns;
-    now.circle = now.rows + TERMS * m->columns;
+    now.rows = now.basis + TERMS * m->n_waves;
+    now.circle = now.rows + TERMS * m->n_waves;
     now.some = (int *)(now.circle + 2 * m->cells);
-    if (m->columns >= pairs) now.answered = NULL;
-    open_all(&m->contact);
+    if (m->n_waves >= pairs) now.answered = NULL;
+    open_all_pairs(&m->contact);
     begin(&now);
     if (settle(&now, 0, 0)) return -2;
-    inverse_of(&m->contact, m->stiffness);
-    memcpy(m->first, m->contact.closed, pairs);
+    get_inverse(&m->contact, m->stiffness);
+    memcpy(m->first_set, m->contact.closed, pairs);
     for (int cell = 0; cell < m->cells; cell++) {
         const double *answers = look(&now, cell);
         if (all_right(m, answers + pairs) && !grazes(&now, cell, answers)) continue;

@@ -21,18 +21,18 @@
  */
 typedef struct {
     pivot_table contact;
-    int cells, most, columns; /* columns: 2H+1 */
+    int cells, max_events, n_waves; /* columns: 2H+1 */
     const double *gaps;       /* (2H+1, p) s_j */
     waves *waves;             /* of H harmonics where cells begin */
-    double allowed;           /* penetration that counts as none */
-    signed char *first;       /* (p) the set at phase zero */
+    double tolerance;           /* penetration that counts as none */
+    signed char *first_set;       /* (p) the set at phase zero */
     double *stiffness;        /* (p, p) its S, zero outside */
     double *theta;            /* (most) phase of each event, ascending */
-    int *pair;                /* (most) who opens or closes there */
+    int *event_pairs;                /* (most) who opens or closes there */
     double *vectors;          /* (most, p) v, */
-    double *gain;             /* (most) by which S changes there: S += gain v v^T */
-    double *work;             /* as many numbers as intervals_room says */
-} breathing;
+    double *gains;             /* (most) by which S changes there: S += gain v v^T */
+    double *work;             /* as many numbers as interval_work_size says */
+} breathing_pairs;
 
 /* Cells for H harmonics: 16 and more to the shortest wave, and in the period 4 and more to every
  * pair: few events in a cell. Of 1,500 random waves of 2 to 39 pairs, 4 and 128 cells to a pair give
@@ -40,7 +40,7 @@ typedef struct {
 int interval_cells(int harmonics, int pairs);
 /* Returns the number of events, -1 where that is more than `most`, or -2 where an instant has no
  * forces. */
-int intervals(breathing *m);
-long intervals_room(int pairs, int harmonics, int cells);
+int find_intervals(breathing_pairs *m);
+long interval_work_size(int pairs, int harmonics, int cells);
 
 #endif

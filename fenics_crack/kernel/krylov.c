@@ -6,12 +6,12 @@
 
 #include "lapack.h"
 
-enum { KEPT = 2, STAGES = KRYLOV_MOST / 2 }; /* of two vectors at least */
+enum { MAX_KEPT_RATIO = 2, MAX_STAGES = MAX_KRYLOV_VECTORS / 2 }; /* of two vectors at least */
 
 struct krylov {
     int n, most, stages, kept;      /* vectors of all stages together */
-    int begins[STAGES + 1];
-    double *inverses[STAGES];       /* R^-1 Q^T - Q Q^T (size, size), size = begins[i + 1] - begins[i] */
+    int begins[MAX_STAGES + 1];
+    double *inverses[MAX_STAGES];       /* R^-1 Q^T - Q Q^T (size, size), size = begins[i + 1] - begins[i] */
     double *vectors;                /* (2 most + 1, n) */
     double *columns, *turned;       /* H and R, column by column: (most, most + 1) */
     double *cosines, *sines, *left; /* of rotations; the right side: (most + 1) */
@@ -23,7 +23,7 @@ krylov *new_krylov(int n)
 {
     krylov *k = calloc(1, sizeof(krylov));
     if (!k) return NULL;
-    const size_t size = n, most = n < KRYLOV_MOST ? n : KRYLOV_MOST;
+    const size_t size = n, most = n < MAX_KRYLOV_VECTORS ? n : MAX_KRYLOV_VECTORS;
     k->n = n, k->most = (int)most;
     k->room = malloc(((2 * most + 2) * size + (2 * most + 5) * (most + 1)) * sizeof(double));
     if (!k->room) {
@@ -141,7 +141,7 @@ static void keep(krylov *k, int size)
 void solve_by_products(krylov *k, equations *at, double *x, double tolerance)
 {
     const size_t n = k->n, row = k->most + 1;
-    if (k->stages && (k->kept > KEPT * k->begins[1])) begin_anew(k);
+    if (k->stages && (k->kept > MAX_KEPT_RATIO * k->begins[1])) begin_anew(k);
     /* Vectors lose their right angles by rounding over the square of the residual. */
     const int times = tolerance > 1e-6 ? 1 : 2;
     double *vectors = k->vectors + k->kept * n;

@@ -15,7 +15,7 @@
  */
 typedef struct krylov krylov;
 
-enum { KRYLOV_MOST = 600 }; /* products of a solution, and vectors kept of former ones */
+enum { MAX_KRYLOV_VECTORS = 600 }; /* products of a solution, and vectors kept of former ones */
 
 /* For n unknowns; NULL without memory. */
 krylov *new_krylov(int n);

@@ -4,8 +4,8 @@
 #include <stdlib.h>
 
 enum {
-    FEW = 64,  /* products of numbers for which a call of BLAS takes longer (measured) */
-    SMALL = 48 /* rows of a matrix up to which LAPACK takes longer to factor it */
+    MAX_LOOP_PRODUCTS = 64,  /* products of numbers for which a call of BLAS takes longer (measured) */
+    MAX_SMALL_ROWS = 48 /* rows of a matrix up to which LAPACK takes longer to factor it */
 };
 
 static void *bound[LAPACK_FUNCTIONS];
@@ -48,7 +48,7 @@ void multiply(int rows, int columns, const double *a, const double *x, double *y
 {
     const int one = 1;
     const double unit = 1.0, zero = 0.0;
-    if ((long)rows * columns <= FEW) {
+    if ((long)rows * columns <= MAX_LOOP_PRODUCTS) {
         for (int i = 0; i < rows; i++) {
             double sum = 0.0;
             for (int j = 0; j < columns; j++) sum += a[i * columns + j] * x[j];
@@ -74,7 +74,7 @@ void multiply_matrices(int rows, int inner, int columns, const double *a, const 
         for (int i = 0; i < rows * columns; i++) c[i] = keep ? keep * c[i] : 0.0;
         return;
     }
-    if ((long)rows * inner * columns <= FEW) {
+    if ((long)rows * inner * columns <= MAX_LOOP_PRODUCTS) {
         for (int i = 0; i < rows; i++, a += inner)
             for (int j = 0; j < columns; j++, c++) {
                 double sum = keep ? keep * *c : 0.0;
@@ -93,7 +93,7 @@ void multiply_transposed(int rows, int inner, int columns, const double *a, cons
 {
     const double unit = 1.0, zero = 0.0;
     if (!rows || !columns) return;
-    if ((long)rows * inner * columns <= FEW) {
+    if ((long)rows * inner * columns <= MAX_LOOP_PRODUCTS) {
         for (int i = 0; i < rows; i++)
             for (int j = 0; j < columns; j++) *c++ = dot(inner, a + i * inner, b + j * inner);
         return;
@@ -141,7 +141,7 @@ static int factor_small(int n, double *a, int *pivots)
 int factor(int n, double *a, int *pivots)
 {
     int info = 0;
-    if (n <= SMALL) return factor_small(n, a, pivots);
+    if (n <= MAX_SMALL_ROWS) return factor_small(n, a, pivots);
     /* LAPACK sees A^T, which is factored just as well. */
     ((getrf_t *)bound[DGETRF])(&n, &n, a, &n, pivots, &info);
     return info;

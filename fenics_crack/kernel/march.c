@@ -49,7 +49,7 @@ int march_central(const central_differences *s, int first, int steps, double *ga
         if (v->springs) {
             if (v->friction) {
                 memcpy(reached, gap, p * sizeof(double));
-                if (rub(v->friction, v->held, v->states, reached, force)) return step;
+                if (step_friction(v->friction, v->stick_places, v->states, reached, force)) return step;
             } else penalty(v, gap, force);
             take(p, n, v->rows, force, r);
         }
@@ -64,7 +64,7 @@ int march_central(const central_differences *s, int first, int steps, double *ga
         if (!v->springs) {
             for (int i = 0; i < p; i++)
                 reached[i] = gap[i] + dot(n, v->rows + (size_t)i * n, d);
-            if (forces_at(s->contact, reached, NULL, s->closed, force)) return step;
+            if (solve_instant(s->contact, reached, NULL, s->closed, force)) return step;
             take(p, n, s->push, force, d);
         }
         for (int j = 0; j < n; j++) q[j] += d[j];
@@ -79,10 +79,10 @@ static void transition(const exponential *s, const double *restrict x, double *r
 {
     const int n = s->modes;
     if (s->coupled) {
-        multiply(2 * n, 2 * n, s->moved, x, y);
+        multiply(2 * n, 2 * n, s->transition, x, y);
         return;
     }
-    const double *qq = s->moved, *qv = qq + n, *vq = qv + n, *vv = vq + n;
+    const double *qq = s->transition, *qv = qq + n, *vq = qv + n, *vv = vq + n;
     for (int j = 0; j < n; j++) {
         y[j] = qq[j] * x[j] + qv[j] * x[n + j];
         y[n + j] = vq[j] * x[j] + vv[j] * x[n + j];
@@ -108,14 +108,14 @@ int march_exponential(const exponential *s, int steps, double *states, double *f
         transition(s, z, reached);
         for (int i = 0; i < p; i++) {
             gap[i] = linear[i] + dot(n, s->rows + (size_t)i * n, reached)
-                     - dot(p, s->gaps + (size_t)i * p, before);
+                     - dot(p, s->gap_response + (size_t)i * p, before);
         }
         memcpy(closed, guess, (size_t)pairs);
-        if (s->friction ? rub(s->friction, s->held, closed, gap, forces)
-                        : forces_at(s->contact, gap, NULL, closed, forces))
+        if (s->friction ? step_friction(s->friction, s->stick_places, closed, gap, forces)
+                        : solve_instant(s->contact, gap, NULL, closed, forces))
             return step - 1;
         for (int i = 0; i < p; i++) both[i] = before[i] + forces[i];
-        take(p, 2 * n, s->pushed, both, reached);
+        take(p, 2 * n, s->force_response, both, reached);
         for (int j = 0; j < 2 * n; j++) {
             z[j] = reached[j];
             states[j] = z[j] + steady[j];

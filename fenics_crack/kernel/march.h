@@ -19,7 +19,7 @@ typedef struct {
     const double *clearance; /* (p) g0 */
     const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
     closed_sets *friction;   /* of springs alone; NULL: none, else p rows are normals, then tangents */
-    double *held;            /* (p / 2) where pairs stick or are, here and at the end */
+    double *stick_places;            /* (p / 2) where pairs stick or are, here and at the end */
     signed char *states;     /* (p / 2) their states */
     int loads;               /* rows of the load: its mean, then a cosine and a sine of each order */
     const double *load;      /* (loads, n) */
@@ -56,15 +56,15 @@ int march_central(const central_differences *s, int first, int steps, double *ga
 typedef struct {
     int modes, pairs, instants;
     int coupled;           /* whether the damping couples the modes */
-    const double *moved;   /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
+    const double *transition;   /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
     const double *rows;    /* (p, n) P^T */
-    const double *pushed;  /* (p, 2 n) G^T */
-    const double *gaps;    /* (p, p) [P^T 0] G */
+    const double *force_response;  /* (p, 2 n) G^T */
+    const double *gap_response;    /* (p, p) [P^T 0] G */
     const double *linear;  /* (instants, p) l: the gap of the steady motion */
     const double *steady;  /* (instants, 2 n) */
     sets *contact;         /* of D; NULL with friction */
     closed_sets *friction; /* of D; NULL: none, else p rows are normals, then tangents */
-    double *held;          /* (p / 2) where pairs stick or are, here and at the end */
+    double *stick_places;          /* (p / 2) where pairs stick or are, here and at the end */
     double *room;          /* (4 n + 2 p) */
 } exponential;
 

@@ -83,7 +83,7 @@ static double parting_of(const neighbours *in, int j, int k, double known)
     return (coupled * share * share - apart * apart) / (4.0 * allowed);
 }
 
-void partings(int count, int n, const double *monodromy, double known, double *parting)
+void collision_severities(int count, int n, const double *monodromy, double known, double *parting)
 {
     const size_t square = (size_t)n * n;
     neighbours in = {.n = n};

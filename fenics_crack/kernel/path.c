@@ -6,18 +6,18 @@
 #include <string.h>
 
 enum {
-    DOUBTED = FAILED + 1, /* of points: they do not go with the next sign */
-    UNSURE = 8            /* points without a sign in a row: a branch that crosses twice is missed */
+    SIGN_LOST = FAILED + 1, /* of points: they do not go with the next sign */
+    MAX_UNCHECKED_POINTS = 8            /* points without a sign in a row: a branch that crosses twice is missed */
 };
 /* Of the longest step: within as little a path that changes its sign straight on crosses a branch, and
  * a corner is passed. CORNER: the shortest step around one. */
-#define LOCAL 1e-2
-#define CORNER 1e-7
+#define LOCAL_STEP_RATIO 1e-2
+#define CORNER_STEP_RATIO 1e-7
 
 /* The norm of a point's tangent. */
 static norm norm_of(const path *points, int place)
 {
-    return (norm){points->weights[place], points->of_means[place]};
+    return (norm){points->weights[place], points->mean_weights[place]};
 }
 
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
@@ -25,8 +25,8 @@ static norm norm_of(const path *points, int place)
 static void bend(const equations *at, const path *points, double step, double *x, double *p,
                  double *room)
 {
-    if (points->known < 2) return;
-    const int n = at->unknowns, last = points->known - 1;
+    if (points->n_known < 2) return;
+    const int n = at->unknowns, last = points->n_known - 1;
     const double *here = points->unknowns + (size_t)last * n, *before = here - n;
     const double *tangent = points->tangents + (size_t)last * n, *old = tangent - n;
     const double slope = points->slopes[last], old_slope = points->slopes[last - 1];
@@ -45,7 +45,7 @@ static void bend(const equations *at, const path *points, double step, double *x
         room[i] = step * step * (second + (step + back) * third);
     }
     const double far = product(at, own, room, room) + room[n] * room[n];
-    if (far < 0.1 * step * step) add_to(n, x, 1.0, room), *p += room[n];
+    if (far < 0.1 * step * step) add_scaled(n, x, 1.0, room), *p += room[n];
 }
 
 /* Where solutions take products with J, the sign of det J is dear, and asked for now and then. Where
@@ -55,13 +55,13 @@ typedef struct {
     double step; /* and the step behind it */
     int own;     /* points before this one need their own */
     int spent;   /* iterations since the last point, those of steps that were too long, too */
-} trust;
+} sign_check;
 
 /* Of two directions y and z, the second with its norm, as turns are judged. */
 static double along_of(const equations *at, norm own, const double *y, double y_p, const double *z,
                        double z_p)
 {
-    const double *counts = at->counts;
+    const double *counts = at->angle_weights;
     double sum = 0.0;
     if (!counts) return product(at, own, y, z) + y_p * z_p;
     for (int i = 0; i < at->unknowns; i++) sum += counts[i] * y[i] * z[i];
@@ -87,24 +87,24 @@ static double tangent_onwards(equations *at, int n, double orientation, const do
     const double sign = isnan(orientation) ? NAN : at->sign(at);
     const int onwards = isnan(sign) ? along_of(at, *own, tangent, slope, before, old_slope) >= 0.0
                                     : sign == orientation;
-    if (!onwards) turn_round(n, tangent, &slope);
+    if (!onwards) reverse_tangent(n, tangent, &slope);
     return slope;
 }
 
 /* Forget the points behind the last one that is sure; 0 where there are none. */
-static int go_back(trust *in, path *points)
+static int go_back(sign_check *in, path *points)
 {
-    if (in->sure == points->known - 1) return 0;
-    in->own = points->known, points->known = in->sure + 1, points->step = in->step;
+    if (in->sure == points->n_known - 1) return 0;
+    in->own = points->n_known, points->n_known = in->sure + 1, points->step = in->step;
     return 1;
 }
 
 /* The prediction x, p of the next point. */
 static void predict(const equations *at, const path *points, double *x, double *p, double *room)
 {
-    const int n = at->unknowns, last = points->known - 1;
+    const int n = at->unknowns, last = points->n_known - 1;
     memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
-    add_to(n, x, points->step, points->tangents + (size_t)last * n);
+    add_scaled(n, x, points->step, points->tangents + (size_t)last * n);
     *p = points->parameters[last] + points->step * points->slopes[last];
     bend(at, points, points->step, x, p, room);
 }
@@ -112,9 +112,9 @@ static void predict(const equations *at, const path *points, double *x, double *
 /* How the end of a step is corrected: points must be known better than steps are long. */
 static correction correction_of(const stepping *how, double step)
 {
-    correction found = how->newton;
+    correction found = how->correction;
     found.tolerance = fmax(how->rounding, fmin(found.tolerance, 1e-4 * step));
-    found.reach *= step;
+    found.max_parameter_change *= step;
     return found;
 }
 
@@ -122,11 +122,11 @@ static correction correction_of(const stepping *how, double step)
 static void append(equations *at, path *points, double p, double slope, norm own,
                    int taken, int crossing, double *room)
 {
-    const int n = at->unknowns, next = points->known++;
+    const int n = at->unknowns, next = points->n_known++;
     const double *x = points->unknowns + (size_t)next * n, rise = p - points->parameters[next - 1];
     for (int i = 0; i < n; i++) room[i] = x[i] - x[i - n];
     points->parameters[next] = p, points->slopes[next] = slope;
-    points->weights[next] = own.weight, points->of_means[next] = own.of_means;
+    points->weights[next] = own.weight, points->mean_weights[next] = own.mean_weight;
     points->iterations[next] = taken, points->crossings[next] = crossing;
     if (points->records) at->record(at, points->records + (size_t)next * at->records);
     const double square = product(at, norm_of(points, next - 1), room, room);
@@ -137,19 +137,19 @@ static void append(equations *at, path *points, double p, double slope, norm own
  * contact begins to graze and J changes by orders of magnitude over the smallest distance. The path
  * goes on as the tangent just behind the point says; where the sign of det J is not known, that or
  * its opposite, unless this leads straight back. FOUND, or NOT_FOUND where it ends. */
-static int round_corner(equations *at, int n, const stepping *how, path *points, trust *in,
+static int round_corner(equations *at, int n, const stepping *how, path *points, sign_check *in,
                         double *room)
 {
-    const int last = points->known - 1;
+    const int last = points->n_known - 1;
     const double *here = points->unknowns + (size_t)last * n;
     const double *old = points->tangents + (size_t)last * n, old_slope = points->slopes[last];
-    double *x = points->unknowns + (size_t)points->known * n;
-    double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
-    double step = fmax(CORNER * how->longest, how->shortest);
-    for (; step <= LOCAL * how->longest; step *= sqrt(10.0)) {
+    double *x = points->unknowns + (size_t)points->n_known * n;
+    double *tangent = points->tangents + (size_t)points->n_known * n, *way = room + 3 * (n + 1);
+    double step = fmax(CORNER_STEP_RATIO * how->max_step, how->min_step);
+    for (; step <= LOCAL_STEP_RATIO * how->max_step; step *= sqrt(10.0)) {
         double p = points->parameters[last] + step * old_slope;
         norm of_way, own;
-        memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
+        memcpy(x, here, n * sizeof(double)), add_scaled(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
         in->spent++;
         if (outcome != FOUND) return outcome;
@@ -157,10 +157,10 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
             tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &of_way);
         const double straight =
             cosine_of(at, norm_of(points, last), way, slope_of_way, old, old_slope);
-        const int unsure = isnan(points->orientation) && straight < how->least_cosine;
-        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &slope_of_way)) {
+        const int unsure = isnan(points->orientation) && straight < how->min_cosine;
+        for (int ways = 0; ways <= unsure; ways++, reverse_tangent(n, way, &slope_of_way)) {
             int taken;
-            memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
+            memcpy(x, here, n * sizeof(double)), add_scaled(n, x, step, way);
             p = points->parameters[last] + step * slope_of_way;
             const plane across = {way, slope_of_way, of_way};
             const correction newton = correction_of(how, step);
@@ -180,16 +180,16 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
 
 /* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
  * points before it must be followed again. */
-static int advance(equations *at, int n, const stepping *how, path *points, trust *in, double *room)
+static int advance(equations *at, int n, const stepping *how, path *points, sign_check *in, double *room)
 {
-    const int last = points->known - 1;
+    const int last = points->n_known - 1;
     const double step = points->step;
     const norm of_last = norm_of(points, last);
     const double old_slope = points->slopes[last];
     const double *here = points->unknowns + (size_t)last * n;
     const double *old = points->tangents + (size_t)last * n;
-    double *x = points->unknowns + (size_t)points->known * n, p;
-    double *tangent = points->tangents + (size_t)points->known * n;
+    double *x = points->unknowns + (size_t)points->n_known * n, p;
+    double *tangent = points->tangents + (size_t)points->n_known * n;
     const correction newton = correction_of(how, step);
     const plane across = {old, old_slope, of_last};
     int taken, crossing = 0;
@@ -198,54 +198,54 @@ static int advance(equations *at, int n, const stepping *how, path *points, trus
     const int outcome = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
     in->spent += taken;
     if (outcome != FOUND) return outcome;
-    const int ends = points->known + 1 == points->room || p < how->lowest || p > how->highest;
-    const int sure = !at->products || ends || points->known <= in->own ||
-                     points->known - in->sure >= UNSURE;
+    const int ends = points->n_known + 1 == points->capacity || p < how->min_parameter || p > how->max_parameter;
+    const int sure = !at->uses_products || ends || points->n_known <= in->own ||
+                     points->n_known - in->sure >= MAX_UNCHECKED_POINTS;
     double slope =
         tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent, &own);
     /* The angle shows whether the step has left the path. */
     const double cosine = cosine_of(at, of_last, tangent, slope, old, old_slope);
-    if (!(cosine > how->least_cosine)) {
-        if (in->sure < last && cosine < 0.0) return DOUBTED;
-        if (!(cosine < -0.999 && step < LOCAL * how->longest)) return NOT_FOUND;
+    if (!(cosine > how->min_cosine)) {
+        if (in->sure < last && cosine < 0.0) return SIGN_LOST;
+        if (!(cosine < -0.999 && step < LOCAL_STEP_RATIO * how->max_step)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
         crossing = 1, points->orientation = -points->orientation;
-        turn_round(n, tangent, &slope);
+        reverse_tangent(n, tangent, &slope);
     }
     for (int i = 0; i < n; i++) room[i] = x[i] - here[i];
     const double rise = p - points->parameters[last];
     if (isnan(points->orientation) && /* lest a step across a narrow turn leads back */
-        !(cosine_of(at, of_last, room, rise, old, old_slope) > how->least_cosine &&
-          cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
+        !(cosine_of(at, of_last, room, rise, old, old_slope) > how->min_cosine &&
+          cosine_of(at, own, room, rise, tangent, slope) > how->min_cosine))
         return NOT_FOUND;
     append(at, points, p, slope, own, in->spent, crossing, room);
     in->spent = 0;
-    if (taken <= 3) points->step = fmin(how->longest, 1.7 * step);
+    if (taken <= 3) points->step = fmin(how->max_step, 1.7 * step);
     else if (taken > 5) points->step *= 0.7;
-    if (sure) in->sure = points->known - 1, in->step = points->step;
+    if (sure) in->sure = points->n_known - 1, in->step = points->step;
     return FOUND;
 }
 
-int follow(equations *at, const stepping *how, path *points)
+int follow_path(equations *at, const stepping *how, path *points)
 {
     const int n = at->unknowns;
     double *room = malloc(4 * ((size_t)n + 1) * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
-    trust in = {points->known - 1, points->step, 0, 0};
+    sign_check in = {points->n_known - 1, points->step, 0, 0};
     if (outcome == FOUND && points->orientation == 0.0) {
-        const double *x = points->unknowns + (size_t)(points->known - 1) * n;
-        outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
+        const double *x = points->unknowns + (size_t)(points->n_known - 1) * n;
+        outcome = at->evaluate(at, x, points->parameters[points->n_known - 1]);
         const double sign = outcome == FOUND ? at->sign(at) : NAN;
-        points->orientation = points->slopes[points->known - 1] > 0.0 ? sign : -sign;
+        points->orientation = points->slopes[points->n_known - 1] > 0.0 ? sign : -sign;
     }
-    while (outcome == FOUND && points->known < points->room && inside) {
+    while (outcome == FOUND && points->n_known < points->capacity && inside) {
         do outcome = advance(at, n, how, points, &in, room);
-        while (outcome == NOT_FOUND && (points->step *= 0.5) >= how->shortest);
+        while (outcome == NOT_FOUND && (points->step *= 0.5) >= how->min_step);
         if (outcome != FOUND && go_back(&in, points)) outcome = FOUND;
         if (outcome == NOT_FOUND && (outcome = round_corner(at, n, how, points, &in, room)) == FOUND)
-            in.sure = points->known - 1, in.step = points->step;
-        const double p = points->parameters[points->known - 1];
-        inside = p >= how->lowest && p <= how->highest;
+            in.sure = points->n_known - 1, in.step = points->step;
+        const double p = points->parameters[points->n_known - 1];
+        inside = p >= how->min_parameter && p <= how->max_parameter;
     }
     free(room);
     return outcome;
@@ -295,26 +295,26 @@ static int between(equations *at, int n, const stepping *how, const double *targ
         const double turns[4] = {0.0, 3.0 * third, 2.0 * second, begin};
         const double meets[4] = {third, second, begin, target ? p - *target : 0.0};
         double share = root_within(target ? meets : turns);
-        ends->known = share < 0.5 ? first : last;
-        if (fmin(share, 1.0 - share) * length <= how->shortest) return FOUND;
+        ends->n_known = share < 0.5 ? first : last;
+        if (fmin(share, 1.0 - share) * length <= how->min_step) return FOUND;
         if (halve) share = 0.5;
         const double step = share * length;
         double *x = ends->unknowns + (size_t)next * n, *ahead = ends->tangents + (size_t)next * n;
         ends->parameters[next] = p + step * slope;
         memcpy(x, here, n * sizeof(double));
-        add_to(n, x, step, tangent);
+        add_scaled(n, x, step, tangent);
         const plane in = {tangent, slope, own};
-        correction newton = how->newton;
-        newton.reach *= step;
+        correction newton = how->correction;
+        newton.max_parameter_change *= step;
         const int outcome =
             correct_in_plane(at, &in, &newton, x, ends->parameters + next,
                              ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
         norm of_next;
         ends->slopes[next] = unit_tangent(at, n, x, ahead, &of_next);
-        ends->weights[next] = of_next.weight, ends->of_means[next] = of_next.of_means;
+        ends->weights[next] = of_next.weight, ends->mean_weights[next] = of_next.mean_weight;
         if (product(at, own, ahead, tangent) + ends->slopes[next] * slope < 0.0)
-            turn_round(n, ahead, ends->slopes + next);
+            reverse_tangent(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
                                   : ends->slopes[next] * slope > 0.0;
         const int replaced = before ? first : last;
@@ -326,7 +326,7 @@ static int between(equations *at, int n, const stepping *how, const double *targ
     return NOT_FOUND;
 }
 
-int find_between(equations *at, const stepping *how, const double *target, path *ends)
+int find_point_between(equations *at, const stepping *how, const double *target, path *ends)
 {
     const int n = at->unknowns;
     double *room = malloc(3 * (size_t)n * sizeof(double));

@@ -8,16 +8,16 @@
  * parameter and a unit tangent (t_x, t_p), of x in its norm. */
 
 typedef struct {
-    double longest, shortest, least_cosine, rounding;
-    double lowest, highest; /* parameters between which a call goes on */
-    correction newton;      /* its reach in steps; short ones are corrected more sharply */
+    double max_step, min_step, min_cosine, rounding;
+    double min_parameter, max_parameter; /* parameters between which a call goes on */
+    correction correction;      /* its reach in steps; short ones are corrected more sharply */
 } stepping;
 
 /* A path's points one after the other: (room, n), (room), ..., of which `known` are known, the last
  * one or two of them with their tangents. */
 typedef struct {
-    int room, known;
-    double *unknowns, *parameters, *tangents, *slopes, *weights, *of_means, *lengths;
+    int capacity, n_known;
+    double *unknowns, *parameters, *tangents, *slopes, *weights, *mean_weights, *lengths;
     int *iterations;
     signed char *crossings; /* whether another branch crosses before the point */
     double *records; /* (room, equations.records), or NULL: not kept */
@@ -30,11 +30,11 @@ typedef struct {
  *
  * Follow the path until there is no more room or the parameter leaves its range. Returns FOUND,
  * or why it ended before: NOT_FOUND where steps would be too short. */
-int follow(equations *at, const stepping *how, path *points);
+int follow_path(equations *at, const stepping *how, path *points);
 
 /* The point between two, the first rows of `ends` (3 rows), where the parameter turns back, or
  * unless NULL where it is a target, to a distance how->shortest; its row is then ends->known. Returns
  * FOUND, or why not. */
-int find_between(equations *at, const stepping *how, const double *target, path *ends);
+int find_point_between(equations *at, const stepping *how, const double *target, path *ends);
 
 #endif

@@ -6,10 +6,10 @@
 #include "lapack.h"
 #include "rounding.h"
 
-void open_all(pivot_table *s)
+void open_all_pairs(pivot_table *s)
 {
     const size_t n = s->pairs;
-    memcpy(s->table, s->d, n * n * sizeof(double));
+    memcpy(s->table, s->compliance, n * n * sizeof(double));
     memset(s->closed, 0, n);
 }
 
@@ -23,13 +23,13 @@ static void carry(int n, int count, int k, const double *u, double d, double *x)
     }
 }
 
-int turn_pair(pivot_table *s, int k, int count, double *answers, double *v, double *gain)
+int toggle_pair(pivot_table *s, int k, int count, double *answers, double *v, double *gain)
 {
     const int n = s->pairs;
     double *u = s->room, *own = s->table + (long)k * n;
     memcpy(u, own, n * sizeof(double));
     const double d = u[k];
-    if (!(s->closed[k] ? d < 0.0 : d > ROUNDING * s->d[(long)k * n + k])) return 1;
+    if (!(s->closed[k] ? d < 0.0 : d > ROUNDING * s->compliance[(long)k * n + k])) return 1;
     if (v) {
         for (int i = 0; i < n; i++) v[i] = s->closed[i] ? u[i] : 0.0;
         if (!s->closed[k]) v[k] = -1.0;
@@ -48,7 +48,7 @@ int turn_pair(pivot_table *s, int k, int count, double *answers, double *v, doub
     return 0;
 }
 
-int refresh(pivot_table *s)
+int recompute_if_inaccurate(pivot_table *s)
 {
     /* With gaps of 1 the closed pairs' forces must close these, and leave the others what T says. */
     const int n = s->pairs;
@@ -56,7 +56,7 @@ int refresh(pivot_table *s)
     for (int i = 0; i < n; i++) ones[i] = s->closed[i];
     multiply(n, n, s->table, ones, said);
     for (int i = 0; i < n; i++) force[i] = s->closed[i] ? -said[i] : 0.0;
-    multiply(n, n, s->d, force, found);
+    multiply(n, n, s->compliance, force, found);
     int good = 1;
     for (int i = 0; i < n && good; i++) {
         const double expected = s->closed[i] ? 1.0 : said[i];
@@ -65,13 +65,13 @@ int refresh(pivot_table *s)
     if (good) return 0;
     signed char *wanted = (signed char *)(s->room + 3 * n);
     memcpy(wanted, s->closed, n);
-    open_all(s);
+    open_all_pairs(s);
     for (int i = 0; i < n; i++)
-        if (wanted[i]) turn_pair(s, i, 0, NULL, NULL, NULL);
+        if (wanted[i]) toggle_pair(s, i, 0, NULL, NULL, NULL);
     return 1;
 }
 
-void inverse_of(const pivot_table *s, double *inverse)
+void get_inverse(const pivot_table *s, double *inverse)
 {
     const long n = s->pairs;
     for (long i = 0; i < n; i++)
@@ -79,7 +79,7 @@ void inverse_of(const pivot_table *s, double *inverse)
             inverse[i * n + j] = s->closed[i] && s->closed[j] ? -s->table[i * n + j] : 0.0;
 }
 
-void answers_to(const pivot_table *s, int count, const double *gaps, double *masked, double *answers)
+void transform_gaps(const pivot_table *s, int count, const double *gaps, double *masked, double *answers)
 {
     const int n = s->pairs;
     for (int row = 0; row < count; row++)
@@ -91,7 +91,7 @@ void answers_to(const pivot_table *s, int count, const double *gaps, double *mas
     multiply_matrices(count, n, n, masked, s->table, 1.0, answers);
 }
 
-void bounds_of(const pivot_table *s, const double *gaps, double *answers)
+void bound_answers(const pivot_table *s, const double *gaps, double *answers)
 {
     const int n = s->pairs;
     for (int i = 0; i < n; i++) answers[i] = s->closed[i] ? 0.0 : gaps[i];

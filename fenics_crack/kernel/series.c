@@ -33,7 +33,7 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
 
 /* Numbers of a register, and so many of these at once: a processor works on the others while it waits
  * for the first. More, or longer ones, would not stay in registers. */
-enum { LANES = 4, AT_ONCE = 6 };
+enum { LANES = 4, N_BLOCKS = 6 };
 typedef double block __attribute__((vector_size(LANES * sizeof(double))));
 
 /* Those behind the last function are the last block once more. */
@@ -44,19 +44,19 @@ WIDE void series_at(int n, int order, const double *restrict terms, double time,
         for (int i = 0; i < n; i++) value[i] = column_at(n, order, terms, i, 0, time, slope + i);
         return;
     }
-    for (int first = 0; first < n; first += AT_ONCE * LANES) {
-        block v[AT_ONCE] = {{0.0}}, d[AT_ONCE] = {{0.0}}, term;
-        int at[AT_ONCE];
-        for (int j = 0; j < AT_ONCE; j++)
+    for (int first = 0; first < n; first += N_BLOCKS * LANES) {
+        block v[N_BLOCKS] = {{0.0}}, d[N_BLOCKS] = {{0.0}}, term;
+        int at[N_BLOCKS];
+        for (int j = 0; j < N_BLOCKS; j++)
             at[j] = first + (j + 1) * LANES <= n ? first + j * LANES : n - LANES;
         const double *row = terms + (long)order * n;
         for (int k = order; k >= 0; k--, row -= n)
-            for (int j = 0; j < AT_ONCE; j++) {
+            for (int j = 0; j < N_BLOCKS; j++) {
                 memcpy(&term, row + at[j], sizeof term);
                 d[j] = d[j] * time + v[j];
                 v[j] = v[j] * time + term;
             }
-        for (int j = 0; j < AT_ONCE; j++) {
+        for (int j = 0; j < N_BLOCKS; j++) {
             memcpy(value + at[j], v + j, sizeof term);
             memcpy(slope + at[j], d + j, sizeof term);
         }
@@ -67,13 +67,13 @@ WIDE void series_at(int n, int order, const double *restrict terms, double time,
 WIDE static void values_of_few(int n, int order, const double *restrict terms, int count,
                                const double *restrict times, double *restrict values)
 {
-    double at[TIMES] = {0.0};
+    double at[MAX_TIMES] = {0.0};
     memcpy(at, times, (size_t)count * sizeof(double));
     for (int i = 0; i < n; i++) {
         const double *row = terms + (long)order * n + i;
-        double v[TIMES] = {0.0};
+        double v[MAX_TIMES] = {0.0};
         for (int k = order; k >= 0; k--, row -= n)
-            for (int j = 0; j < TIMES; j++) v[j] = v[j] * at[j] + *row;
+            for (int j = 0; j < MAX_TIMES; j++) v[j] = v[j] * at[j] + *row;
         for (int j = 0; j < count; j++) values[(long)j * n + i] = v[j];
     }
 }
@@ -81,7 +81,7 @@ WIDE static void values_of_few(int n, int order, const double *restrict terms, i
 void values_at(int n, int order, const double *terms, int count, const double *times,
                double *values)
 {
-    double powers[TIMES * TERMS];
+    double powers[MAX_TIMES * TERMS];
     if (n < BLOCK) {
         values_of_few(n, order, terms, count, times, values);
         return;

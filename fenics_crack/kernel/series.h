@@ -12,8 +12,8 @@
 /* ORDER: of the polynomials, at most. BLOCK: numbers that a processor works on together.
  * FLOW_REACH: how far what is fastest turns in a piece of the flow, at most; GRID: steps of a piece
  * while it turns by 1. TIMES: as many numbers as those at the ends of all steps, in whole blocks. */
-enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, FLOW_REACH = 10, GRID = 2 };
-enum { TIMES = (GRID * FLOW_REACH + BLOCK) / BLOCK * BLOCK };
+enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, MAX_PIECE_ANGLE = 10, STEPS_PER_RADIAN = 2 };
+enum { MAX_TIMES = (STEPS_PER_RADIAN * MAX_PIECE_ANGLE + BLOCK) / BLOCK * BLOCK };
 
 /* sum (n) += weights (count) times rows (count, n). */
 void add_rows(int count, int n, const double *rows, const double *weights, double *sum);

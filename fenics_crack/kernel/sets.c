@@ -19,7 +19,7 @@ struct sets {
     int n;
     long kept, most;
     double *d;
-    known *bucket[BUCKETS], *last; /* last: whose answer was asked for last */
+    known *bucket[N_BUCKETS], *last; /* last: whose answer was asked for last */
     double *reached, *matrix, *column; /* room */
     int *pivots, *members;
 };
@@ -28,7 +28,7 @@ struct sets {
 static void forget(sets *s, const known *kept)
 {
     s->kept = 0;
-    for (int b = 0; b < BUCKETS; b++) {
+    for (int b = 0; b < N_BUCKETS; b++) {
         known *first = s->bucket[b], *next;
         s->bucket[b] = NULL;
         for (; first; first = next) {
@@ -46,11 +46,11 @@ static void forget(sets *s, const known *kept)
     }
 }
 
-int bucket_of(int n, const signed char *closed)
+int hash_set(int n, const signed char *closed)
 {
     unsigned hash = 2166136261u; /* of Fowler, Noll and Vo */
     for (int i = 0; i < n; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
-    return (int)((hash ^ hash >> 16) % BUCKETS);
+    return (int)((hash ^ hash >> 16) % N_BUCKETS);
 }
 
 static double *room(size_t count) { return malloc((count + 1) * sizeof(double)); }
@@ -173,7 +173,7 @@ static int follow(sets *s, const known *from, known *made)
         changes += made->closed[i] != from->closed[i];
     }
     const double anew = 2.0 * size * size * size + 2.0 * (n - size) * size * n;
-    if (from->pivots + changes > PIVOTS || 4.0 * changes * n * n > anew) return 1;
+    if (from->pivots + changes > MAX_TRUSTED_PIVOTS || 4.0 * changes * n * n > anew) return 1;
     signed char *now = malloc(n + 1);
     if (!now) return 1;
     memcpy(now, from->closed, n);
@@ -189,10 +189,10 @@ static int follow(sets *s, const known *from, known *made)
     return failed || spoilt(s, made->closed, made->answer);
 }
 
-const double *answer_of(sets *s, const signed char *closed)
+const double *get_answer(sets *s, const signed char *closed)
 {
     const size_t n = s->n;
-    known **bucket = &s->bucket[bucket_of(s->n, closed)];
+    known **bucket = &s->bucket[hash_set(s->n, closed)];
     for (known *k = *bucket; k; k = k->next)
         if (!memcmp(k->closed, closed, n)) {
             s->last = k;
@@ -221,22 +221,22 @@ const double *answer_of(sets *s, const signed char *closed)
     return made->answer;
 }
 
-int forces_at(sets *s, const double *gap, const signed char *among, signed char *closed,
+int solve_instant(sets *s, const double *gap, const signed char *among, signed char *closed,
               double *force)
 {
     const int n = s->n;
     double largest = 0.0;
     for (int i = 0; i < n; i++) largest = fmax(largest, fabs(gap[i]));
-    const double allowed = -AS_ZERO * largest;
-    for (long turn = 0; turn < PIVOTS + 20L * n * n; turn++) {
-        const double *answer = answer_of(s, closed);
+    const double allowed = -ZERO_TOLERANCE * largest;
+    for (long turn = 0; turn < MAX_TRUSTED_PIVOTS + 20L * n * n; turn++) {
+        const double *answer = get_answer(s, closed);
         if (!answer) return 1;
         multiply(n, n, answer, gap, s->reached);
         int wrong = 0;
         for (int i = 0; i < n; i++) {
             if (among && !among[i]) continue;
             if (closed[i] ? s->reached[i] > 0.0 : !(s->reached[i] < allowed)) continue;
-            if (!wrong || turn < PIVOTS) closed[i] = !closed[i];
+            if (!wrong || turn < MAX_TRUSTED_PIVOTS) closed[i] = !closed[i];
             wrong = 1;
         }
         if (wrong) continue;
@@ -246,18 +246,18 @@ int forces_at(sets *s, const double *gap, const signed char *among, signed char 
     return 1;
 }
 
-void forces_of(sets *s, int count, const double *gap, signed char *closed, double *force,
+void solve_instants(sets *s, int count, const double *gap, signed char *closed, double *force,
                signed char *failed)
 {
     for (int t = 0; t < count; t++, gap += s->n, closed += s->n, force += s->n)
-        failed[t] = forces_at(s, gap, NULL, closed, force);
+        failed[t] = solve_instant(s, gap, NULL, closed, force);
 }
 
-int inverses_of(sets *s, int count, const signed char *closed, double *inverse)
+int invert_sets(sets *s, int count, const signed char *closed, double *inverse)
 {
     const size_t n = s->n;
     for (int t = 0; t < count; t++, closed += n, inverse += n * n) {
-        const double *answer = answer_of(s, closed);
+        const double *answer = get_answer(s, closed);
         if (!answer) return 1;
         for (size_t i = 0; i < n * n; i++) inverse[i] = closed[i / n] ? answer[i] : 0.0;
     }

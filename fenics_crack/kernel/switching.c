@@ -17,7 +17,7 @@
 #include "rounding.h"
 #include "waves.h"
 
-#define DEEPEST DBL_MANT_DIG /* halvings of a cell: long before, it is shorter than rounding */
+#define MAX_HALVINGS DBL_MANT_DIG /* halvings of a cell: long before, it is shorter than rounding */
 
 typedef struct {
     double left, width, low, high; /* [left, left + width], g at both ends */
@@ -31,7 +31,7 @@ typedef struct {
     double curvature;      /* M = sum_k k^2 (|a_k| + |b_k|) >= |g''| */
     double resolution;
     int open; /* cells still to be looked at, the leftmost one last */
-    cell waiting[DEEPEST + 2];
+    cell waiting[MAX_HALVINGS + 2];
 } search;
 
 int switching_cells(int harmonics)
@@ -97,7 +97,7 @@ static void begin(search *s, const double *gap, const double *waves)
     }
     for (int i = 0; i <= s->cells; i++)
         if (fabs(g[i]) > largest) largest = fabs(g[i]);
-    s->resolution = AS_ZERO * largest;
+    s->resolution = ZERO_TOLERANCE * largest;
     if (!isfinite(s->curvature + gap[0])) { /* a diverged iterate: no roots, but the search ends */
         s->next = s->cells;
         g[0] = 0.0;
@@ -191,7 +191,7 @@ static int next_change(search *s, double *theta)
         /* One sign change or none is certain: g' keeps its sign, or g lies close to its chord. */
         const int certain = change ? fabs(at.high - at.low) > 0.5 * bound
                                    : fmin(fabs(at.low), fabs(at.high)) > 0.125 * bound;
-        if (certain || bound <= 8.0 * s->resolution || s->open > DEEPEST) {
+        if (certain || bound <= 8.0 * s->resolution || s->open > MAX_HALVINGS) {
             if (!change) continue;
             *theta = polished(s, &at);
             return at.high > at.low ? 1 : -1;

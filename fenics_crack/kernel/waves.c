@@ -65,7 +65,7 @@ void free_waves(waves *at)
     free(at);
 }
 
-void values_of(waves *at, int columns, const double *coefficients, double *values)
+void waves_to_values(waves *at, int columns, const double *coefficients, double *values)
 {
     const size_t row = columns, half = at->instants / 2, all = at->instants;
     for (int kind = 0; kind < KINDS; kind++) {
@@ -92,7 +92,7 @@ void values_of(waves *at, int columns, const double *coefficients, double *value
     }
 }
 
-void coefficients_of(waves *at, int columns, const double *values, double *coefficients)
+void values_to_waves(waves *at, int columns, const double *values, double *coefficients)
 {
     const size_t row = columns, half = at->instants / 2, all = at->instants;
     for (size_t i = 0; i < (size_t)at->quarter; i++) {

@@ -499,7 +499,7 @@ motion.
 """
 MAX_NEWTON_SMOOTH = 200
 """Maximum number of iterations for forces that are not piecewise linear in the gaps."""
-REGULAR: float = kernel.REGULAR
+REGULAR_EIGENVALUE_RATIO: float = kernel.REGULAR_EIGENVALUE_RATIO
 """Minimum relative eigenvalue of R_inf for which a constraint is solved.
 
 It is relative to the largest eigenvalue. A penalty that replaces a constraint has this softness.
@@ -509,7 +509,9 @@ It is relative to the largest eigenvalue. A penalty that replaces a constraint h
 def is_regular(matrix: np.ndarray) -> bool:
     """Return True if a symmetric matrix is positive definite and well scaled."""
     eigenvalues = np.linalg.eigvalsh(matrix)
-    return not len(eigenvalues) or bool(eigenvalues[0] > REGULAR * eigenvalues[-1] > 0.0)
+    return not len(eigenvalues) or bool(
+        eigenvalues[0] > REGULAR_EIGENVALUE_RATIO * eigenvalues[-1] > 0.0
+    )
 
 
 class ActiveSets:
@@ -543,7 +545,7 @@ class ActiveSets:
         """
         is_closed = require_shape(sets, len(sets), len(self.compliance), kind=bool)
         inverses = np.empty((*is_closed.shape, is_closed.shape[1]))
-        if kernel.inverses_of(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
+        if kernel.invert_sets(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
         return inverses
 
@@ -570,7 +572,7 @@ class ActiveSets:
         guess = gap > 0.0 if is_closed is None else np.array(is_closed)
         is_closed = require_shape(guess, *gap.shape, kind=bool)
         force, has_failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
-        kernel.forces_of(
+        kernel.solve_instants(
             self.handle,
             len(gap),
             pointer(gap),

@@ -39,7 +39,7 @@ ROUNDING_ADVICE = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "
     "stiffness; make it thicker, or what is left beside a crack wider"
 )
-AS_ZERO: float = kernel.AS_ZERO
+ZERO_TOLERANCE: float = kernel.ZERO_TOLERANCE
 """Relative size that counts as zero.
 
 For squares of frequencies it is relative to the sum of K_ii phi_i^2; it holds for static responses
@@ -271,7 +271,7 @@ def solve_modes_with_factor(
     single_dof_squares = structure.sum_over_ranks(
         structure.stiffness.getDiagonal().array_r @ shapes**2
     )
-    squares[squares <= AS_ZERO * np.maximum(single_dof_squares, scale)] = 0.0
+    squares[squares <= ZERO_TOLERANCE * np.maximum(single_dof_squares, scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(
             f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"

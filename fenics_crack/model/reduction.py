@@ -41,7 +41,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
-    AS_ZERO,
+    ZERO_TOLERANCE,
     check_damped_modes,
     damped_modes,
     damping_on_modes,
@@ -230,7 +230,7 @@ def _is_rounding(
     """
     is_elastic = squares > 0.0
     modal_compliance = np.sum(modal_sources[is_elastic] ** 2 / squares[is_elastic, None], axis=0)
-    return np.asarray(compliance_diagonal <= AS_ZERO * modal_compliance)
+    return np.asarray(compliance_diagonal <= ZERO_TOLERANCE * modal_compliance)
 
 
 def _uniform_damping_rule(structure: Structure) -> DampingRule | None:

@@ -124,7 +124,7 @@ class PathSegment(Sequence[PathPoint]):
     ----------
     unknowns, tangents : (n, *shape)
         x, and t_x of the tangent.
-    parameters, slopes, weights, of_means, lengths : (n,)
+    parameters, slopes, weights, mean_weights, lengths : (n,)
         p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
     crossings : (n,) int
@@ -145,7 +145,7 @@ class PathSegment(Sequence[PathPoint]):
             self.records = np.zeros((capacity, n_records))
         self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
         self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
-        self.weights, self.of_means = np.zeros((2, capacity))
+        self.weights, self.mean_weights = np.zeros((2, capacity))
         self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
         self.located_events: list[tuple[Event, PathPoint]] = []
         for index, point in enumerate(start_points):
@@ -155,7 +155,10 @@ class PathSegment(Sequence[PathPoint]):
         """Overwrite a point."""
         self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
         self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
-        self.weights[index], self.of_means[index] = point.tangent.weight, point.tangent.of_means
+        self.weights[index], self.mean_weights[index] = (
+            point.tangent.weight,
+            point.tangent.mean_weight,
+        )
         self.lengths[index] = point.length
         if "records" in vars(self) and point.record is not None:
             self.records[index] = point.record
@@ -166,7 +169,7 @@ class PathSegment(Sequence[PathPoint]):
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the kernel's ``path`` whose first ``n_known`` points are known."""
         arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
-        return Struct("path", room=len(self), known=n_known, **arrays, **scalars)
+        return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -190,7 +193,7 @@ class PathSegment(Sequence[PathPoint]):
                 {name: array[index] for name, array in arrays.items()}, located_events=[]
             )
             return segment
-        norm_weights = float(self.weights[index]), float(self.of_means[index])
+        norm_weights = float(self.weights[index]), float(self.mean_weights[index])
         tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
         return PathPoint(
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
@@ -445,14 +448,16 @@ def _find_between(
     """
     equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
     stepping = Struct(
-        "stepping", shortest=ARRIVAL_DISTANCE, newton=correction_struct(rtol, MAX_PARAMETER_REACH)
+        "stepping",
+        min_step=ARRIVAL_DISTANCE,
+        correction=correction_struct(rtol, MAX_PARAMETER_REACH),
     )
     target_pointer = NULL if target is None else pointer(np.array([target]))
     path_struct = segment.struct(2)
     outcome = equations.run(
-        kernel.find_between, stepping.address, target_pointer, path_struct.address
+        kernel.find_point_between, stepping.address, target_pointer, path_struct.address
     )
-    return segment[path_struct.address.known] if equations.check_outcome(outcome) else None
+    return segment[path_struct.address.n_known] if equations.check_outcome(outcome) else None
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -698,19 +703,19 @@ class Path:
             len(start_points), step=self._step, orientation=self._orientation
         )
         stepping = Struct(
-            "stepping", longest=self._max_step, shortest=options.min_step,
-            least_cosine=options.min_cosine, rounding=rounding,
-            newton=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
-            lowest=max(p for p in bounds if p <= parameter),
-            highest=min(p for p in bounds if p >= parameter),
+            "stepping", max_step=self._max_step, min_step=options.min_step,
+            min_cosine=options.min_cosine, rounding=rounding,
+            correction=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
+            min_parameter=max(p for p in bounds if p <= parameter),
+            max_parameter=min(p for p in bounds if p >= parameter),
         )  # fmt: skip
         step = self._step
-        outcome = self._equations.run(kernel.follow, stepping.address, path_struct.address)
+        outcome = self._equations.run(kernel.follow_path, stepping.address, path_struct.address)
         self._orientation, self._step = path_struct.address.orientation, path_struct.address.step
-        if path_struct.address.known == len(start_points):
+        if path_struct.address.n_known == len(start_points):
             self._equations.check_outcome(outcome)
-        if path_struct.address.known == len(start_points) or self._control is None:
-            return segment[len(start_points) - 1 : path_struct.address.known]
+        if path_struct.address.n_known == len(start_points) or self._control is None:
+            return segment[len(start_points) - 1 : path_struct.address.n_known]
         return self._cut_at_halved_step(
-            segment[: path_struct.address.known], len(start_points), step
+            segment[: path_struct.address.n_known], len(start_points), step
         )

@@ -256,7 +256,7 @@ class _ModalDifferences(Scheme):
             )
             friction_members = {
                 "friction": self._sets.handle,
-                "held": self._sticking_places,
+                "stick_places": self._sticking_places,
                 "states": states,
             }
         self._shape, velocity = (modes.inverse @ part for part in request.start[:2])

@@ -237,11 +237,11 @@ class ExponentialFlow(Flow):
             self._initial_friction = FrictionSets(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
             self._sets = FrictionSets(compliance, mu)
-            set_members = {"friction": self._sets.handle, "held": self._sticking_places}
+            set_members = {"friction": self._sets.handle, "stick_places": self._sticking_places}
         self._kernel_data = Struct(
             "exponential", modes=n_modes, pairs=n_rows, instants=steps,
-            coupled=modes.damping.ndim == 2, moved=transition, rows=as_doubles(modes.pairs.T),
-            pushed=as_doubles(half_response.T), gaps=as_doubles(gap_response),
+            coupled=modes.damping.ndim == 2, transition=transition, rows=as_doubles(modes.pairs.T),
+            force_response=as_doubles(half_response.T), gap_response=as_doubles(gap_response),
             linear=self.linear_gap, steady=self.steady, room=np.empty(4 * n_modes + 2 * n_rows),
             **set_members,
         )  # fmt: skip

@@ -136,7 +136,7 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
     count = kernel.interval_cells(columns // 2, pairs)
     first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
-        "pivot_table", pairs=pairs, d=contact.compliance, table=np.empty((pairs, pairs)),
+        "pivot_table", pairs=pairs, compliance=contact.compliance, table=np.empty((pairs, pairs)),
         closed=np.empty(pairs, dtype=bool), room=np.empty(4 * pairs),
     )  # fmt: skip
     waves, places = _waves(columns // 2, count, pairs), count + 8 * pairs
@@ -144,12 +144,13 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
         theta, pair = np.zeros(places + 1), np.empty(places, dtype=np.intc)
         vectors, gains = np.empty((places, pairs)), np.empty(places)
         known = Struct(
-            "breathing", contact=table, cells=count, most=places, columns=columns, gaps=gap,
-            waves=waves, allowed=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
-            first=first, stiffness=stiffness, theta=theta[1:], pair=pair, vectors=vectors,
-            gain=gains, work=np.empty(kernel.intervals_room(pairs, columns // 2, count)),
+            "breathing_pairs", contact=table, cells=count, max_events=places, n_waves=columns,
+            gaps=gap, waves=waves, first_set=first, stiffness=stiffness, theta=theta[1:],
+            tolerance=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
+            event_pairs=pair, vectors=vectors, gains=gains,
+            work=np.empty(kernel.interval_work_size(pairs, columns // 2, count)),
         )  # fmt: skip
-        found = kernel.intervals(known.address)
+        found = kernel.find_intervals(known.address)
         if found >= 0:
             return Intervals(
                 theta[: found + 1], first, pair[:found], stiffness, vectors[:found], gains[:found]
