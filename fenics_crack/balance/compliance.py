@@ -300,7 +300,7 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
-        """Return the modes of R_k - R_inf for the kernel's ``seen_structure``.
+        """Return the modes of R_k - R_inf for the kernel's ``structure_at_pairs``.
 
         The base frequency w and the damping factor d change along a path. Each is given by its
         value at p = 0 and its rate. With h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),

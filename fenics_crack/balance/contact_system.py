@@ -550,7 +550,7 @@ class CompiledEquations(Equations):
             linear_rate=require_shape(rate, *self.shape), **compliance,
         )  # fmt: skip
         self._kernel_input = Struct(
-            "contact_pairs", seen=structure, n_basis_gaps=n_columns,
+            "contact_pairs", structure=structure, n_basis_gaps=n_columns,
             growth=growth, softness=softness,
             residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
             spring_compliances=require_shape(springs, n_pairs),

@@ -30,22 +30,22 @@ extern const double SOLUTION_TOLERANCE;
 
 /* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
  * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
-int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
-                   double *parameter, int *taken);
+int solve_in_plane(equations *system, const plane *border, const correction *options,
+                   double *unknown, double *parameter, int *n_iterations);
 /* The same with room for F, dx and J^-1 F_p: (3, n). */
-int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
-                     int *taken, double *room);
+int correct_in_plane(equations *system, const plane *border, const correction *options, double *x,
+                     double *p, int *n_iterations, double *work);
 
 /* Of a solution x: its size is that of what moves, to which its means contribute no more than all
  * else; and where they are larger they change by parts of themselves. */
-norm norm_of_solution(const equations *at, const double *x);
+norm norm_of_solution(const equations *system, const double *x);
 /* <x, y> in a norm. */
-double product(const equations *at, norm in, const double *x, const double *y);
+double product(const equations *system, norm metric, const double *x, const double *y);
 /* x += s y; the opposite direction. */
 void add_scaled(int n, double *x, double s, const double *y);
 void reverse_tangent(int n, double *tangent, double *slope);
 /* The unit tangent towards growing p at a point that has been evaluated, and its norm; its slope
  * t_p. */
-double unit_tangent(equations *at, int n, const double *x, double *tangent, norm *own);
+double unit_tangent(equations *system, int n, const double *x, double *tangent, norm *metric);
 
 #endif

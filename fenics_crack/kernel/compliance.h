@@ -14,10 +14,10 @@ typedef struct {
     const double *linear, *linear_rate; /* (2H+1, pairs) */
     const double *compliance;           /* R: (H+1, pairs, pairs), complex */
     double omega, omega_rate, damping, damping_rate;
-    const double *squares, *modal_damping;      /* s, c: (modes) */
+    const double *squares, *modal_damping; /* s, c: (modes) */
     const double *shapes;               /* P: (modes, pairs) */
     const double *load;                 /* l: (H+1, modes), complex */
-    const double *static_compliance;              /* (pairs, pairs), or NULL */
+    const double *static_compliance;    /* (pairs, pairs), or NULL */
 } structure_at_pairs;
 
 /* Of s + (k w)^2: below what an undamped resonance has no answer; without load it is moved away by the
@@ -28,18 +28,18 @@ typedef struct compliance compliance;
 
 /* NULL without memory. */
 compliance *new_compliance(const structure_at_pairs *given);
-void free_compliance(compliance *at);
+void free_compliance(compliance *self);
 /* Goes to a parameter: 0, or 1 where the structure is singular. */
-int set_parameter(compliance *at, double parameter);
+int set_parameter(compliance *self, double parameter);
 /* R there, (H+1, pairs, pairs) complex. */
-const double *get_compliance_matrices(compliance *at);
+const double *get_compliance_matrices(compliance *self);
 /* R b - g_lin of forces b (2H+1, pairs), and behind it its derivative by the parameter for this b. */
-void evaluate_response(compliance *at, const double *force, double *found);
-void differentiate_response(compliance *at, double *found);
+void evaluate_response(compliance *self, const double *force, double *gap_out);
+void differentiate_response(compliance *self, double *gap_out);
 /* R b alone. */
-void respond_at_parameter(compliance *at, const double *force, double *gap);
+void respond_at_parameter(compliance *self, const double *force, double *gap);
 /* Largest sum of |R_k| over a row of it at a parameter; infinite where the structure is singular. */
-double largest_row_sum(compliance *at, double parameter);
+double largest_row_sum(compliance *self, double parameter);
 
 /* R b of coefficients b (2H+1, pairs), from R (H+1, pairs, pairs), complex. */
 void respond(int harmonics, int pairs, const double *matrices, const double *force, double *gap);

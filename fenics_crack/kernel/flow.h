@@ -35,15 +35,15 @@ typedef struct {
     int harmonics;            /* K > 0 */
     const double *force;      /* (2 K + 1, m) f */
     const double *gap;        /* (2 K + 1, r) l */
-    double max_rate;           /* of the squares of all sets' frequencies the largest one's root, */
-    double max_open_rate;             /* and of those where all pairs are open */
-    long max_set_numbers;                /* numbers of sets of closed pairs that are kept */
+    double max_rate;          /* of the squares of all sets' frequencies the largest one's root, */
+    double max_open_rate;     /* and of those where all pairs are open */
+    long max_set_numbers;     /* numbers of sets of closed pairs that are kept */
 } flow_parts;
 
 typedef struct flow flow;
 
 /* All but the load is copied, which must stay. NULL without memory. */
-flow *new_flow(const flow_parts *given);
+flow *new_flow(const flow_parts *parts);
 void free_flow(flow *f);
 
 /* Another damping; with this no set may turn or decay faster than the bound given to the flow. */
@@ -56,16 +56,16 @@ enum { FLOW_DONE, FLOW_TOO_MANY_PIECES, FLOW_TOO_MANY_INTERVALS, FLOW_FAILED, FL
 typedef struct {
     double omega, time, end;
     double *state;           /* (n) q, q', here and at the end, and with friction (p) h */
-    int max_pieces, n_pieces; /* of the series, allowed and made */
-    int max_intervals, n_intervals;        /* intervals between events, allowed and passed */
+    int max_pieces, n_pieces;       /* of the series, allowed and made */
+    int max_intervals, n_intervals; /* intervals between events, allowed and passed */
     signed char *sets;       /* (most, p) their closed pairs */
     double *lengths;         /* (most) */
     int *causes;             /* (most) of the answers (r) the one that ended an interval, or -1; with
                               * friction only, as the next two */
-    signed char *is_first;     /* (most) whether it fell before others at that instant */
+    signed char *is_first;   /* (most) whether it fell before others at that instant */
     double *ratios;          /* (most) g_t' of the pair over the slope of the first one */
     int n_events;
-    int n_instants, n_samples;      /* instants at which the motion is kept, and how many are done */
+    int n_instants, n_samples; /* instants at which the motion is kept, and how many are done */
     const double *instants;  /* (count) ascending, from now to end */
     double *states;          /* (count, 2 m) */
     double *answers;         /* (count, p) i, or with friction (count, 2 r) lambda and g */
@@ -97,7 +97,7 @@ int flow_tangent(flow *f, const flow_track *track, double *tangent);
  * is, or with `by_time` those divided by the time: state (n) at the start and at the end of a
  * track. */
 int flow_by_load(flow *f, const flow_track *track, const double *force, const double *gap,
-                int by_time, double *state);
+                 int by_time, double *state);
 /* The same by omega: state (n), from 0 at the start. */
 int flow_by_omega(flow *f, const flow_track *track, double *state);
 /* The same by a parameter of the structure: of a motion from the state `start`, given the derivatives of
@@ -111,11 +111,11 @@ int flow_rate(flow *f, double omega, double time, const signed char *closed, con
 /* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, n) at their
  * starts: moved (nodes, n), the states at their ends, and ends (nodes), the intervals passed up to
  * there. What is allowed, and the room for the tracks behind each other, are those of m. */
-int flow_advance_parts(flow *f, flow_motion *m, int nodes, double period, const double *states,
-              double *moved, int *ends);
+int flow_advance_parts(flow *f, flow_motion *m, int n_parts, double period, const double *states,
+                       double *end_states, int *interval_counts);
 /* changes (nodes + 1, n) from the first one on, each carried to the next by the derivative of the
  * flow over that part of a track, and excess (nodes, n) added. */
-int flow_carry_changes(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
-               double *changes);
+int flow_carry_changes(flow *f, const flow_track *track, int n_parts, const int *interval_counts,
+                       const double *excess, double *changes);
 
 #endif

@@ -8,8 +8,9 @@
  * are others behind, until the places repeat, through `turns` periods at most: forces lambda (count, r), states (count, p) of
  * the pairs, and places (count, p), of the last period; origins (p) are the instants at which pairs
  * did not stick last, or 0. 0, or 1 where an instant has no forces. */
-int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
-                   double *forces, signed char *states, double *places, int *origins);
+int march_friction(closed_sets *s, int count, int max_periods, const double *gaps,
+                   double *stick_places, double *forces, signed char *states, double *places,
+                   int *origins);
 /* What changes ds (count, r) of the gaps change of the forces, (count, r), through the states of a
  * march; dh = ds at its origin of a pair that sticks at all instants. 0, or 1 without memory. */
 int friction_changes(closed_sets *s, int count, const signed char *states, const int *origins,

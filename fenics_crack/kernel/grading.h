@@ -10,6 +10,6 @@ typedef struct {
 } grading;
 
 /* h at a place. */
-double element_length_at(const grading *around, double x, double y);
+double element_length_at(const grading *tips, double x, double y);
 
 #endif

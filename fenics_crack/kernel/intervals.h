@@ -24,13 +24,13 @@ typedef struct {
     int cells, max_events, n_waves; /* columns: 2H+1 */
     const double *gaps;       /* (2H+1, p) s_j */
     waves *waves;             /* of H harmonics where cells begin */
-    double tolerance;           /* penetration that counts as none */
-    signed char *first_set;       /* (p) the set at phase zero */
+    double tolerance;         /* penetration that counts as none */
+    signed char *first_set;   /* (p) the set at phase zero */
     double *stiffness;        /* (p, p) its S, zero outside */
     double *theta;            /* (most) phase of each event, ascending */
-    int *event_pairs;                /* (most) who opens or closes there */
+    int *event_pairs;         /* (most) who opens or closes there */
     double *vectors;          /* (most, p) v, */
-    double *gains;             /* (most) by which S changes there: S += gain v v^T */
+    double *gains;            /* (most) by which S changes there: S += gain v v^T */
     double *work;             /* as many numbers as interval_work_size says */
 } breathing_pairs;
 

@@ -22,6 +22,6 @@ krylov *new_krylov(int n);
 void free_krylov(krylov *k);
 /* x = J^-1 x at the point that has been evaluated, to |J x - r| <= tolerance |r|, or the best of
  * KRYLOV_MOST products. */
-void solve_by_products(krylov *k, equations *at, double *x, double tolerance);
+void solve_by_products(krylov *k, equations *system, double *x, double tolerance);
 
 #endif

@@ -15,7 +15,7 @@ void multiply(int rows, int columns, const double *a, const double *x, double *y
 void multiply_each(int count, int n, const double *a, const double *x, double *y);
 /* C = A B + keep C with A (rows, inner), B (inner, columns), all in C's order. */
 void multiply_matrices(int rows, int inner, int columns, const double *a, const double *b,
-                       double keep, double *c);
+                       double c_factor, double *c);
 /* C = A B^T with A (rows, inner), B (columns, inner). */
 void multiply_transposed(int rows, int inner, int columns, const double *a, const double *b,
                          double *c);

@@ -10,7 +10,7 @@
 typedef struct {
     double max_step, min_step, min_cosine, rounding;
     double min_parameter, max_parameter; /* parameters between which a call goes on */
-    correction correction;      /* its reach in steps; short ones are corrected more sharply */
+    correction correction; /* its reach in steps; short ones are corrected more sharply */
 } stepping;
 
 /* A path's points one after the other: (room, n), (room), ..., of which `known` are known, the last
@@ -30,11 +30,12 @@ typedef struct {
  *
  * Follow the path until there is no more room or the parameter leaves its range. Returns FOUND,
  * or why it ended before: NOT_FOUND where steps would be too short. */
-int follow_path(equations *at, const stepping *how, path *points);
+int follow_path(equations *system, const stepping *options, path *points);
 
 /* The point between two, the first rows of `ends` (3 rows), where the parameter turns back, or
  * unless NULL where it is a target, to a distance how->shortest; its row is then ends->known. Returns
  * FOUND, or why not. */
-int find_point_between(equations *at, const stepping *how, const double *target, path *ends);
+int find_point_between(equations *system, const stepping *options, const double *target,
+                       path *ends);
 
 #endif

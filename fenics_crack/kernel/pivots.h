@@ -22,10 +22,10 @@ enum { MAX_TRUSTED_PIVOTS = 32 };
  */
 typedef struct {
     int pairs;
-    const double *compliance;      /* (p, p) D */
+    const double *compliance; /* (p, p) D */
     double *table;        /* (p, p) T */
     signed char *closed;  /* (p) */
-    double *room;         /* (4 p) */
+    double *work;         /* (4 p) */
 } pivot_table;
 
 /* All pairs open. */
@@ -39,7 +39,8 @@ int recompute_if_inaccurate(pivot_table *s);
 /* S (p, p), zero outside A. */
 void get_inverse(const pivot_table *s, double *inverse);
 /* X (count, p) of gaps (count, p), with room for as many numbers. */
-void transform_gaps(const pivot_table *s, int count, const double *gaps, double *room, double *answers);
+void transform_gaps(const pivot_table *s, int count, const double *gaps, double *work,
+                    double *answers);
 /* Bounds of |X| where those of the gaps are known, (p) each. */
 void bound_answers(const pivot_table *s, const double *gaps, double *answers);
 

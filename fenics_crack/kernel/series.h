@@ -34,6 +34,6 @@ double column_zero(int n, int order, const double *terms, int column, int slopes
 /* The largest term of all at a time. */
 double series_size(int n, int order, const double *terms, double time);
 /* Up to which time series hold, at most `within`. */
-double series_reach(int n, int order, const double *terms, double within);
+double series_reach(int n, int order, const double *terms, double max_time);
 
 #endif

@@ -17,7 +17,7 @@ enum { N_BUCKETS = 4096 };
 int hash_set(int n, const signed char *closed);
 
 /* Of D (n, n), which is copied; at most `most` answers are kept. NULL without memory. */
-sets *new_sets(int n, const double *d, long most);
+sets *new_sets(int n, const double *d, long max_kept);
 void free_sets(sets *s);
 /* The answer of a set (n), valid until the next one is asked for; NULL where D_AA is singular. */
 const double *get_answer(sets *s, const signed char *closed);
@@ -27,11 +27,11 @@ const double *get_answer(sets *s, const signed char *closed);
  * them alone, which for a positive definite D ends (Murty, Opsearch 11 (1974) 90).
  * among: NULL, or (n) which pairs may be closed at all.
  * Returns 0, or 1 where it does not end. */
-int solve_instant(sets *s, const double *gap, const signed char *among, signed char *closed,
-              double *force);
+int solve_instant(sets *s, const double *gap, const signed char *may_close, signed char *closed,
+                  double *force);
 /* The same at `count` instants by themselves; failed (count): what forces_at returns of each. */
 void solve_instants(sets *s, int count, const double *gap, signed char *closed, double *force,
-               signed char *failed);
+                    signed char *failed);
 
 /* (D_AA)^-1, zero outside A, of `count` sets: inverse (count, n, n). Returns 1 where one is
  * singular. */

@@ -20,26 +20,26 @@ typedef struct {
     double base, rate;     /* of omega */
     double turns;          /* 2 pi times the load's periods in one of the orbit */
     const double *scale;   /* (n) */
-    const double *rest_states;    /* x_0 and x_1, (2, n); NULL: 0 */
+    const double *rest_states; /* x_0 and x_1, (2, n); NULL: 0 */
     int max_pieces, max_intervals;
     double *force, *gap;   /* the flow's own load, (2 K + 1, m) and (2 K + 1, r); NULL: it does
                             * not change */
-    const double *force_rate, *gap_rate; /* load_1 */
-    int n_damping;                       /* numbers of the damping; 0: it does not change */
+    const double *force_rate, *gap_rate;  /* load_1 */
+    int n_damping;                        /* numbers of the damping; 0: it does not change */
     const double *damping, *damping_rate; /* C_0 and C_1, as the flow's own */
 } shooting_equations;
 
 typedef struct shooting_point shooting_point;
 
 /* All is copied but the flow, x_0, x_1, load_1, C_0 and C_1, which must stay. NULL without memory. */
-shooting_point *new_shooting_point(const shooting_equations *given);
-void free_shooting_point(shooting_point *at);
-equations *equations_of_shooting(shooting_point *at);
+shooting_point *new_shooting_point(const shooting_equations *parameters);
+void free_shooting_point(shooting_point *point);
+equations *equations_of_shooting(shooting_point *point);
 /* Pairs that open or close in the period last followed. */
-int count_events(const shooting_point *at);
+int count_events(const shooting_point *point);
 /* Of the Taylor series in it. */
-int count_pieces(const shooting_point *at);
+int count_pieces(const shooting_point *point);
 /* M of the last evaluation, (n, n), in the unknowns x: 0, or 1 where there is none. */
-int get_monodromy(shooting_point *at, double *found);
+int get_monodromy(shooting_point *point, double *monodromy_out);
 
 #endif

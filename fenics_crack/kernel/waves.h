@@ -15,9 +15,9 @@ typedef struct waves waves;
 
 /* instants: a multiple of 4; columns: the most at once. NULL without memory. */
 waves *new_waves(int harmonics, int instants, int columns);
-void free_waves(waves *at);
-void waves_to_values(waves *at, int columns, const double *coefficients, double *values);
+void free_waves(waves *self);
+void waves_to_values(waves *self, int columns, const double *coefficients, double *values);
 /* More than 2H instants. */
-void values_to_waves(waves *at, int columns, const double *values, double *coefficients);
+void values_to_waves(waves *self, int columns, const double *values, double *coefficients);
 
 #endif

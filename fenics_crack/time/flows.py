@@ -242,7 +242,7 @@ class ExponentialFlow(Flow):
             "exponential", modes=n_modes, pairs=n_rows, instants=steps,
             coupled=modes.damping.ndim == 2, transition=transition, rows=as_doubles(modes.pairs.T),
             force_response=as_doubles(half_response.T), gap_response=as_doubles(gap_response),
-            linear=self.linear_gap, steady=self.steady, room=np.empty(4 * n_modes + 2 * n_rows),
+            linear=self.linear_gap, steady=self.steady, work=np.empty(4 * n_modes + 2 * n_rows),
             **set_members,
         )  # fmt: skip
 

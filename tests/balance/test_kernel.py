@@ -137,7 +137,7 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
     first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
         "pivot_table", pairs=pairs, compliance=contact.compliance, table=np.empty((pairs, pairs)),
-        closed=np.empty(pairs, dtype=bool), room=np.empty(4 * pairs),
+        closed=np.empty(pairs, dtype=bool), work=np.empty(4 * pairs),
     )  # fmt: skip
     waves, places = _waves(columns // 2, count, pairs), count + 8 * pairs
     while True:
