@@ -6,10 +6,10 @@
 
 enum { MAX_STALLED_STEPS = 32 };
 #define NEWTON_STEP_TOLERANCE                                                                      \
-    1e-4 /* residual of a step of Newton's method that is found with products */
+    1e-4 /* relative residual of a Newton step by products with J */
 const double SOLUTION_TOLERANCE = 1e-9;
 
-/* x^T y from an entry on. */
+/* Return x^T y from one entry on. */
 static double inner_product(const equations *system, int first, const double *x, const double *y)
 {
     double sum = 0.0;
@@ -41,7 +41,7 @@ void add_scaled(int n, double *x, double s, const double *y)
     for (int i = 0; i < n; i++) x[i] += s * y[i];
 }
 
-/* -J^-1 dF/dp. */
+/* Set the derivative of the solution by the parameter, -J^-1 dF/dp. */
 static void solution_rate(equations *system, int n, double tolerance, double *derivative_out)
 {
     system->by_parameter(system, derivative_out);
@@ -72,7 +72,8 @@ int correct_in_plane(equations *system, const plane *border, const correction *o
     double *F = work, *change = work + n, *rate = change + n;
     const double guess = *p;
     double parameter_change = 0.0, damping = 1.0, last_size = INFINITY;
-    double sizes[MAX_STALLED_STEPS], smallest = INFINITY; /* of the steps before the last `stall` */
+    double sizes[MAX_STALLED_STEPS], smallest = INFINITY; /* residuals, and the smallest one before
+                                                           * the last `stall` steps */
     *n_iterations = 0;
     for (int i = 0; i < 4 * options->max_iterations; i++) {
         const int outcome = system->evaluate(system, x, *p);

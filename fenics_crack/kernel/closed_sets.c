@@ -10,7 +10,7 @@
 #include "series.h"
 #include "sets.h"
 
-/* Of a relaxation, at most; a hundred are many. */
+/* Largest number of sweeps of the relaxation; a hundred are many. */
 enum { MAX_SWEEPS = 1000 };
 
 struct closed_sets {
@@ -56,10 +56,11 @@ const double *get_compliance_row(const closed_sets *s, int row)
     return s->d + (long)row * s->n_rows;
 }
 
-/* Whether products with P_A S P_A^T are shorter than with its factors. */
+/* Return whether products with P_A S P_A^T are shorter than with its factors. */
 static int has_many(const closed_sets *s, int size) { return 2 * size > s->modes; }
 
-/* Numbers of S, of which half are kept, or of L^T; and of P_A, which P_A S P_A^T replaces. */
+/* Return how many numbers S or L^T takes (half of a symmetric S), and P_A, which P_A S P_A^T
+ * replaces. */
 static long inverse_size(const closed_sets *s, long size)
 {
     return s->friction ? size * s->n_rows : size * (size + 1) / 2;
@@ -76,8 +77,8 @@ static long set_size(const closed_sets *s, long size)
     return own + m * size + s->n_rows + (has_many(s, (int)size) ? m * m : 0);
 }
 
-/* Forgets sets, bucket by bucket, until so many numbers are kept: of a motion that passes more sets
- * than there is room for, some are known when it is followed again. */
+/* Free sets, bucket by bucket, down to a number of kept numbers. A motion that passes more sets
+ * than there is memory for finds some of them when it is followed again. */
 static void free_sets_beyond(closed_sets *s, long max_numbers_left)
 {
     for (int n_tried = 0; s->n_kept_numbers > max_numbers_left && n_tried < N_BUCKETS; n_tried++) {
@@ -101,8 +102,8 @@ void free_closed_sets(closed_sets *s)
     free(s);
 }
 
-/* How a set presses on the modes, by its own rows (size, m), behind which is room for as many
- * numbers, and what they push. */
+/* Set P_A, transposed, from the set's rows (size, m), and P_A S P_A^T if the set keeps it. `rows`
+ * has as much work space after it. */
 static void set_mode_columns(const closed_sets *s, closed_set *a, double *rows)
 {
     const int m = s->modes, size = a->size;
@@ -112,14 +113,14 @@ static void set_mode_columns(const closed_sets *s, closed_set *a, double *rows)
     if (a->stiffness) multiply_matrices(m, size, m, columns, a->modal_push, 0.0, a->stiffness);
 }
 
-/* The tangential force of a slipping pair, relative to its normal one. */
+/* Return the tangential force of a slipping pair over its normal force. */
 static double friction_slope(const closed_sets *s, const closed_set *a, int pair)
 {
     const int state = a->closed[pair];
     return state == SLIP_UP ? s->friction[pair] : state == SLIP_DOWN ? -s->friction[pair] : 0.0;
 }
 
-/* What a set is known by with friction: 0, or 1 where det A is not positive. */
+/* Fill a set with friction. Returns 0, or 1 if det A is not positive. */
 static int fill_friction_set(closed_sets *s, closed_set *a)
 {
     const int m = s->modes, p = s->n_pairs, r = s->n_rows, size = a->size;
@@ -175,7 +176,7 @@ void solve_friction_forces(closed_sets *s, const closed_set *a, int count,
     for (long i = 0; i < (long)count * r; i++) gaps[i] = -gaps[i];
 }
 
-/* What a set is known by, whatever has been asked for before: 0, or 1 where D_AA is singular. */
+/* Fill a set without friction. Returns 0, or 1 if D_AA is singular. */
 static int fill_set(closed_sets *s, closed_set *a)
 {
     if (s->friction) return fill_friction_set(s, a);
@@ -229,7 +230,7 @@ void make_answers(closed_sets *s, const closed_set *a, int count, const double *
     }
 }
 
-/* NULL without memory. */
+/* Allocate a set; NULL without memory. */
 static closed_set *allocate_set(const closed_sets *s, int size, const signed char *closed)
 {
     const long m = s->modes, p = s->n_pairs, r = s->n_rows, pairs = columns_size(s, size);
@@ -287,7 +288,7 @@ const closed_set *find_closed_set(closed_sets *s, const double *gap, signed char
         make_answers(s, a, 1, gap, answers);
         int is_wrong = 0;
         for (int i = 0; i < p; i++) {
-            /* Without force a pair is open. */
+            /* A pair without force is open. */
             if (closed[i] ? answers[i] > 0.0 : answers[i] >= 0.0) continue;
             if (!is_wrong || iteration < MAX_TRUSTED_PIVOTS) closed[i] = !closed[i];
             is_wrong = 1;
@@ -297,8 +298,8 @@ const closed_set *find_closed_set(closed_sets *s, const double *gap, signed char
     return NULL;
 }
 
-/* The state of a pair that follows from its forces, gaps and place in one; up to a force and a gap they
- * are rounding. */
+/* Return the state of a pair after its forces, gaps and place in the present state. Forces and gaps
+ * up to the two limits are rounding. */
 static int next_state(const closed_sets *s, const closed_set *a, int pair,
                       const double *stick_places, const double *gaps, const double *forces,
                       double force_rounding, double gap_rounding)
@@ -316,9 +317,9 @@ static int next_state(const closed_sets *s, const closed_set *a, int pair,
     return (state == SLIP_UP ? slip : -slip) < -gap_rounding ? STICK : state;
 }
 
-/* States by one pair after the other, each as if the forces on the others stayed, until these hardly
- * change (Jourdan, Alart and Jean, Computer Methods in Applied Mechanics and Engineering 155 (1998)
- * 31). */
+/* Find states pair by pair, with fixed forces on the other pairs, until the forces hardly change
+ * (Jourdan, Alart and Jean, Computer Methods in Applied Mechanics and Engineering 155 (1998) 31).
+ */
 static void relax_states(const closed_sets *s, const double *stick_places, const double *gaps,
                          signed char *closed, double *forces)
 {

@@ -11,24 +11,24 @@ const double SINGULARITY_TOLERANCE = DBL_EPSILON * 4.0; /* the roundings of s, w
 
 struct compliance {
     structure_at_pairs parameters;
-    int unknowns, is_formed; /* formed: whether `matrices` are those at the parameter */
+    int unknowns, is_formed; /* is_formed: `matrices` belong to the parameter */
     double parameter;
     double *matrices, *linear, *receptance;
     double *loads, *shapes_transposed; /* l as coefficients (2H+1, modes), and P^T (pairs, modes) */
     double *modal_drive, *modal_work,
         *modal_response;                  /* (2H+1, modes): P b - l of the last answer, and room */
-    double *rate_factors, *scaled_shapes; /* room: as h, as P complex */
+    double *rate_factors, *scaled_shapes; /* work space: shapes of h, and of complex P */
     double *work;
 };
 
-/* h_kj at a parameter: 0, or 1 where the structure is singular. */
+/* Set h_kj at a parameter. Returns 0, or 1 if the structure is singular. */
 static int set_receptance(compliance *self, double parameter)
 {
     const structure_at_pairs *parameters = &self->parameters;
     const double omega = parameters->omega + parameter * parameters->omega_rate;
     const double damping = parameters->damping + parameter * parameters->damping_rate;
     const double relative_shift =
-        sqrt(DBL_EPSILON); /* as much as rounding of what it then answers */
+        sqrt(DBL_EPSILON); /* moves the response by as little as rounding does */
     double *h = self->receptance;
     const double *load = parameters->load;
     for (int k = 0; k <= parameters->harmonics; k++) {
@@ -67,7 +67,7 @@ int set_parameter(compliance *self, double parameter)
     return 0;
 }
 
-/* P^T h_k P of one pair. */
+/* Set P^T h_k P of one pair. */
 static void pair_compliance(int modes, const double *h, const double *shape, double *gap_out)
 {
     gap_out[0] = gap_out[1] = 0.0;
@@ -101,7 +101,8 @@ const double *get_compliance_matrices(compliance *self)
     return self->matrices;
 }
 
-/* x = f_k q_k of coefficients (2H+1, modes), a - i b for a - i b, with complex f_kj. */
+/* Set x_k = f_k q_k of coefficients (2H+1, modes), as complex numbers a - i b, with factors f_kj.
+ */
 static void multiply_modes(int harmonics, int modes, const double *factors, const double *q,
                            double *x)
 {
@@ -135,7 +136,7 @@ void respond(int harmonics, int pairs, const double *matrices, const double *for
     }
 }
 
-/* found = P^T h q + at_once b with q = P b - loads, (2H+1, modes), which is left there. */
+/* Set P^T h q + R_s b with q = P b - loads, (2H+1, modes), which stays in `q`. */
 static void respond_by_modes(compliance *self, const double *force, const double *loads, double *q,
                              double *gap_out)
 {

@@ -15,17 +15,16 @@ struct contact_point {
     dense common;
     contact_pairs parameters;
     compliance *dynamic_compliance;
-    coupled_forces *forces;                  /* of coupled pairs; else NULL, and */
+    coupled_forces *forces;                  /* of coupled pairs; NULL if uncoupled, then */
     double *waves, *stiffness, *tangent;     /* of each pair 1 / D (p) and T (p, 2H+1, 2H+1) */
-    krylov *krylov_solver;                   /* where solutions take products; else NULL */
+    krylov *krylov_solver;                   /* if solutions take products with J; else NULL */
     double parameter;
-    double *pair_compliance, *compliance_rate;     /* D (p, p), and the rate of its diagonal by p */
+    double *pair_compliance, *compliance_rate;     /* D (p, p), derivative of its diagonal */
     double *gap, *force, *force_change, *residual; /* (2H+1, p) */
     double *basis_transposed, *angle_weights;      /* U^T (q, p); (n) */
-    double *basis_gaps, *gap_work, *gap_work2;     /* room: (2H+1, q), and (2H+1, p) twice */
+    double *basis_gaps, *gap_work, *gap_work2;     /* work space: (2H+1, q), and (2H+1, p) twice */
     double *means, *tangent_rows, *harmonic_block,
-        *half_product; /* room: (4H+1, q, q), (2 q, size), (2 q, 2 q), and
-                                                (q, p) complex */
+        *half_product; /* work space: (4H+1, q, q), (2 q, size), (2 q, 2 q), (q, p) complex */
     double *work;
 };
 
@@ -52,7 +51,7 @@ void respond_to_columns(int harmonics, int pairs, int columns, const double *mat
             }
 }
 
-/* D(p), and what it grows by. */
+/* Set D(p) and the derivative of its diagonal. */
 static void set_compliance(contact_point *point, double parameter)
 {
     const contact_pairs *parameters = &point->parameters;
@@ -97,7 +96,7 @@ static int evaluate(equations *system, const double *gap, double parameter)
 
 double largest_dynamic_row_sum(contact_point *point, double parameter)
 {
-    point->common.factored = 0; /* what has been evaluated holds no longer */
+    point->common.factored = 0; /* the last evaluation is not valid any more */
     return largest_row_sum(point->dynamic_compliance, parameter);
 }
 
@@ -107,7 +106,7 @@ static void copy_residual(const equations *system, double *residual_out)
            system->unknowns * sizeof(double));
 }
 
-/* change = T x. */
+/* Set force_change = T x. */
 static void differentiate_forces(contact_point *point, const double *x)
 {
     const int pairs = point->parameters.structure.pairs,
@@ -148,7 +147,7 @@ static void by_parameter(equations *system, double *derivative_out)
     for (int i = 0; i < system->unknowns; i++) derivative_out[i] += point->gap_work[i];
 }
 
-/* R'_k as a real matrix on (a, b) of a - i b, [[Re, Im], [-Im, Re]]; for k = 0 Re alone. */
+/* Set R'_k as a real matrix on (a, b) of a - i b, [[Re, Im], [-Im, Re]]; for k = 0 Re alone. */
 static void set_harmonic_block(contact_point *point, int k)
 {
     const int p = point->parameters.structure.pairs, q = point->parameters.n_basis_gaps,
@@ -175,7 +174,7 @@ static void set_harmonic_block(contact_point *point, int k)
         }
 }
 
-/* I + R~ T, or of coupled pairs I + R' U^T T U, harmonic by harmonic; not a number without memory. */
+/* Form I + R~ T, or of coupled pairs I + R' U^T T U, harmonic by harmonic; NAN without memory. */
 static void form_jacobian(dense *common)
 {
     contact_point *point = (contact_point *)common;
@@ -200,8 +199,8 @@ static void form_jacobian(dense *common)
     for (int i = 0; i < n; i++) common->matrix[(size_t)i * (n + 1)] += 1.0;
 }
 
-/* x = J^-1 x by factors. What of x no gap U y is stays, w = x - U U^T x; the rest is U y with
- * (I + R' U^T T U) y = U^T (x - R~ T w). */
+/* Set x = J^-1 x by factors. The part w = x - U U^T x that is no gap U y stays. The rest is U y
+ * with (I + R' U^T T U) y = U^T (x - R~ T w). */
 static void solve_by_factors(contact_point *point, double *x)
 {
     equations *system = &point->common.base;
@@ -238,7 +237,7 @@ static double sign(equations *system)
     return ((contact_point *)system)->parameters.forms_jacobian ? sign_of_dense(system) : NAN;
 }
 
-/* Largest k R of pairs that nothing couples, at p = 0. */
+/* Return the largest k R of uncoupled pairs, at p = 0. */
 static double largest_product(contact_point *point)
 {
     double max_stiffness = 0.0;
@@ -248,7 +247,7 @@ static double largest_product(contact_point *point)
     return max_stiffness * largest_row_sum(point->dynamic_compliance, 0.0);
 }
 
-/* What pairs need whose forces are their own, or those of coupled ones: 0, or 1 without memory. */
+/* Allocate the forces of uncoupled or coupled pairs. Returns 0, or 1 without memory. */
 static int make_forces(contact_point *point)
 {
     const contact_pairs *parameters = &point->parameters;
@@ -277,7 +276,7 @@ contact_point *new_contact_point(const contact_pairs *given)
     const size_t rows = 2 * H + 1, n = rows * p, size = rows * q,
                  is_uncoupled = !given->has_coupled_pairs;
     const size_t matrix_size =
-        given->forms_jacobian ? size : 0; /* what only a J that is formed needs */
+        given->forms_jacobian ? size : 0; /* for a Jacobian that is formed */
     const size_t waves = 2 * H * (switching_cells((int)H) / 4 + 1);
     point->common.base = (equations){.unknowns = (int)n,
                                      .means = (int)p,

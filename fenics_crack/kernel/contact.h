@@ -23,14 +23,14 @@
  * and stay.
  */
 typedef struct {
-    structure_at_pairs structure; /* R~ in the place of R */
+    structure_at_pairs structure; /* with R~ in the place of R */
     double growth, softness;
-    int has_coupled_pairs;             /* whether D has more than a diagonal */
+    int has_coupled_pairs;             /* whether D is not diagonal */
     const double *residual_compliance; /* R_inf: (p, p) */
     const double *spring_compliances;  /* compliance in series with each pair: (p) */
     int n_basis_gaps;                  /* columns of U, or p */
-    const double *basis;    /* U: (p, seen_gaps); NULL where it is not needed */
-    int forms_jacobian;     /* whether J is formed; else it is applied alone */
+    const double *basis;    /* U: (p, n_basis_gaps); NULL where it is not needed */
+    int forms_jacobian;     /* whether J is formed; else it is only applied */
 } contact_pairs;
 
 typedef struct contact_point contact_point;
@@ -38,14 +38,14 @@ typedef struct contact_point contact_point;
 /* NULL without memory. */
 contact_point *new_contact_point(const contact_pairs *parameters);
 void free_contact_point(contact_point *point);
-/* Its equations; evaluating them returns FOUND, NOT_FOUND where an instant has no forces,
+/* Return the equations. An evaluation returns FOUND, NOT_FOUND if an instant has no forces,
  * SINGULAR_STRUCTURE or NO_MEMORY. */
 equations *equations_of_contact(contact_point *point);
-/* Largest sum of |R~_k| over a row of it at a parameter; infinite where the structure is singular. */
+/* Return the largest row sum of |R~_k| at a parameter; infinite if the structure is singular. */
 double largest_dynamic_row_sum(contact_point *point, double parameter);
 
-/* R T for unknowns ordered (row, pair), from R (H+1, pairs, pairs), complex, and
- * T (pairs, 2H+1, columns): (n, columns pairs), ordered (column, pair) too. */
+/* Set R T, (n, columns pairs), from R (H+1, pairs, pairs), complex, and T (pairs, 2H+1, columns).
+ * Rows are ordered (row, pair), columns (column, pair). */
 void respond_to_columns(int harmonics, int pairs, int columns, const double *matrices,
                         const double *tangent, double *product);
 

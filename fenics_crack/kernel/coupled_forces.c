@@ -10,20 +10,20 @@
 #include "rounding.h"
 
 struct coupled_forces {
-    breathing_pairs pairs; /* the sets, with room for `most` events */
+    breathing_pairs pairs; /* the sets, with space for `max_events` events */
     int harmonics, n_pairs, instants, n_events;
-    waves *gap_waves, *step_waves; /* H harmonics at N instants, and 2H */
+    waves *gap_waves, *step_waves; /* H harmonics at N instants, and 2H harmonics */
     double *
-        step_coefficients; /* of each event: a wave that is 1 behind it and 0 before, cut off, as */
-    double *step_values;   /* coefficients (4H+1, events), and as values (N, events) */
-    double *jump_work;     /* room: (N, events), */
+        step_coefficients; /* of each event: a step (0 before the event, 1 after), truncated, */
+    double *step_values;   /* as coefficients (4H+1, events), as values (N, events) */
+    double *jump_work;     /* work space: (N, events), */
     double *gap_values, *scaled_gaps, *force_values, *stiffness; /* (N, p) three times, (p, p) */
     double *work;
 };
 
 static double *allocate(size_t count) { return malloc((count + 1) * sizeof(double)); }
 
-/* Room for so many events: 0, or 1 without memory. */
+/* Allocate a number of events. Returns 0, or 1 without memory. */
 static int allocate_events(coupled_forces *self, int most)
 {
     breathing_pairs *m = &self->pairs;
@@ -79,7 +79,7 @@ void free_coupled_forces(coupled_forces *self)
     free(self);
 }
 
-/* What is behind each event, from the means of exp(i m theta) there, m = 0 to 2H. */
+/* Set the step of each event, from the means of exp(i m theta) after it, m = 0 to 2H. */
 static void set_steps(coupled_forces *self)
 {
     const breathing_pairs *m = &self->pairs;
@@ -158,7 +158,7 @@ void forces_by_compliance(coupled_forces *self, const double *rate, double *forc
     values_to_waves(self->gap_waves, p, self->force_values, force_rate_out);
 }
 
-/* U^T S U of a matrix (p, p), or S itself. */
+/* Set U^T S U of a matrix S (p, p), or without a basis S itself. */
 static void project_matrix(int p, int q, const double *basis, const double *matrix, double *work,
                            double *projection_out)
 {

@@ -1,11 +1,11 @@
-/* Equations whose Jacobian is formed, and factored where it is asked for. */
+/* Equations with a Jacobian that is formed, and factored on demand. */
 #ifndef DENSE_H
 #define DENSE_H
 
 #include "equations.h"
 
-/* The points of such kinds begin with it. The factored matrix may be smaller than J, of the same
- * determinant: then the kind solves with it in its own way. */
+/* First member of a point with such equations. The factored matrix may be smaller than J, with the
+ * same determinant; then the point solves with it in its own way. */
 typedef struct dense {
     equations base;
     int size, factored;
@@ -14,12 +14,12 @@ typedef struct dense {
     void (*form_matrix)(struct dense *point);
 } dense;
 
-/* 0, or 1 without memory: room for (size, size). */
+/* Allocate a matrix (size, size). Returns 0, or 1 without memory. */
 int make_dense(dense *point, int size, void (*form)(dense *point));
 void free_dense(dense *point);
-/* The factors at the point that has been evaluated. */
+/* Factor the matrix at the point evaluated last, unless this is done. */
 void factor_dense(dense *point);
-/* What vtables take. */
+/* Functions for the table of equations. */
 void solve_dense(equations *system, double *x);
 double sign_of_dense(equations *system);
 

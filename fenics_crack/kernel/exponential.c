@@ -22,25 +22,25 @@
  * its displacements; kicks that follow each other are added together. */
 struct exponentials {
     int modes, coupled;
-    double unit, max_damping_rate; /* rate: of the damping, at most */
+    double unit, max_damping_rate; /* max_damping_rate: bound of the damping's row sums */
     double *squares;   /* (m) */
     double *damping;   /* (m) or (m, m) C */
     const closed_set *set;
     double *stiffness; /* (m, m) K */
-    double *pair_product;   /* (m, m) what passes the pairs of a set with few; H */
+    double *pair_product;   /* (m, m) product with the few pairs of a set; H */
     double *series_terms;   /* (3, m, m) of b's series */
     double *upper_blocks;   /* (2, m, m) D + b C and -b K */
     double *right_blocks;   /* (2, m, m) b and D */
-    double *doubled_blocks; /* (2, m, m) these of twice the time */
+    double *doubled_blocks; /* (2, m, m) right_blocks at twice the time */
     double *change;    /* (2 m, 2 m) F */
     double *product;   /* (2 m, 2 m) */
-    int n_kicks;       /* that are still to be added, to a product that swings for */
-    double swing_time; /* this time */
+    int n_kicks;       /* kicks that wait, for a product that must swing for */
+    double swing_time; /* swing_time */
     double *kick_columns,
         *kick_rows; /* (kicks, 2 m) E(-s) [0; P], transposed, and the rows of E(s) */
 };
 
-/* Turn of what is fastest in a step by kicks, whose error is then 1e-14. */
+/* Largest angle of the fastest mode in a step by kicks; the error is then 1e-14. */
 #define MAX_KICK_ANGLE 0.01
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
@@ -98,10 +98,10 @@ static void add_damping_product(const exponentials *e, const double *b, double *
         for (int j = 0; j < m; j++) sum[i * m + j] += b[i * m + j] * e->damping[j];
 }
 
-/* Whether K is a diagonal and the products of few rows and columns. */
+/* Return whether K is a diagonal and products of few rows and columns. */
 static int has_few_pairs(const exponentials *e) { return !e->set->stiffness; }
 
-/* found = K x. */
+/* Set K x. */
 static void multiply_stiffness(const exponentials *e, const double *x, double *product_out)
 {
     const int m = e->modes, n_closed = e->set->size;
@@ -117,7 +117,7 @@ static void multiply_stiffness(const exponentials *e, const double *x, double *p
             product_out[j] = unit * product_out[j] + e->squares[i] * x[j];
 }
 
-/* The term behind the n-th: next = -(K before t / (n + 1) + C now) t / (n + 2). */
+/* Set the term after the next: new = -(K term t / (n + 1) + C next t) t / (n + 2). */
 WIDE static void set_next_term(const exponentials *e, int n, double time, const double *before,
                                const double *now, double *next)
 {
@@ -139,7 +139,7 @@ WIDE static void set_next_term(const exponentials *e, int n, double time, const 
     }
 }
 
-/* right = [b; D] of a short time in which what is fastest turns by an angle. */
+/* Set right_blocks = [b; D] of a short time, in which the fastest mode turns by an angle. */
 WIDE static void expand_short_time(exponentials *e, double time, double angle)
 {
     const int m = e->modes;
@@ -162,7 +162,7 @@ WIDE static void expand_short_time(exponentials *e, double time, double angle)
     }
 }
 
-/* found = b, transposed, of coupled modes: only a symmetric C makes b symmetric, too. */
+/* Return b, transposed if the modes are coupled: only a symmetric C makes b symmetric. */
 static const double *transpose_if_coupled(const exponentials *e, const double *b,
                                           double *transpose_out)
 {
@@ -173,7 +173,8 @@ static const double *transpose_if_coupled(const exponentials *e, const double *b
     return transpose_out;
 }
 
-/* upper = [D + b C; -b K] of right = [b; D]: b K is K b^T, transposed, as b'' + b' C + b K = 0, too. */
+/* Set upper_blocks = [D + b C; -b K] from right_blocks = [b; D]. b K is K b^T, transposed, because
+ * b'' + b' C + b K = 0 as well. */
 WIDE static void complete_blocks(exponentials *e)
 {
     const int m = e->modes;
@@ -187,7 +188,7 @@ WIDE static void complete_blocks(exponentials *e)
             e->upper_blocks[square + i * m + j] = -e->doubled_blocks[j * m + i];
 }
 
-/* K of a set; its largest sum of a row. */
+/* Set K of a set. Return its largest row sum. */
 static double set_stiffness(exponentials *e, const closed_set *a)
 {
     const int m = e->modes;
@@ -205,8 +206,8 @@ static double set_stiffness(exponentials *e, const closed_set *a)
     return largest;
 }
 
-/* doubled = [b; D] of twice the time, of right = [b; D]. Where each mode is damped by itself b and D
- * are symmetric, so that (D + b C) b + b D is H b and its transpose, H = D + b C / 2. */
+/* Set [b; D] of twice the time from [b; D]. If damping does not couple the modes, b and D are
+ * symmetric; then (D + b C) b + b D is H b and its transpose, with H = D + b C / 2. */
 WIDE static void double_time(exponentials *e, const double *right, double *doubled)
 {
     const int m = e->modes;
@@ -227,7 +228,7 @@ WIDE static void double_time(exponentials *e, const double *right, double *doubl
     multiply_matrices(m, m, m, d, d, 1.0, doubled + square);
 }
 
-/* change = F of an interval. */
+/* Set change = F of an interval. */
 static void set_exponential(exponentials *e, const closed_set *a, double length)
 {
     const int m = e->modes;
@@ -236,7 +237,7 @@ static void set_exponential(exponentials *e, const closed_set *a, double length)
     double time = e->unit * length;
     int n_halvings = 0;
     for (; time * rate > 3.0; n_halvings++)
-        time *= 0.5; /* in that of a series it turns by 3 at most */
+        time *= 0.5; /* within the series it turns by 3 at most */
     expand_short_time(e, time, time * rate);
     complete_blocks(e);
     for (; n_halvings; n_halvings--) {
@@ -252,8 +253,8 @@ static void set_exponential(exponentials *e, const closed_set *a, double length)
     }
 }
 
-/* Of a mode that swings by itself, b'' + c b' + k b = 0 with b(0) = 0, b'(0) = 1: b, its rate, and the
- * displacement from 1 at rest. */
+/* Free swing of one mode, b'' + c b' + k b = 0 with b(0) = 0, b'(0) = 1: b, its rate, and the
+ * displacement after a start from 1 at rest. */
 typedef struct {
     double b, rate, displacement;
 } swing_motion;
@@ -277,7 +278,7 @@ static swing_motion mode_swing(const exponentials *e, int mode, double time)
     return swing;
 }
 
-/* The same while no pair is closed. */
+/* Multiply by the exponential of the set without closed pairs. */
 WIDE static void apply_swing(const exponentials *e, double time, double *product)
 {
     const int m = e->modes;
@@ -293,7 +294,7 @@ WIDE static void apply_swing(const exponentials *e, double time, double *product
     }
 }
 
-/* Kicks of a set, by so many steps. */
+/* Append the kicks of a set in a number of steps. */
 static void append_kicks(exponentials *e, const closed_set *a, double time, int steps)
 {
     const int m = e->modes, size = a->size;
@@ -339,8 +340,8 @@ void add_kicks(exponentials *e, double *product)
     e->n_kicks = 0, e->swing_time = 0.0;
 }
 
-/* product = (I + change) product, of a product in which modes are still apart: of each row and column
- * of its blocks only the diagonal's number is not zero. */
+/* Set product = (I + change) product. The modes in the product are still apart: its blocks are
+ * diagonal. */
 static void multiply_diagonal_blocks(const exponentials *e, double *product)
 {
     const long m = e->modes, size = 2 * m;

@@ -27,7 +27,7 @@ struct flow {
     double *forces, *contact_gaps;   /* (TERMS, r) of lambda and g, with friction only */
     double *stick_places;            /* (p) h */
     double *rounding;                /* (r) what of a negative answer is rounding */
-    double *step_values, *may_fall;  /* (STEPS + 1, r) answers at steps' ends; (r) */
+    double *step_values, *may_fall;  /* (MAX_SEARCH_STEPS + 1, r), (r) */
     double *state_gaps, *state_forces;     /* (r) s of a state, its forces */
     double *row_work, *damping_force;      /* (r), (m) */
     double *load_rate;                     /* (loads, m + r) derivative of the load */
@@ -46,7 +46,7 @@ static long numbers_of_state(const flow *f)
     return 2L * f->parts.modes + (f->parts.friction ? f->parts.pairs : 0);
 }
 
-/* A set turns no faster, nor does the load: contact may be stiffer than all modes. */
+/* Return a bound of the rate of a set and of the load. Contact may be stiffer than all modes. */
 static double max_rate_of(const flow *f, const closed_set *a, double omega)
 {
     return fmax(
@@ -54,7 +54,7 @@ static double max_rate_of(const flow *f, const closed_set *a, double omega)
         1e-300);
 }
 
-/* y = C x of a damping. */
+/* Set y = C x. */
 static void apply_damping(const flow *f, const double *damping, const double *x, double *y)
 {
     const int m = f->parts.modes;
@@ -65,8 +65,8 @@ static void apply_damping(const flow *f, const double *damping, const double *x,
 
 /* --- the series ------------------------------------------------------------------------------- */
 
-/* Coefficients of the load's rows from a time on, in parts of a length; with `by_time` those of the
- * load times the time. */
+/* Set Taylor coefficients of the load's rows from a time on, in units of a length; with `by_time`
+ * those of the load multiplied by the time. */
 static void set_load_weights(flow *f, double omega, double time, double length, int by_time)
 {
     const int loads = f->n_loads;
@@ -90,8 +90,8 @@ static void set_load_weights(flow *f, double omega, double time, double length, 
         }
 }
 
-/* Of a series over a length, times the largest frequency x, behind which the terms are rounding:
- * x^n / n!. */
+/* Return the order of a series over a length; x: length times the largest frequency. Terms of
+ * higher order are rounding: x^n / n!. */
 static int choose_order(double x)
 {
     double term = 1.0;
@@ -100,7 +100,7 @@ static int choose_order(double x)
     return n;
 }
 
-/* pulled = what a load and its gaps, through the forces of the closed pairs, drive. */
+/* Set modal_drive: modal forces of a load and, through the closed pairs, of its gaps. */
 static void set_modal_drive(flow *f, const closed_set *a, const double *force, const double *gap)
 {
     const int m = f->parts.modes, size = a->size;
@@ -111,7 +111,7 @@ static void set_modal_drive(flow *f, const closed_set *a, const double *force, c
     for (int j = 0; j < f->n_loads * m; j++) f->modal_drive[j] = force[j] - f->modal_drive[j];
 }
 
-/* next += gain times what the places push at which pairs stick. */
+/* Add the modal forces of the places at which pairs stick, times a gain. */
 static void add_stick_forces(flow *f, const closed_set *a, double gain, double *next)
 {
     const int m = f->parts.modes, closing = a->n_normals, count = a->size - closing;
@@ -120,7 +120,7 @@ static void add_stick_forces(flow *f, const closed_set *a, double gain, double *
     add_rows(count, m, a->modal_push + (long)closing * m, f->row_work, next);
 }
 
-/* Series of q of a piece, from a state; with `sources`, a load (TERMS, m) is added. */
+/* Set the series of q over a piece, from a state; `sources`: a further load (TERMS, m), or NULL. */
 WIDE static void expand_motion(flow *f, const closed_set *a, const double *force, const double *gap,
                                const double *sources, double length, const double *state)
 {
@@ -161,7 +161,7 @@ WIDE static void expand_motion(flow *f, const closed_set *a, const double *force
     }
 }
 
-/* Answers with friction, whose first terms are 0 where a state has just begun so. */
+/* Set the answers with friction. Their first terms are 0 if a state has just begun so. */
 static void expand_friction_answers(flow *f, const closed_set *a)
 {
     const int p = f->parts.pairs, r = f->n_rows, terms = f->order + 1;
@@ -187,7 +187,7 @@ static void expand_friction_answers(flow *f, const closed_set *a)
         for (int n = 0; n < f->n_zero_terms[k]; n++) f->answers[(long)n * r + k] = 0.0;
 }
 
-/* Series of the gaps s and of the answers, and what is rounding in these where the series holds. */
+/* Set the series of the gaps s and of the answers. */
 static void expand_answers(flow *f, const closed_set *a, const double *gap)
 {
     const int m = f->parts.modes, r = f->n_rows, terms = f->order + 1;
@@ -218,10 +218,10 @@ static void state_at(const flow *f, double length, double time, double *state)
 
 /* --- events ----------------------------------------------------------------------------------- */
 
-/* When an answer becomes negative in a step of the search, from its values at the ends; NAN: it does
- * not, or not before another one. Where several change at one instant, as in mirror images, each of
- * the others is found to fall from zero in a next piece: one is changed after the other, the first of
- * them first, which ends (Murty, Opsearch 11 (1974) 90). */
+/* Return the time at which an answer becomes negative in a step of the search, from its values at
+ * the ends; NAN if it does not, or not before `earliest`. If several change at one instant, as in
+ * mirror images, each of the others falls from zero in a next piece. They change one after the
+ * other, the first pair first, which ends (Murty, Opsearch 11 (1974) 90). */
 static double find_fall(const flow *f, int pair, double low, double high, double earliest,
                         double low_value, double high_value)
 {
@@ -240,7 +240,7 @@ static double find_fall(const flow *f, int pair, double low, double high, double
         if (minimum >= -f->rounding[pair]) return NAN;
     }
     if (low_value <= f->rounding[pair]) {
-        low = fmax(low, ROUNDING); /* the time of pairs that should have changed with the one before */
+        low = fmax(low, ROUNDING); /* pairs that should have changed with the one before */
         if (low >= high || column_at(p, f->order, f->answers, pair, 0, low, &slope) <= 0.0)
             return low;
     }
@@ -251,10 +251,10 @@ static double find_fall(const flow *f, int pair, double low, double high, double
     return column_zero(p, f->order, f->answers, pair, 0, low, high);
 }
 
-/* Whether one of the answers (p) may be negative in a step, and which, from values at its ends and at
- * four ends of steps in a row about it: an answer that is at the end, or that may bend to there:
- * between two values it falls below both by an eighth of the second difference at most; twice that
- * is allowed for. */
+/* Mark the answers (p) that may become negative in a step; return whether any may. An answer is
+ * marked if it is negative at the end, or may dip below zero. Between two values it dips below both
+ * by at most an eighth of the second difference, estimated from four neighbouring ends of steps;
+ * twice that is allowed for. */
 WIDE static int mark_falling_answers(int p, const double *restrict low, const double *restrict high,
                                      const double *restrict neighbours,
                                      double *restrict is_candidate)
@@ -272,7 +272,7 @@ WIDE static int mark_falling_answers(int p, const double *restrict low, const do
     return count > 0.0;
 }
 
-/* The answer that falls first, and when; -1: none before `end`. */
+/* Return the answer that falls first and set its time; -1 if none falls before `end`. */
 static int next_event(flow *f, double step, double end, double *time_out)
 {
     const int p = f->n_rows;
@@ -303,7 +303,7 @@ static int next_event(flow *f, double step, double end, double *time_out)
 
 /* --- motions ---------------------------------------------------------------------------------- */
 
-/* The gaps s of a state. */
+/* Set the gaps s of a state. */
 static void set_state_gaps(flow *f, double omega, double time, const double *state)
 {
     set_load_weights(f, omega, time, 0.0, 0);
@@ -311,8 +311,8 @@ static void set_state_gaps(flow *f, double omega, double time, const double *sta
     add_rows(f->n_loads, f->n_rows, f->parts.gap, f->weights, f->state_gaps);
 }
 
-/* The set of closed pairs of a state, from a guess or, with NULL, from its gaps; and their forces.
- * Returns 1 where none answers it. */
+/* Find the set of closed pairs of a state and its forces, from a guess or (NULL) from its gaps.
+ * Returns 0, or 1 if there is none. */
 static int find_state_set(flow *f, double omega, double time, const double *state,
                           const signed char *guessed_set)
 {
@@ -330,7 +330,7 @@ static int find_state_set(flow *f, double omega, double time, const double *stat
     return 0;
 }
 
-/* The motion at the instants up to the end of a piece. */
+/* Record the motion at the instants up to the end of a piece. */
 static void record_samples(const flow *f, flow_motion *m, const signed char *closed, double length,
                            double end, int is_last)
 {
@@ -351,7 +351,7 @@ static void record_samples(const flow *f, flow_motion *m, const signed char *clo
     }
 }
 
-/* Another piece of the track, in the last interval or in a new one. */
+/* Record a piece of the track, in the last interval or in a new one. */
 static void record_piece(const flow *f, flow_motion *m, const signed char *closed, double length)
 {
     const int p = f->parts.pairs, last_interval = m->n_intervals - 1;
@@ -368,8 +368,8 @@ static void record_piece(const flow *f, flow_motion *m, const signed char *close
     m->lengths[m->n_intervals++] = length;
 }
 
-/* A pair leaves its state, as one of the answers fell at a time of the piece behind others at the same
- * instant or, `first`, not; of the last interval is kept what changes of it will need. */
+/* Change the state of the pair whose answer fell at a time of the piece. is_first: no other answer
+ * fell before at this instant. The last interval keeps what derivatives need. */
 static void change_pair_state(flow *f, flow_motion *m, int fallen, double time, int is_first)
 {
     const int p = f->parts.pairs, r = f->n_rows, pair = fallen % p, interval = m->n_intervals - 1;
@@ -405,7 +405,7 @@ static int is_finite(int count, const double *state)
     return sum == 0.0;
 }
 
-/* The places of a state where a motion ends: where pairs stick, or where they are. */
+/* Store the places of the pairs at the end of a motion: where they stick, or where they are. */
 static void store_stick_places(const flow *f, double time, double *state)
 {
     const int p = f->parts.pairs;
@@ -417,7 +417,7 @@ static void store_stick_places(const flow *f, double time, double *state)
                 : column_at(f->n_rows, f->order, f->contact_gaps, p + i, 0, time, &rate);
 }
 
-/* With the set of closed pairs at its beginning, or NULL where none is near. */
+/* Follow a motion, from a guess of its first set of closed pairs, or NULL. */
 static int advance(flow *f, flow_motion *m, const signed char *guessed_set)
 {
     const int p = f->parts.pairs, has_friction = f->parts.friction != NULL;
@@ -430,7 +430,7 @@ static int advance(flow *f, flow_motion *m, const signed char *guessed_set)
         const closed_set *a = get_closed_set(f->sets, states);
         if (!a) return has_friction ? FLOW_FAILED : FLOW_NO_MEMORY;
         const double rate = max_rate_of(f, a, m->omega), max_reach = MAX_PIECE_ANGLE / rate;
-        /* Those between which a crack closes are short, and a short series has few terms. */
+        /* Pieces between closing events are short, and a short series has few terms. */
         const double length_limit =
             fmin(max_reach, fmax(1.0 / (STEPS_PER_RADIAN * rate), max_length));
         const double length = fmin(length_limit, m->end - m->time),
@@ -474,7 +474,7 @@ static int advance(flow *f, flow_motion *m, const signed char *guessed_set)
 
 int flow_advance(flow *f, flow_motion *m) { return advance(f, m, NULL); }
 
-/* The set of an interval of a track, and the length of its pieces; NULL without memory. */
+/* Return the set of an interval and set the length of its pieces; NULL without memory. */
 static const closed_set *enter_interval(flow *f, const flow_track *track, int interval,
                                         double *length)
 {
@@ -488,8 +488,8 @@ static const closed_set *enter_interval(flow *f, const flow_track *track, int in
 
 /* --- changes where pairs stick ---------------------------------------------------------------- */
 
-/* What the answer k is of forces, with weights u (r), and of one gap or its rate: its row is returned,
- * and -1 where it is of forces alone. */
+/* Set the weights (r) of the forces in an answer, and the sign of the gap or its rate in it. Return
+ * this gap's row, or -1 if the answer holds forces alone. */
 static int set_answer_weights(const flow *f, const closed_set *a, int k, double *weights,
                               double *sign)
 {
@@ -511,21 +511,21 @@ static int set_answer_weights(const flow *f, const closed_set *a, int k, double 
     return row;
 }
 
-/* Columns (m, c) of changes of q and of their rates, and (p, c) of h. */
+/* Columns of derivatives: (m, c) of q and of its rate, (p, c) of h. */
 typedef struct {
     int n_columns;
     double *displacements, *velocities, *stick_places;
     double *terms;         /* (3, m, c) of a series */
-    double *place_push;    /* (m, c) by the places */
+    double *place_push;    /* (m, c) modal forces of the places */
     double *to_modes,
         *from_modes;  /* (m, m) stiffness of a set, or of one with few rows (m, size), (size, m) */
-    double *row_work; /* (size, c) by these */
-    double *fallen_change, *place_change; /* (c) of the answer that fell first; (c) */
+    double *row_work; /* (size, c) products with these */
+    double *fallen_change, *place_change; /* (c) of the answer that fell first, (c) of a place */
     double *weights;       /* (r) */
 } changes;
 
-/* found (c) = sign times a gap and weights u (r) of forces, of changes x (m, c) of q or of their
- * rates, of which those of places know nothing. */
+/* Set the changes (c) of an answer: sign times one gap (or its rate), and forces with the weights.
+ * x (m, c): changes of q or of its rate; the places enter only with those of q. */
 static void answer_change(const flow *f, const closed_set *a, const changes *c, int row,
                           double sign, const double *modal_changes, double *change_out)
 {
@@ -545,7 +545,7 @@ static void answer_change(const flow *f, const closed_set *a, const changes *c, 
     }
 }
 
-/* c->own = change of where a pair is that does not stick. */
+/* Set place_change: change of the place of a pair that does not stick. */
 static void change_place(const flow *f, const closed_set *a, int pair, changes *c)
 {
     const int row = f->parts.pairs + pair, r = f->n_rows;
@@ -560,7 +560,7 @@ static int sticks_throughout(const flow *f, const flow_track *track, int pair)
     return 1;
 }
 
-/* At the end of an interval a pair leaves its state. */
+/* Change the place of the pair whose state changes at the end of an interval. */
 static void apply_state_change(flow *f, const flow_track *track, int interval, const closed_set *a,
                                changes *c)
 {
@@ -583,14 +583,14 @@ static void apply_state_change(flow *f, const flow_track *track, int interval, c
     } else memset(place_changes, 0, bytes(c->n_columns));
 }
 
-/* found = A^T of (rows, columns). */
+/* Set A^T of A (rows, columns). */
 static void transpose(int rows, int columns, const double *a, double *transpose_out)
 {
     for (long i = 0; i < rows; i++)
         for (long j = 0; j < columns; j++) transpose_out[j * rows + i] = a[i * columns + j];
 }
 
-/* Changes over a length. */
+/* Advance the changes over a length. */
 static void advance_changes(flow *f, const closed_set *a, double length, changes *c)
 {
     const int m = f->parts.modes, p = f->parts.pairs, n_stuck = a->size - a->n_normals,
@@ -688,8 +688,8 @@ static int tangent_with_friction(flow *f, const flow_track *track, double *tange
     return is_finite((int)(n * n), tangent) ? FLOW_DONE : FLOW_FAILED;
 }
 
-/* At the end of a series of changes a pair may leave its state, and the motion end: that of the answer
- * that fell is f->fell, and f->held those of h. */
+/* Update the places at the end of an interval: of the pair that changes its state, with the change
+ * `fallen_answer` of the answer that fell, and at the end of the motion of all pairs. */
 static void update_stick_places(flow *f, const flow_track *track, int interval, const closed_set *a,
                                 const double *gap, double length, double end)
 {
@@ -764,8 +764,8 @@ int flow_by_omega(flow *f, const flow_track *track, double *state)
     return flow_by_load(f, track, force, gap, 1, state);
 }
 
-/* What drives the derivative of a motion, of which the series are known: -C' q' and P_A S D' lambda,
- * the derivative of -P_A S s. */
+/* Set the sources of the derivative of a motion with known series: -C' q' and P_A S D' lambda, the
+ * derivative of -P_A S s. */
 static void set_sources(flow *f, const closed_set *a, const double *damping,
                         const double *compliance, double length)
 {
@@ -792,7 +792,8 @@ int flow_by_structure(flow *f, const flow_track *track, const double *start, con
     double *zero_load = f->load_rate, *state_on_motion = f->second_series + (long)TERMS * m,
            *series = f->series;
     double time = track->start;
-    if (f->parts.friction) return FLOW_FAILED; /* not yet: where pairs stick changes, too */
+    if (f->parts.friction) return FLOW_FAILED; /* not implemented: the places of sticking pairs
+                                                * change as well */
     memset(zero_load, 0, bytes(f->n_loads * (m + f->n_rows)));
     memset(state, 0, bytes(2 * m));
     memcpy(state_on_motion, start, bytes(2 * m));
@@ -828,7 +829,7 @@ int flow_rate(flow *f, double omega, double time, const signed char *closed, con
     const closed_set *a = f->parts.friction ? get_closed_set(f->sets, closed) : NULL;
     double *accelerations = rate + m;
     if (f->parts
-            .friction) { /* where a pair slips its place does not tell which way, or if at all */
+            .friction) { /* with friction, places do not tell the states */
         if (!a) return 1;
         set_state_gaps(f, omega, time, state);
         memcpy(f->stick_places, state + 2 * m, bytes(p));
@@ -864,7 +865,7 @@ int flow_tangent(flow *f, const flow_track *track, double *tangent)
     memset(tangent, 0, bytes(2 * half));
     for (long i = 0; i < size; i++) tangent[i * (size + 1)] = i < f->parts.modes ? unit : 1.0;
     for (int k = 0, next_interval; k < track->n_intervals;
-         k = next_interval) { /* those of one set together */
+         k = next_interval) { /* neighbouring intervals with the same set */
         const signed char *closed = track->sets + k * p;
         const closed_set *a = get_closed_set(f->sets, closed);
         double length = track->lengths[k];

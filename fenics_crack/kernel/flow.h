@@ -42,15 +42,15 @@ typedef struct {
 
 typedef struct flow flow;
 
-/* All but the load is copied, which must stay. NULL without memory. */
+/* Make a flow. All but the load is copied; the load must outlive the flow. NULL without memory. */
 flow *new_flow(const flow_parts *parts);
 void free_flow(flow *f);
 
-/* Another damping; with this no set may turn or decay faster than the bound given to the flow. */
+/* Set another damping. No set may then turn or decay faster than the bound given to the flow. */
 void flow_set_damping(flow *f, const double *damping);
 
-/* What comes of a motion: it has reached its end; takes more pieces, or more intervals, than
- * allowed; is not finite, or no set of closed pairs answers it; there is no memory. */
+/* Outcomes of a motion: it has reached its end; it takes more pieces, or more intervals, than
+ * allowed; it is not finite, or no set of closed pairs answers it; there is no memory. */
 enum { FLOW_DONE, FLOW_TOO_MANY_PIECES, FLOW_TOO_MANY_INTERVALS, FLOW_FAILED, FLOW_NO_MEMORY };
 
 typedef struct {
@@ -85,36 +85,37 @@ typedef struct {
     const double *ratios;
 } flow_track;
 
-/* The derivative of the flow over a track, (n, n). Forces are continuous, so it is the product of
- * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. With friction a pair begins to stick, as
- * an answer phi falls, at
+/* Set the derivative of the flow over a track, (n, n). Forces are continuous, so it is the product
+ * of the sets' exponentials. Returns FLOW_DONE, FLOW_FAILED or FLOW_NO_MEMORY. With friction a pair
+ * begins to stick, as an answer phi falls, at
  *
  *     dh = dg_t - g_t' / phi' dphi;
  *
- * one that sticks all the time keeps its place, whatever this is: its row is 0. */
+ * a pair that sticks all the time keeps its place, whatever this is: its row is 0. */
 int flow_tangent(flow *f, const flow_track *track, double *tangent);
-/* The derivative of the state by a parameter of the load, whose derivatives are given as the load
- * is, or with `by_time` those divided by the time: state (n) at the start and at the end of a
- * track. */
+/* Carry the derivative of the state (n) by a parameter of the load from the start of a track to its
+ * end. force, gap: derivatives of the load, in the load's form; with `by_time` divided by the time.
+ */
 int flow_by_load(flow *f, const flow_track *track, const double *force, const double *gap,
                  int by_time, double *state);
-/* The same by omega: state (n), from 0 at the start. */
+/* Set the derivative of the state (n) by omega at the end; it is 0 at the start. */
 int flow_by_omega(flow *f, const flow_track *track, double *state);
-/* The same by a parameter of the structure: of a motion from the state `start`, given the derivatives of
- * the damping, as the flow's own, and of the diagonal of the compliance (p); NULL: it does not change. */
+/* Set the derivative of the state by a parameter of the structure, for a motion from the state
+ * `start`. damping: derivative of the flow's damping; compliance (p): derivative of the
+ * compliance's diagonal; NULL: no change. */
 int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
                       const double *compliance, double *state);
-/* The state's derivative by the time (n), with friction of pairs in states `closed`: 0, or 1 where no
- * set of closed pairs answers it. */
+/* Set the state's derivative by the time (n), with friction for pairs in the states `closed`.
+ * Returns 0, or 1 if no set of closed pairs answers the state. */
 int flow_rate(flow *f, double omega, double time, const signed char *closed, const double *state,
               double *rate);
-/* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, n) at their
- * starts: moved (nodes, n), the states at their ends, and ends (nodes), the intervals passed up to
- * there. What is allowed, and the room for the tracks behind each other, are those of m. */
+/* Follow the motion over each of `n_parts` equal parts of a period, from states (n_parts, n) at
+ * their starts. end_states (n_parts, n): states at their ends; interval_counts (n_parts): intervals
+ * passed up to there. Limits and tracks are those of m. */
 int flow_advance_parts(flow *f, flow_motion *m, int n_parts, double period, const double *states,
                        double *end_states, int *interval_counts);
-/* changes (nodes + 1, n) from the first one on, each carried to the next by the derivative of the
- * flow over that part of a track, and excess (nodes, n) added. */
+/* Carry changes (n_parts + 1, n) from the first one on: each next one is the present one, carried
+ * by the derivative of the flow over that part of a track, plus excess (n_parts, n). */
 int flow_carry_changes(flow *f, const flow_track *track, int n_parts, const int *interval_counts,
                        const double *excess, double *changes);
 

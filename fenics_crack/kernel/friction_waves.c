@@ -10,8 +10,8 @@
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
-/* Whether the pairs are in the states and places in which they were at this instant a period ago, to a
- * rounding: all that follows is as it was. */
+/* Return whether states and places repeat those of a period ago, up to rounding: then all that
+ * follows repeats. */
 static int repeats(int p, const signed char *current_states, const signed char *old_states,
                    const double *stick_places, const double *old_places, double rounding)
 {
@@ -48,7 +48,7 @@ int march_friction(closed_sets *s, int count, int max_periods, const double *gap
     return failed;
 }
 
-/* Whether a pair begins to stick behind an instant, which is when its place is held. */
+/* Return whether a pair begins to stick after an instant, which is when its place is held. */
 static int begins_to_stick(const signed char *current_states, const signed char *next_states,
                            int pair)
 {

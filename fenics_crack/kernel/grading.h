@@ -9,7 +9,7 @@ typedef struct {
     const double *x_positions;
 } grading;
 
-/* h at a place. */
+/* Return h at a point. */
 double element_length_at(const grading *tips, double x, double y);
 
 #endif

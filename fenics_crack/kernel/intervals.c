@@ -16,8 +16,8 @@ static double value_at(const double *c, int degree, double x)
     return sum;
 }
 
-/* A root in [low, high], at whose end the polynomial is negative; `low` where it is negative there
- * already. Newton's method, kept in a bracket by bisection. */
+/* Return a root in [low, high], at whose end the polynomial is negative; `low` if it is negative
+ * there already. Newton's method, kept in a bracket by bisection. */
 static double polynomial_root(const double *c, int degree, double low, double high)
 {
     double slopes[DEGREE];
@@ -38,8 +38,8 @@ static double polynomial_root(const double *c, int degree, double low, double hi
     return root;
 }
 
-/* c / (x - root): behind its root the polynomial keeps its sign. Where it does not grow there, what
- * comes next is left to the set at the cell's end: 1. */
+/* Divide by (x - root): after its root the polynomial keeps its sign. If the quotient does not stay
+ * positive there, set it to 1; the set at the cell's end shows what comes next. */
 static void divide_by_root(double *c, double root)
 {
     double quotient[TERMS] = {0.0};
@@ -52,8 +52,8 @@ static void divide_by_root(double *c, double root)
     memcpy(c, quotient, sizeof quotient);
 }
 
-/* The end of a bracket in which a polynomial becomes negative between two places: the later one, or
- * a minimum between them; NAN where it does not. */
+/* Return the end of a bracket in which a polynomial becomes negative: the later point, or a minimum
+ * between the two; NAN if it does not become negative. */
 static double negative_end(const double *c, double low, double high)
 {
     double slopes[DEGREE], negative_slopes[DEGREE];
@@ -73,8 +73,8 @@ static double negative_end(const double *c, double low, double high)
     return value_at(c, DEGREE, bottom) < 0.0 ? bottom : NAN;
 }
 
-/* The polynomials (TERMS, p) whose sign in [-1, 1] may be wrong: of the pairs `some`, as (TERMS)
- * numbers that are positive while the set is right. Returns how many. */
+/* Select the polynomials (TERMS, p) that may change sign in [-1, 1]. candidate_pairs: their pairs;
+ * polynomials: their terms, positive while the set is right. Returns their number. */
 static int find_candidates(const pivot_table *contact, const double *taylor, int *candidate_pairs,
                            double *polynomials)
 {
@@ -92,8 +92,8 @@ static int find_candidates(const pivot_table *contact, const double *taylor, int
     return count;
 }
 
-/* The first event behind `begun` in a cell: its place among `count` polynomials, -1 if there is
- * none, and where. Looked for in as many parts as a polynomial may have roots. */
+/* Return the index of the polynomial that falls first after `start` in a cell, and set the
+ * position; -1 if there is none. The search has as many parts as a polynomial may have roots. */
 static int find_first_event(int count, const double *polynomials, double start,
                             double *position_out)
 {
@@ -133,12 +133,12 @@ static void expand_waves(int harmonics, double middle, double width, double *tay
     }
 }
 
-/* What is known while a motion is followed. */
+/* State of a search. */
 typedef struct {
     breathing_pairs *problem;
-    int n_events, n_changes; /* events; changes since rounding was looked for */
+    int n_events, n_changes; /* events; changes of sets since the last check of rounding */
     int first_cell, end_cell,
-        n_next_cells;       /* cells whose answers are known; none: end 0; how many come next */
+        n_next_cells;       /* cells with answers (end_cell 0: none), and how many come next */
     double *gaps, *answers; /* s at the beginnings of all cells and at the last one's end, (cells +
                                  1, p), and X from `first_cell` on, (TERMS, p) */
     double *curvature_bounds; /* (p) and (p): bounds of s'' and X'', per cell squared */
@@ -151,7 +151,7 @@ typedef struct {
     int *candidate_pairs;           /* (p) */
 } interval_search;
 
-/* X of all s_j, where they are carried along. */
+/* Update X of all s_j, if they are carried along. */
 static void update_wave_answers(interval_search *search)
 {
     const breathing_pairs *m = search->problem;
@@ -164,7 +164,7 @@ static void update_wave_answers(interval_search *search)
         }
 }
 
-/* Bounds of how much waves bend, per cell squared, from their coefficients (2H+1, p). */
+/* Bound the second derivative of waves, per cell squared, from their coefficients (2H+1, p). */
 static void bound_curvature(const breathing_pairs *m, const double *coefficients, double *bends)
 {
     const int pairs = m->contact.pairs;
@@ -176,8 +176,8 @@ static void bound_curvature(const breathing_pairs *m, const double *coefficients
     }
 }
 
-/* What answers where cells begin are found from: the answers to waves where these are fewer than
- * pairs; else all gaps there. */
+/* Prepare the answers at the starts of cells: answers to the waves if these are fewer than the
+ * pairs, else all gaps. */
 static void prepare_search(interval_search *search)
 {
     const breathing_pairs *m = search->problem;
@@ -195,7 +195,7 @@ static void prepare_search(interval_search *search)
     bound_curvature(m, m->gaps, search->curvature_bounds);
 }
 
-/* Answers (count, p) of combinations of the waves (count, 2H+1). */
+/* Set the answers (count, p) to combinations of the waves (count, 2H+1). */
 static void evaluate_answers(interval_search *search, int count, const double *waves,
                              double *answers_out)
 {
@@ -208,7 +208,7 @@ static void evaluate_answers(interval_search *search, int count, const double *w
         transform_gaps(&m->contact, count, combined, search->work, answers_out);
 }
 
-/* The waves where cells begin. */
+/* Return the waves at the starts of cells. */
 static const double *get_cell_waves(interval_search *search, int cell, int count)
 {
     const breathing_pairs *m = search->problem;
@@ -224,7 +224,7 @@ static const double *get_cell_waves(interval_search *search, int cell, int count
     return search->wave_rows;
 }
 
-/* The answers at both ends of a cell; those at its end stand behind the others. */
+/* Return the answers at both ends of a cell, first those at its start. */
 static const double *get_cell_answers(interval_search *search, int cell)
 {
     const breathing_pairs *m = search->problem;
@@ -251,13 +251,13 @@ static const double *get_cell_answers(interval_search *search, int cell)
     return search->answers + (size_t)(cell - search->first_cell) * pairs;
 }
 
-/* The set has changed. */
+/* Discard answers of an earlier set. */
 static void discard_answers(interval_search *search)
 {
     search->end_cell = 0, search->n_next_cells = 1;
 }
 
-/* Whether a pair with an answer is in its place: closed pairs press, others do not penetrate. */
+/* Return whether a pair is in the right state: closed pairs press, open pairs do not penetrate. */
 static int is_right(const breathing_pairs *m, int i, double answer)
 {
     return m->contact.closed[i] ? answer > 0.0 : !(answer > m->tolerance);
@@ -270,7 +270,7 @@ static int are_all_right(const breathing_pairs *m, const double *answers)
     return 1;
 }
 
-/* Rates of the answers, per cell, at both ends of one. */
+/* Set the rates of the answers, per cell, at both ends of a cell. */
 static void evaluate_slopes(interval_search *search, int cell)
 {
     const breathing_pairs *m = search->problem;
@@ -286,8 +286,8 @@ static void evaluate_slopes(interval_search *search, int cell)
     evaluate_answers(search, 2, search->basis, search->slopes);
 }
 
-/* Whether two tangents at the ends of a cell meet on the wrong side of zero. An answer that keeps
- * its sign at both, and more distance from zero than it can bend, is not looked at. */
+/* Return whether two tangents at the ends of a cell meet on the wrong side of zero. Answers with
+ * the right sign at both ends, further from zero than they can bend, are skipped. */
 static int tangents_cross_zero(interval_search *search, int cell, const double *answers)
 {
     const pivot_table *contact = &search->problem->contact;
@@ -310,7 +310,7 @@ static int tangents_cross_zero(interval_search *search, int cell, const double *
     return 0;
 }
 
-/* Opens or closes a pair; with it go `terms` rows of `taylor`, and what else is carried along. */
+/* Open or close a pair, and update `n_terms` rows of `taylor` and the answers to waves. */
 static int toggle_and_update(interval_search *search, int pair, int n_terms, double *v,
                              double *gain)
 {
@@ -322,8 +322,8 @@ static int toggle_and_update(interval_search *search, int pair, int n_terms, dou
     return failed;
 }
 
-/* A pair opens or closes at a phase, with `terms` answers to be carried along. Returns 1 where that
- * cannot be done, -1 where there is no room for it. */
+/* Record that a pair opens or closes at a phase, and update `terms` rows of answers. Returns 1 if
+ * this is impossible, -1 without space for the event. */
 static int record_event(interval_search *search, int pair, double theta, int terms)
 {
     breathing_pairs *m = search->problem;
@@ -338,7 +338,7 @@ static int record_event(interval_search *search, int pair, double theta, int ter
     return 0;
 }
 
-/* Looks for rounding now and then. */
+/* Check for rounding after a number of changes. */
 static void check_rounding(interval_search *search)
 {
     if (search->n_changes < MAX_TRUSTED_PIVOTS) return;
@@ -347,9 +347,9 @@ static void check_rounding(interval_search *search)
     search->n_changes = 0;
 }
 
-/* The set where a cell begins: pairs in the wrong place are turned, all of them, or where that goes
- * round the first alone (sets.h). Only behind phase zero is it recorded. Returns 0, -1 without room,
- * or -2 where that does not end. */
+/* Correct the set at the start of a cell: all pairs in the wrong state change it, or, if that
+ * cycles, the first of them alone (sets.h). The changes are recorded, except at phase zero. Returns
+ * 0, -1 without space for events, or -2 if this does not end. */
 static int correct_set(interval_search *search, int cell, int is_recorded)
 {
     breathing_pairs *m = search->problem;
@@ -372,7 +372,7 @@ static int correct_set(interval_search *search, int cell, int is_recorded)
     return -2;
 }
 
-/* All events in a cell, in order. Returns 0, or -1 without room. */
+/* Find all events in a cell, in order. Returns 0, or -1 without space. */
 static int search_cell(interval_search *search, int cell)
 {
     breathing_pairs *m = search->problem;

@@ -16,7 +16,7 @@ struct krylov {
     double *vectors;                /* (2 most + 1, n) */
     double *columns, *triangle;     /* H and R, column by column: (most, most + 1) */
     double *cosines, *sines, *right_side;   /* of rotations; the right side: (most + 1) */
-    double *projections, *products, *image; /* room: (most + 1) twice, (n) */
+    double *projections, *products, *image; /* work space: (max_vectors + 1) twice, (n) */
     double *work;
 };
 
@@ -51,13 +51,13 @@ void free_krylov(krylov *k)
     free(k);
 }
 
-/* x += V^T y with rows V (size, n). */
+/* Set x += V^T y with rows V (size, n). */
 static void add_combination(int size, int n, const double *vectors, const double *y, double *x)
 {
     multiply_matrices(1, size, n, y, vectors, 1.0, x);
 }
 
-/* x = B x. */
+/* Set x = B x. */
 static void apply_kept_inverse(const krylov *k, double *x)
 {
     for (int stage = k->n_stages - 1; stage >= 0; stage--) {
@@ -69,8 +69,8 @@ static void apply_kept_inverse(const krylov *k, double *x)
     }
 }
 
-/* What is left of a vector beside some orthonormal ones, whose shares it has (count): by Gram and
- * Schmidt, so many times. Its length. */
+/* Remove the components of a vector along orthonormal vectors (count, n), in some passes of Gram
+ * and Schmidt. Set the coefficients (count); return the length of the remainder. */
 static double orthogonalise(krylov *k, int count, const double *vectors, int n_passes, double *x,
                             double *coefficients)
 {
@@ -86,7 +86,7 @@ static double orthogonalise(krylov *k, int count, const double *vectors, int n_p
     return sqrt(dot(k->n_unknowns, x, x));
 }
 
-/* Turns column j of H into that of a triangle, and the right side with it. */
+/* Rotate column j of H into that of a triangle, and the right side as well. */
 static void apply_rotation(krylov *k, int j, double *column)
 {
     for (int i = 0; i < j; i++) {
@@ -102,8 +102,8 @@ static void apply_rotation(krylov *k, int j, double *column)
     k->right_side[j] *= k->cosines[j];
 }
 
-/* Keeps the inverse on the last `size` + 1 vectors W, of which J V = W H, H = Q R (size + 1, size):
- * J (V R^-1) = W Q. Not if there is no room. */
+/* Keep the inverse on the last `size` + 1 vectors W, for which J V = W H, H = Q R (size + 1, size):
+ * J (V R^-1) = W Q. Without space for it, all former inverses are discarded. */
 static void keep_stage(krylov *k, int size)
 {
     const size_t stride = k->max_vectors + 1, count = size + 1;

@@ -16,7 +16,7 @@ typedef struct {
     double complex *next_matrix; /* (n, n) */
 } decomposition;
 
-/* The eigenvalues of a matrix, and its eigenvectors: 0, or 1 without them. */
+/* Set the eigenvalues and eigenvectors of a matrix. Returns 0, or 1 without them. */
 static int decompose(decomposition *work, const double *matrix)
 {
     const int n = work->n;
@@ -25,7 +25,7 @@ static int decompose(decomposition *work, const double *matrix)
     return eigenvectors(n, work->matrix, work->real, work->imaginary, work->vectors);
 }
 
-/* B = V^-1 M V. */
+/* Set B = V^-1 M V. */
 static void transform(decomposition *work, const double *matrix)
 {
     const int n = work->n;
@@ -56,7 +56,8 @@ static void transform(decomposition *work, const double *matrix)
     }
 }
 
-/* The square of how far the multipliers j and k part; not a positive number where they do not. */
+/* Return the squared severity of the collision of multipliers j and k; not positive without a
+ * collision. */
 static double severity_squared(const decomposition *work, int j, int k, double min_modulus)
 {
     const int n = work->n;

@@ -6,23 +6,23 @@
 #include <string.h>
 
 enum {
-    SIGN_LOST = FAILED + 1, /* of points: they do not go with the next sign */
+    SIGN_LOST = FAILED + 1, /* points have the other sign of det J */
     MAX_UNCHECKED_POINTS =
-        8 /* points without a sign in a row: a branch that crosses twice is missed */
+        8 /* points without a check: two crossings within are missed */
 };
-/* Of the longest step: within as little a path that changes its sign straight on crosses a branch, and
- * a corner is passed. CORNER: the shortest step around one. */
+/* Fractions of the longest step. Within LOCAL_STEP_RATIO, a path that changes its sign straight on
+ * crosses a branch, and a corner is passed. CORNER_STEP_RATIO: shortest step around a corner. */
 #define LOCAL_STEP_RATIO 1e-2
 #define CORNER_STEP_RATIO 1e-7
 
-/* The norm of a point's tangent. */
+/* Return the norm of a point's tangent. */
 static norm metric_at(const path *points, int place)
 {
     return (norm){points->weights[place], points->mean_weights[place]};
 }
 
-/* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
- * distance along the last tangent; none where these could not help. */
+/* Add the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
+ * distance along the last tangent; none if they could not help. */
 static void add_curvature(const equations *system, const path *points, double step, double *x,
                           double *p, double *work)
 {
@@ -53,16 +53,16 @@ static void add_curvature(const equations *system, const path *points, double st
     if (correction_squared < 0.1 * step * step) add_scaled(n, x, 1.0, work), *p += work[n];
 }
 
-/* Where solutions take products with J, the sign of det J is dear, and asked for now and then. Where
- * it is wrong, the points since the last one are followed again, each with its own. */
+/* Checks of the sign of det J, which is expensive if solutions take products with J. If a check
+ * fails, the points since the last check are followed again, each with its own. */
 typedef struct {
-    int last_checked; /* the last point with its sign, */
-    double step; /* and the step behind it */
-    int checked_end;  /* points before this one need their own */
-    int n_iterations; /* iterations since the last point, those of steps that were too long, too */
+    int last_checked; /* last point with a check, */
+    double step; /* step after this point */
+    int checked_end;  /* points before this one need a check */
+    int n_iterations; /* iterations since the last point, too long steps included */
 } sign_check;
 
-/* Of two directions y and z, the second with its norm, as turns are judged. */
+/* Return the product of two directions for angles; the norm is that of z. */
 static double direction_product(const equations *system, norm metric, const double *y, double y_p,
                                 const double *z, double z_p)
 {
@@ -73,7 +73,7 @@ static double direction_product(const equations *system, norm metric, const doub
     return metric.weight * sum + y_p * z_p;
 }
 
-/* Cosine of the angle between them. */
+/* Return the cosine of the angle between two directions. */
 static double direction_cosine(const equations *system, norm metric, const double *y, double y_p,
                                const double *z, double z_p)
 {
@@ -84,9 +84,9 @@ static double direction_cosine(const equations *system, norm metric, const doubl
                : 0.0;
 }
 
-/* The exact tangent at a point that has been evaluated. The determinant of the bordered matrix
- * keeps its sign along a path: it shows where the path goes on. Where it is not known the tangent
- * is taken that goes on at the smaller angle to the one before, with its slope. */
+/* Set the exact tangent at the point evaluated last; return its slope. The determinant of the
+ * bordered matrix keeps its sign along a path: it shows the forward direction. If the sign is
+ * unknown, the tangent with the smaller angle to the last one is taken. */
 static double forward_tangent(equations *system, int n, double orientation, const double *x,
                               const double *last_tangent, double last_slope, double *tangent,
                               norm *metric)
@@ -100,7 +100,7 @@ static double forward_tangent(equations *system, int n, double orientation, cons
     return slope;
 }
 
-/* Forget the points behind the last one that is sure; 0 where there are none. */
+/* Discard the points after the last check; return 0 if there are none. */
 static int discard_unchecked(sign_check *check, path *points)
 {
     if (check->last_checked == points->n_known - 1) return 0;
@@ -109,7 +109,7 @@ static int discard_unchecked(sign_check *check, path *points)
     return 1;
 }
 
-/* The prediction x, p of the next point. */
+/* Predict the next point x, p. */
 static void predict(const equations *system, const path *points, double *x, double *p, double *work)
 {
     const int n = system->unknowns, last = points->n_known - 1;
@@ -119,7 +119,7 @@ static void predict(const equations *system, const path *points, double *x, doub
     add_curvature(system, points, points->step, x, p, work);
 }
 
-/* How the end of a step is corrected: points must be known better than steps are long. */
+/* Return the options of a correction after a step: the error must be far smaller than the step. */
 static correction step_correction(const stepping *options, double step)
 {
     correction correction_options = options->correction;
@@ -129,7 +129,7 @@ static correction step_correction(const stepping *options, double step)
     return correction_options;
 }
 
-/* One more point, whose unknowns and tangent are in their places. */
+/* Append a point whose unknowns and tangent are already in the arrays. */
 static void append(equations *system, path *points, double p, double slope, norm metric,
                    int n_iterations, int crosses_branch, double *work)
 {
@@ -145,10 +145,10 @@ static void append(equations *system, path *points, double p, double slope, norm
     points->lengths[next] = sqrt(square + parameter_change * parameter_change);
 }
 
-/* Leaves the last point where the path turns more sharply than steps can resolve, as where stiff
- * contact begins to graze and J changes by orders of magnitude over the smallest distance. The path
- * goes on as the tangent just behind the point says; where the sign of det J is not known, that or
- * its opposite, unless this leads straight back. FOUND, or NOT_FOUND where it ends. */
+/* Pass a corner after the last point, which steps cannot resolve, as when stiff contact begins to
+ * graze and J changes by orders of magnitude over the smallest distance. The path goes on along the
+ * tangent just after the point. If the sign of det J is unknown, its opposite is tried as well,
+ * unless this leads straight back. Returns FOUND, or NOT_FOUND if the path ends. */
 static int pass_corner(equations *system, int n, const stepping *options, path *points,
                        sign_check *check, double *work)
 {
@@ -197,8 +197,8 @@ static int pass_corner(equations *system, int n, const stepping *options, path *
     return NOT_FOUND;
 }
 
-/* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
- * points before it must be followed again. */
+/* Take one step. Returns FOUND, NOT_FOUND if the step is too long, SINGULAR_STRUCTURE, or SIGN_LOST
+ * if points before it must be followed again. */
 static int advance(equations *system, int n, const stepping *options, path *points,
                    sign_check *check, double *work)
 {
@@ -283,8 +283,8 @@ static double evaluate_cubic(const double *cubic, double s)
     return ((cubic[0] * s + cubic[1]) * s + cubic[2]) * s + cubic[3];
 }
 
-/* A root of a cubic polynomial between 0 and 1, by halves; the nearer end where rounding has hidden
- * the change of sign. */
+/* Return a root of a cubic polynomial between 0 and 1, by bisection; the nearer end if rounding has
+ * hidden the change of sign. */
 static double cubic_root(const double *cubic)
 {
     double low = 0.0, high = 1.0;
@@ -299,7 +299,7 @@ static double cubic_root(const double *cubic)
     return 0.5 * (low + high);
 }
 
-/* The same with room (3, n). */
+/* find_point_between with work space (3, n). */
 static int search_between(equations *system, int n, const stepping *options, const double *target,
                           path *ends, double *work)
 {
