@@ -58,12 +58,12 @@ typedef struct {
     double *state;           /* (n) q, q', here and at the end, and with friction (p) h */
     int max_pieces, n_pieces;       /* of the series, allowed and made */
     int max_intervals, n_intervals; /* intervals between events, allowed and passed */
-    signed char *sets;       /* (most, p) their closed pairs */
-    double *lengths;         /* (most) */
-    int *causes;             /* (most) of the answers (r) the one that ended an interval, or -1; with
+    signed char *sets;       /* (max_intervals, p) their closed pairs */
+    double *lengths;         /* (max_intervals) */
+    int *causes;             /* (max_intervals) the answer that ended each one, or -1; with
                               * friction only, as the next two */
-    signed char *is_first;   /* (most) whether it fell before others at that instant */
-    double *ratios;          /* (most) g_t' of the pair over the slope of the first one */
+    signed char *is_first;   /* (max_intervals) whether it fell before others at that instant */
+    double *ratios;          /* (max_intervals) g_t' of the pair over the slope of the first one */
     int n_events;
     int n_instants, n_samples; /* instants at which the motion is kept, and how many are done */
     const double *instants;  /* (count) ascending, from now to end */

@@ -31,7 +31,7 @@ typedef struct {
     int *event_pairs;         /* (max_events) pair that opens or closes */
     double *vectors;          /* (max_events, p) v and */
     double *gains;            /* (max_events) gain of S += gain v v^T */
-    double *work;             /* as many numbers as interval_work_size says */
+    double *work;             /* interval_work_size() numbers */
 } breathing_pairs;
 
 /* Return the number of cells for H harmonics: at least 16 for the shortest wave, and 4 in the

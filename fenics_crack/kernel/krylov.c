@@ -13,9 +13,9 @@ struct krylov {
     int stage_starts[MAX_STAGES + 1];
     double
         *inverses[MAX_STAGES]; /* R^-1 Q^T - Q Q^T (size, size), size = begins[i + 1] - begins[i] */
-    double *vectors;                /* (2 most + 1, n) */
-    double *columns, *triangle;     /* H and R, column by column: (most, most + 1) */
-    double *cosines, *sines, *right_side;   /* of rotations; the right side: (most + 1) */
+    double *vectors;                /* (2 max_vectors + 1, n) */
+    double *columns, *triangle;     /* H and R, column by column: (max_vectors, max_vectors + 1) */
+    double *cosines, *sines, *right_side;   /* of rotations; the right side: (max_vectors + 1) */
     double *projections, *products, *image; /* work space: (max_vectors + 1) twice, (n) */
     double *work;
 };

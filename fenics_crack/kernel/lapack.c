@@ -5,8 +5,9 @@
 
 enum {
     MAX_LOOP_PRODUCTS =
-        64,             /* products of numbers for which a call of BLAS takes longer (measured) */
-    MAX_SMALL_ROWS = 48 /* rows of a matrix up to which LAPACK takes longer to factor it */
+        64,             /* number of products up to which loops are faster than a call of BLAS
+                         * (measured) */
+    MAX_SMALL_ROWS = 48 /* rows of a matrix up to which own factors are faster than LAPACK's */
 };
 
 static void *functions[LAPACK_FUNCTIONS];
@@ -109,8 +110,8 @@ static void swap(double *x, double *y)
     *x = *y, *y = copy;
 }
 
-/* What LAPACK's dgetrf does, one column after the other; two columns of L at once are taken from
- * it, u l + v m. */
+/* Factor a small matrix as LAPACK's dgetrf does, column by column. Two columns of L at once are
+ * subtracted, u l + v m. */
 static int factor_small(int n, double *a, int *pivots)
 {
     int info = 0;

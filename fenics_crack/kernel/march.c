@@ -4,7 +4,7 @@
 
 #include "lapack.h"
 
-/* y -= sum_i weight_i row_i with rows (p, n). */
+/* Subtract weighted rows (p, n): y -= sum_i weight_i row_i. */
 static void subtract_rows(int p, int n, const double *rows, const double *weight,
                           double *restrict y)
 {
@@ -15,7 +15,7 @@ static void subtract_rows(int p, int n, const double *rows, const double *weight
     }
 }
 
-/* y = P^T q - g0. */
+/* Set y = P^T q - g0. */
 static void compute_gaps(const vibration *v, const double *q, double *y)
 {
     for (int i = 0; i < v->pairs; i++)
@@ -77,7 +77,7 @@ int march_central(const central_differences *s, int first, int steps, double *ga
 
 /* --- exponential steps ----------------------------------------------------------------------- */
 
-/* y = E x. */
+/* Set y = E x. */
 static void apply_transition(const exponential *s, const double *restrict x, double *restrict y)
 {
     const int n = s->modes;

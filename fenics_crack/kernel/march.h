@@ -43,8 +43,9 @@ typedef struct {
     signed char *closed;       /* (p) of the last step; rigid only */
 } central_differences;
 
-/* March `steps` steps from instant `first` of the period; gap, force (steps, p) and shape (steps,
- * n) are those at their starts. Returns the steps made: fewer if forces were not found. */
+/* March `steps` steps from instant `first` of the period. gap, force (steps, p) and shape (steps,
+ * n) are values at the starts of steps. Returns the number of steps made: fewer if forces were not
+ * found. */
 int march_central(const central_differences *s, int first, int steps, double *gap, double *force,
                   double *shape);
 
@@ -69,9 +70,9 @@ typedef struct {
     double *work;          /* (4 n + 2 p) */
 } exponential;
 
-/* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p), with
- * friction (steps + 1, p / 2) states of pairs: their first rows are given. Returns the steps made:
- * fewer if forces were not found. */
+/* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p),
+ * or with friction the pairs' states (steps + 1, p / 2); the first rows are given. Returns the
+ * number of steps made: fewer if forces were not found. */
 int march_exponential(const exponential *s, int steps, double *states, double *forces,
                       signed char *closed);
 

@@ -7,7 +7,7 @@
 
 #include "lapack.h"
 
-/* Room of a pair of decomposition. */
+/* Eigenvalues of a matrix, and the next matrix in its eigenvectors. */
 typedef struct {
     int n, *pivots;
     double *real, *imaginary; /* parts of the multipliers, (n) */

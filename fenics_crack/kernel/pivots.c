@@ -13,7 +13,7 @@ void open_all_pairs(pivot_table *s)
     memset(s->closed, 0, n);
 }
 
-/* What a pivot does to answers x (count, n), with u and d of the table before. */
+/* Update answers x (count, n) by a pivot, with u and d of the table before. */
 static void update_answers(int n, int count, int k, const double *u, double d, double *x)
 {
     for (; count > 0; count--, x += n) {

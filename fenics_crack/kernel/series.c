@@ -31,12 +31,12 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
         for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
 }
 
-/* Numbers of a register, and so many of these at once: a processor works on the others while it waits
- * for the first. More, or longer ones, would not stay in registers. */
+/* Numbers in a register, and registers in use at once: a processor works on the others while it
+ * waits for the first. More or longer ones would not stay in registers. */
 enum { LANES = 4, N_BLOCKS = 6 };
 typedef double block __attribute__((vector_size(LANES * sizeof(double))));
 
-/* Those behind the last function are the last block once more. */
+/* Numbers after the last function are the last block once more. */
 WIDE void series_at(int n, int order, const double *restrict terms, double time,
                     double *restrict value, double *restrict slope)
 {
@@ -63,7 +63,7 @@ WIDE void series_at(int n, int order, const double *restrict terms, double time,
     }
 }
 
-/* Of few functions, at all times at once. */
+/* Evaluate few functions at all times at once. */
 WIDE static void values_of_few(int n, int order, const double *restrict terms, int count,
                                const double *restrict times, double *restrict values)
 {
@@ -124,7 +124,7 @@ double column_zero(int n, int order, const double *terms, int column, int slopes
     return root;
 }
 
-/* The largest number's size, by its bits: compilers do not take the largest of doubles in blocks. */
+/* Return the largest modulus, by its bits: compilers do not find the largest double in blocks. */
 WIDE static double max_modulus(long count, const double *x)
 {
     int64_t max_bits = 0;

@@ -19,12 +19,12 @@ struct sets {
     int n_pairs;
     long n_kept, max_kept;
     double *d;
-    set_answer *bucket[N_BUCKETS], *last_answer; /* last: whose answer was asked for last */
+    set_answer *bucket[N_BUCKETS], *last_answer; /* last_answer: of the last request */
     double *moved_gaps, *matrix, *column;        /* room */
     int *pivots, *closed_pairs;
 };
 
-/* All answers but one, or none. */
+/* Free all answers but one (NULL: all of them). */
 static void drop_answers(sets *s, const set_answer *kept_answer)
 {
     s->n_kept = 0;
@@ -88,8 +88,7 @@ void free_sets(sets *s)
     free(s);
 }
 
-/* The answer of a set by factors of D_AA, whatever has been asked for before: 0, or 1 where it is
- * singular. */
+/* Compute the answer of a set by factors of D_AA. Returns 0, or 1 if D_AA is singular. */
 static int compute_answer(sets *s, const signed char *closed, double *answer)
 {
     const int n = s->n_pairs;
@@ -120,10 +119,10 @@ static int compute_answer(sets *s, const signed char *closed, double *answer)
     return 0;
 }
 
-/* Principal pivot: opens or closes one pair k of a set, whose answer a it changes, in O(n^2). With
- * its row a_k, a pair that opens gives up its force, and each row its part a_ik of that; a pair that
- * closes makes its opening zero by a force, under which each row moves by p_i. 0, or 1 where D_AA
- * would be singular. */
+/* Open or close one pair k of a set by a principal pivot, which changes the answer a in O(n^2). A
+ * pair with the row a_k that opens gives up its force, and each row its part a_ik of that. A pair
+ * that closes makes its opening zero by a force, under which each row moves by p_i. Returns 0, or 1
+ * if D_AA would be singular. */
 static int pivot_pair(sets *s, signed char *closed, int k, double *a)
 {
     const int n = s->n_pairs;
@@ -147,8 +146,8 @@ static int pivot_pair(sets *s, signed char *closed, int k, double *a)
     return 0;
 }
 
-/* Whether rounding has spoilt an answer: with gaps of 1 the closed pairs' forces must close these,
- * and leave the others the openings that the answer says. */
+/* Return whether rounding has spoilt an answer: with gaps of 1 the closed pairs' forces must close
+ * these gaps, and leave the others with the openings in the answer. */
 static int is_inaccurate(sets *s, const signed char *closed, const double *answer)
 {
     const int n = s->n_pairs;
@@ -164,7 +163,8 @@ static int is_inaccurate(sets *s, const signed char *closed, const double *answe
     return 0;
 }
 
-/* The answer of a set from that of another one: 0, or 1 where it is better computed anew. */
+/* Compute the answer of a set from another answer. Returns 0, or 1 if factors of D_AA are better.
+ */
 static int update_answer(sets *s, const set_answer *known_answer, set_answer *new_answer)
 {
     const size_t n = s->n_pairs;

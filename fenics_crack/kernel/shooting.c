@@ -12,7 +12,7 @@ struct shooting_point {
     flow_motion motion;
     int n_rows;        /* of contact, r */
     int n_loads;       /* rows of the load */
-    int has_monodromy; /* whether M is */
+    int has_monodromy; /* whether M has been computed */
     double parameter;
     double *scale, *residual, *state, *state_rate, *monodromy;
     double *initial_force, *initial_gap; /* load_0 */
@@ -21,7 +21,7 @@ struct shooting_point {
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
-/* The load at a parameter. */
+/* Set the load at a parameter. */
 static void set_load(const shooting_point *point, double p)
 {
     const shooting_equations *parameters = &point->parameters;
@@ -82,7 +82,7 @@ static flow_track track_of(const shooting_point *point)
                         .ratios = m->ratios};
 }
 
-/* M in the unknowns; not a number where it is not known. */
+/* Compute M in the unknowns; NAN if it is not known. */
 static void compute_monodromy(shooting_point *point)
 {
     const int n = point->common.size;
@@ -105,7 +105,8 @@ static void form_jacobian(dense *common)
     for (long i = 0; i < n; i++) common->matrix[i * (n + 1)] -= 1.0;
 }
 
-/* What omega does to the load, and to when the period ends; 0, or 1 where that is not known. */
+/* Set the derivative of the end state by omega, which changes the load and the period's end.
+ * Returns 0, or 1 if it is not known. */
 static int differentiate_by_omega(shooting_point *point, const flow_track *track,
                                   double *derivative_out)
 {

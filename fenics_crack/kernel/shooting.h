@@ -8,15 +8,15 @@
 /*     F(x, p) = scale (z(T; x, p) - z(0)),   scale z(0) = x + x_0 + p x_1,   T = turns / omega,
  *     omega = base + rate p,   load = load_0 + p load_1,   damping = C_0 + p C_1,
  *
- * dF/dx = scale M / scale - I, M the flow's derivative over the period; dF/dp is exact too. Paths may
- * keep M in the unknowns of each point. An evaluation returns FOUND; NOT_FOUND where the motion
- * takes more than `pieces` or `intervals`, or is not finite; NO_MEMORY.
- */
+ * dF/dx = scale M / scale - I, M the flow's derivative over the period; dF/dp is exact too. Paths
+ * may keep M in the unknowns of each point. An evaluation returns FOUND; NOT_FOUND if the motion
+ * takes more than `max_pieces` or `max_intervals`, or is not finite; NO_MEMORY. */
 typedef struct {
     flow *flow;
     int modes, pairs;
     int harmonics;         /* K */
-    int friction;          /* whether there is: then n = 2 m + p and r = 2 p, else 2 m and p (flow.h) */
+    int friction;          /* whether there is friction: n = 2 m + p and r = 2 p, else 2 m and p
+                            * (flow.h) */
     double base, rate;     /* of omega */
     double turns;          /* 2 pi times the load's periods in one of the orbit */
     const double *scale;   /* (n) */
@@ -25,7 +25,7 @@ typedef struct {
     double *force, *gap;   /* the flow's own load, (2 K + 1, m) and (2 K + 1, r); NULL: it does
                             * not change */
     const double *force_rate, *gap_rate;  /* load_1 */
-    int n_damping;                        /* numbers of the damping; 0: it does not change */
+    int n_damping;                        /* length of the damping's arrays; 0: it does not change */
     const double *damping, *damping_rate; /* C_0 and C_1, as the flow's own */
 } shooting_equations;
 
@@ -35,11 +35,11 @@ typedef struct shooting_point shooting_point;
 shooting_point *new_shooting_point(const shooting_equations *parameters);
 void free_shooting_point(shooting_point *point);
 equations *equations_of_shooting(shooting_point *point);
-/* Pairs that open or close in the period last followed. */
+/* Return the number of events in the period followed last. */
 int count_events(const shooting_point *point);
-/* Of the Taylor series in it. */
+/* Return the number of Taylor series in this period. */
 int count_pieces(const shooting_point *point);
-/* M of the last evaluation, (n, n), in the unknowns x: 0, or 1 where there is none. */
+/* Set M of the last evaluation, (n, n), in the unknowns x. Returns 0, or 1 without M. */
 int get_monodromy(shooting_point *point, double *monodromy_out);
 
 #endif

@@ -17,7 +17,7 @@
 #include "rounding.h"
 #include "waves.h"
 
-#define MAX_HALVINGS DBL_MANT_DIG /* halvings of a cell: long before, it is shorter than rounding */
+#define MAX_HALVINGS DBL_MANT_DIG /* halvings of a cell; much earlier it is shorter than rounding */
 
 typedef struct {
     double left, width, low, high; /* [left, left + width], g at both ends */
@@ -30,7 +30,7 @@ typedef struct {
     int cells, next_cell;          /* of the first grid */
     double max_curvature;          /* M = sum_k k^2 (|a_k| + |b_k|) >= |g''| */
     double resolution;
-    int n_waiting; /* cells still to be looked at, the leftmost one last */
+    int n_waiting; /* number of cells that wait for a decision, the leftmost one last */
     cell waiting_cells[MAX_HALVINGS + 2];
 } change_search;
 
@@ -105,7 +105,7 @@ static void evaluate_grid(change_search *s, const double *gap, const double *wav
     }
 }
 
-/* g, g' and g'' at a phase. */
+/* Set g, g' and g'' at a phase. */
 static void evaluate_derivatives(const change_search *s, double theta, double *derivatives_out)
 {
     const double c1 = cos(theta), s1 = sin(theta);
@@ -125,7 +125,7 @@ static void evaluate_derivatives(const change_search *s, double theta, double *d
     derivatives_out[2] = bend;
 }
 
-/* g at a phase. */
+/* Return g at a phase. */
 static double value_at(const change_search *s, double theta)
 {
     const double c1 = cos(theta), s1 = sin(theta), *at = s->gap + s->n_pairs;
@@ -139,7 +139,7 @@ static double value_at(const change_search *s, double theta)
     return value;
 }
 
-/* Newton's method kept inside a bracket, from its middle. */
+/* Return a root by Newton's method, kept in a bracket, from its middle. */
 static double find_bracketed_root(const change_search *s, double left, double right,
                                   double left_value)
 {
@@ -156,8 +156,9 @@ static double find_bracketed_root(const change_search *s, double left, double ri
     return theta;
 }
 
-/* Halley's method from the chord's root; where it strays, Newton's with bisection. A step d leaves
- * an error of about d (M d / g')^2; after the last one only rounding is left. */
+/* Return a root by Halley's method from the chord's root; if it leaves the cell, by Newton's method
+ * with bisection. A step d leaves an error of about d (M d / g')^2: after the last step only
+ * rounding is left. */
 static double find_root(const change_search *s, const cell *bracket)
 {
     const double right = bracket->left + bracket->width;
@@ -175,7 +176,7 @@ static double find_root(const change_search *s, const cell *bracket)
     return find_bracketed_root(s, bracket->left, right, bracket->low);
 }
 
-/* The next sign change: +1 or -1, or 0 where there is no more. */
+/* Find the next sign change: +1 or -1, or 0 if there is none. */
 static int find_next_change(change_search *s, double *theta)
 {
     const double cell_width = TWO_PI / s->cells;
@@ -226,8 +227,8 @@ int switching_instants(int harmonics, int pairs, const double *gap, const double
     return failed ? -1 : count;
 }
 
-/* Means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex numbers
- * (pairs, highest + 1). Returns -1 without memory. */
+/* Set the means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex
+ * numbers (pairs, highest + 1). Returns -1 without memory. */
 static int closed_means(int harmonics, int pairs, const double *gap, const double *waves,
                         int highest, double *means)
 {
@@ -259,7 +260,7 @@ static int closed_means(int harmonics, int pairs, const double *gap, const doubl
     return failed;
 }
 
-/* k times the Toeplitz plus Hankel matrix of c_m + i s_m, (2H+1, 2H+1):
+/* Set k times the Toeplitz plus Hankel matrix of c_m + i s_m, (2H+1, 2H+1):
  *
  *     d a_i/d a_j:  c_{i-j} + c_{i+j}      d a_i/d b_j:  s_{i+j} - s_{i-j}
  *     d b_i/d a_j:  s_{i+j} + s_{i-j}      d b_i/d b_j:  c_{i-j} - c_{i+j},

@@ -9,15 +9,15 @@
 enum { EVEN_COSINES, ODD_COSINES, EVEN_SINES, ODD_SINES, KINDS };
 
 struct waves {
-    int harmonics, instants, n_quarter; /* quarter: its instants, both ends among them */
+    int harmonics, instants, n_quarter; /* n_quarter: instants of a quarter, both ends included */
     double *to_values[KINDS],
         *to_coefficients[KINDS]; /* (quarter, orders), (orders, quarter) with weights */
     double *coefficient_part[KINDS],
-        *quarter_sums[KINDS]; /* room: (orders, columns), (quarter, columns) */
+        *quarter_sums[KINDS]; /* work space: (orders, columns), (n_quarter, columns) */
     double *work;
 };
 
-/* Orders k = first, first + 2, ... of a kind. */
+/* Return the first order k of a kind; the next ones are k + 2, ... */
 static int first_order(int kind) { return kind == EVEN_SINES ? 2 : kind % 2; }
 
 static int count_orders(int harmonics, int kind)
@@ -26,7 +26,7 @@ static int count_orders(int harmonics, int kind)
     return harmonics < first ? 0 : (harmonics - first) / 2 + 1;
 }
 
-/* Row of a coefficient a_k or b_k. */
+/* Return the row of a coefficient a_k or b_k. */
 static int coefficient_row(int kind, int k) { return k ? 2 * k - (kind < EVEN_SINES) : 0; }
 
 waves *new_waves(int harmonics, int instants, int columns)
