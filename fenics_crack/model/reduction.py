@@ -135,7 +135,7 @@ def reduce_structure(
             flexibility = ResidualFlexibility(structure, mode_shapes, squares, forces.T)
             static_shapes = flexibility.solve(factor, forces).T
             own_compliances = structure.sum_over_ranks((forces.T * static_shapes).sum(axis=0))
-            is_rounding = _is_rounding(own_compliances, flexibility.modal.T, squares)
+            is_rounding = _is_rounding(own_compliances, flexibility.modal_sources.T, squares)
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
             if not reference:

@@ -34,10 +34,10 @@ from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
-    held_receptance,
-    last_receptance,
+    displacement_rows,
     receptance,
-    rows_at,
+    receptance_cache,
+    shared_receptance_cache,
     sources_of,
 )
 from fenics_crack.model.structure import DampingRule, Structure
@@ -141,7 +141,7 @@ class PreparedStructure:
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(replace(held, force=np.zeros(0)) for one in both
-                       for held in one.cached_result(held_receptance)), **datasets,
+                       for held in one.cached_result(receptance_cache)), **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -182,8 +182,8 @@ class PreparedStructure:
             n_sources = len(known_receptance.modal)
             source = next(one for one in sources if sources_of(one).shape[1] == n_sources)
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.cached_result(held_receptance)[:] = [loaded_receptance]
-            made.cached_result(last_receptance, from_matrices=True)[:] = [loaded_receptance]
+            source.cached_result(receptance_cache)[:] = [loaded_receptance]
+            made.cached_result(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
@@ -295,7 +295,9 @@ def _of_study(study: Study) -> PreparedStructure:
     """Return the datasets of a reduced study, with all its modes (collective)."""
     reference = getattr(study.structure, "reference", None) or study.structure
     count = max(study.structure.n_modes, reference.n_modes)
-    rows_at(study.structure.whole, count, np.array([watched.dof for watched in study.watched]))
+    displacement_rows(
+        study.structure.whole, count, np.array([watched.dof for watched in study.watched])
+    )
     return PreparedStructure.of(study.structure.whole)
 
 
