@@ -317,7 +317,7 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
     system = problem.system(problem.compliance())
     search = Search(system, problem, COARSE_TOLERANCE, 1.0)
     point = search.solve(resize_harmonics(wave.slow_gap_coefficients, problem.harmonics))
-    return problem.wave(system.linearise(point.unknown)) if search.converged else None
+    return problem.wave(system.linearise(point.unknown)) if search.has_converged else None
 
 
 def _change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:

@@ -311,13 +311,13 @@ class BlockSolver(Solver):
         begin("block system")
         with BlockSystem(problem, linear, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
-            while starts and not search.converged:
+            while starts and not search.has_converged:
                 iterations_before = search.iterations
                 displacement, reached_factor = _raise_stiffness(block, search, *starts.pop(0))
-                search.converged = reached_factor == 1.0
+                search.has_converged = reached_factor == 1.0
                 end = f" up to {reached_factor:.2g} of the contact stiffness, then {block.reason}"
                 search.record_attempt(
-                    f"block system{'' if search.converged else end}", iterations_before
+                    f"block system{'' if search.has_converged else end}", iterations_before
                 )
             point = system.linearise(block.slow_gap(block.vector_of(displacement)))
         return search, point, problem.wave_of(displacement, point.gap, point.force)

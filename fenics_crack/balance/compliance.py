@@ -189,7 +189,7 @@ class ModalCompliance:
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
         self.basis = (
-            structure.cached_result(_gap_basis)
+            structure.compute_once(_gap_basis)
             if len(self._modes.pairs) < structure.n_pairs
             else None
         )
@@ -416,7 +416,7 @@ class FactoredCompliance:
 
         They follow from the lowest modes, and from the rest of the static R_0.
         """
-        omega, rate, pair_shapes = self.structure.cached_result(_lowest_modes)
+        omega, rate, pair_shapes = self.structure.compute_once(_lowest_modes)
         rate = self.structure.damping_factor * rate
         static_rest = self.matrices[0].real - (pair_shapes.T / omega**2) @ pair_shapes
         frequency = self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]

@@ -397,7 +397,7 @@ class Search:
         "other harmonics, a softer contact, more damping, or a neighbouring solution as initial"
     )
     """Changes that may lead to a solution, for the message after a failure."""
-    converged: bool = False
+    has_converged: bool = False
     """True if the last attempt met the tolerance."""
     iterations: int = 0
     """Newton iterations, all attempts together."""
@@ -416,7 +416,7 @@ class Search:
     def status(self) -> str:
         """Return all attempts in words, with a remedy if none succeeded."""
         attempts = "; then ".join(self.attempts)
-        if self.converged:
+        if self.has_converged:
             return attempts
         return f"{attempts}; no solution in {self.iterations} iterations: try {self.remedy}"
 
@@ -449,17 +449,19 @@ class Search:
                 iterations_before = self.iterations
                 for guess in guesses:
                     point = self._take_newton_steps(snes, guess)
-                    if self.converged or self._is_spent:
+                    if self.has_converged or self._is_spent:
                         break
                 self.record_attempt(name, iterations_before)
-                if self.converged:
+                if self.has_converged:
                     break
         point = point or system.linearise(np.zeros(system.shape), 1.0)
-        if not self.converged and snes is None and self.budget_fraction == 1.0:  # for the history
+        if (
+            not self.has_converged and snes is None and self.budget_fraction == 1.0
+        ):  # for the history
             iterations_before = self.iterations
             with Newton(system, self.history) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
-            if self.converged:
+            if self.has_converged:
                 self.record_attempt("full steps of SNES", iterations_before)
             else:
                 self.iterations = iterations_before
@@ -467,7 +469,7 @@ class Search:
 
     def record_attempt(self, name: str, iterations_before: int) -> None:
         """Record the outcome of a strategy."""
-        outcome = "converged" if self.converged else "failed"
+        outcome = "converged" if self.has_converged else "failed"
         self.attempts.append(
             f"{name}: {outcome} ({self.iterations - iterations_before} iterations)"
         )
@@ -475,13 +477,13 @@ class Search:
     def _take_newton_steps(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
         """Return the point that full steps reach, by SNES or by the kernel."""
         if snes is not None:
-            point, self.converged, n_iterations = snes.solve(
+            point, self.has_converged, n_iterations = snes.solve(
                 guess, 1.0, self.tolerance, self._iterations_per_guess
             )
             self.iterations += n_iterations
             return point
         kernel_point = self._take_full_steps(self.system, guess)
-        self.converged = kernel_point is not None
+        self.has_converged = kernel_point is not None
         return self.system.linearise(guess, 1.0) if kernel_point is None else kernel_point
 
     def _take_full_steps(
@@ -620,7 +622,7 @@ class Search:
             compliance.destroy()
         self.iterations += search.iterations
         self._max_iterations += search.iterations  # they cost little and do not count
-        if not search.converged:
+        if not search.has_converged:
             return
         force = np.zeros(system.shape)
         force[:, : point.unknown.shape[1]] = search.system.integrals.force(point.unknown)

@@ -351,9 +351,9 @@ class Solver:
             Nothing converged, and ``throw`` is True.
         """
         search, solution = self.attempt(initial)
-        if not search.converged:
+        if not search.has_converged:
             self._check_slope(solution.gap_coefficients)
-        if self.throw and not search.converged:
+        if self.throw and not search.has_converged:
             case = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
             raise ConvergenceError(f"harmonic balance {case}: {search.status}", search.history)
         return solution
@@ -386,7 +386,7 @@ class Solver:
             problem = self.problem.with_weight(compliance)
             search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
             found = solution_of(
-                problem, at, status=search.status, converged=search.converged,
+                problem, at, status=search.status, converged=search.has_converged,
                 known=Assessment(
                     wave, source=more_modes.nearest_orbit if more_modes else search.orbit,
                     more_modes=more_modes,

@@ -122,7 +122,9 @@ class GrowingCurve:
         self._tolerance, self._branch = tolerance, branch
         self.most_points = steps.most_points
         self._origin = self._here = here
-        self.points = [self._point(here.parameter, here.unknown, here.iterations, here.observed)]
+        self.points = [
+            self._point(here.parameter, here.unknown, here.iterations, here.control_values)
+        ]
         self._special: list[tuple[str, CurvePoint]] = []
         self.complete, self.returned, self.status = False, False, "not begun"
 
@@ -236,12 +238,12 @@ class GrowingCurve:
     def _record(self, points: PathSegment) -> CurvePoint:
         """Take up points, and what lies before the last of them; return that one."""
         special = [
-            (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
+            (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.control_values))
             for event, at in points.located_events
             if event.kind
         ]
         self._special += special
-        seen = points.observed if "observed" in vars(points) else [None] * len(points)
+        seen = points.control_values if "control_values" in vars(points) else [None] * len(points)
         columns = points.parameters.tolist(), points.unknowns, points.iterations.tolist(), seen
         self.points += map(self._point, *columns)
         self._here = points[-1]
@@ -395,7 +397,7 @@ def first_point(
     at = system.linearise(unknown, parameter)
     tangent, seen = tangent_of(system, unknown, at, towards), observe_point(system, at)
     record = None if seen is None else at.record.ravel()
-    return PathPoint(unknown, parameter, iterations, tangent, record=record, observed=seen)
+    return PathPoint(unknown, parameter, iterations, tangent, record=record, control_values=seen)
 
 
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:

@@ -106,7 +106,7 @@ class MultiplierControl(StepControl):
         self._longest, self._floor = longest_step, LEAST * longest_step
 
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
-        logs = np.log(np.maximum(np.abs(segment.observed[:, :-3]), MULTIPLIER_TOLERANCE))
+        logs = np.log(np.maximum(np.abs(segment.control_values[:, :-3]), MULTIPLIER_TOLERANCE))
         change, lengths = np.diff(logs, axis=0), segment.lengths[1:]
         allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
         far = np.any(np.abs(change) > allowed, axis=1)
@@ -118,7 +118,7 @@ class MultiplierControl(StepControl):
         apart = parting(segment.records[first_index:].reshape(-1, size, size)) > 0.5
         far, lengths = far[first_index:], lengths[first_index:]
         far = (far & (lengths > self._floor)) | (apart & (lengths > MEETING_STEP * self._longest))
-        several = np.abs(changes(segment.observed[first_index:])).sum(axis=1) > 1
+        several = np.abs(changes(segment.control_values[first_index:])).sum(axis=1) > 1
         return np.asarray(far | several)
 
 
@@ -128,7 +128,7 @@ class PeriodDoubling(Event):
     kind = "period_doubling"
 
     def detect(self, points: PathSegment) -> np.ndarray:
-        return np.asarray(changes(points.observed)[:, 1] != 0.0)
+        return np.asarray(changes(points.control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         found = find_zero(system, ends, lambda one: about_minus_one(multipliers(one)), rtol)[0]
@@ -141,11 +141,11 @@ class NeimarkSacker(Event):
     kind = "neimark_sacker"
 
     def detect(self, points: PathSegment) -> np.ndarray:
-        return np.asarray(changes(points.observed)[:, 2] != 0.0)
+        return np.asarray(changes(points.control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        assert ends[0].observed is not None and ends[1].observed is not None
-        number = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
+        assert ends[0].control_values is not None and ends[1].control_values is not None
+        number = int(max(ends[0].control_values[-1].real, ends[1].control_values[-1].real)) - 1
         sides = [beyond_circle(multipliers(one), number) for one in ends]
         # What was within 1e-6 of the circle may have been beyond it all the time.
         shift = 0.0 if sides[0] * sides[1] < 0.0 else MULTIPLIER_TOLERANCE
@@ -160,8 +160,8 @@ class NeimarkSacker(Event):
 
 def multipliers(point: PathPoint) -> np.ndarray:
     """Leading multipliers of a point of a path: (k,) complex."""
-    assert point.observed is not None
-    return point.observed[:-3]
+    assert point.control_values is not None
+    return point.control_values[:-3]
 
 
 def about_minus_one(values: np.ndarray) -> float:

@@ -314,7 +314,7 @@ def all_modes(structure: Structure) -> AllModes:
 
     They are computed once for the structure and its varied copies.
     """
-    modes, factor = structure.cached_result(_compute_all_modes), structure.damping_factor
+    modes, factor = structure.compute_once(_compute_all_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 

@@ -279,7 +279,7 @@ def solve_modes_with_factor(
     omega = np.sqrt(squares)
     shapes *= _choose_signs(structure, shapes)
     if ties is None:
-        structure.cached_result(_lowest_modes_cache, from_matrices=True)[:] = omega, shapes
+        structure.compute_once(_lowest_modes_cache, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
@@ -291,7 +291,7 @@ def find_known_modes(structure: Structure, count: int) -> Modes | None:
     if structure.whole is not structure:  # small and dense
         if (known_modes := structure.known_modes(is_bonded=False)) is not None:
             return Modes(known_modes[0][:count], known_modes[1][:, :count], structure)
-    cache = structure.cached_result(_lowest_modes_cache, from_matrices=True)
+    cache = structure.compute_once(_lowest_modes_cache, from_matrices=True)
     if not cache or len(cache[0]) < count:
         return None
     return Modes(cache[0][:count], cache[1][:, :count], structure)
@@ -546,7 +546,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     """
     if not isinstance(structure.original.damping, ModalDamping):
         return None
-    modes, factor = structure.cached_result(_compute_damped_modes), structure.damping_factor
+    modes, factor = structure.compute_once(_compute_damped_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
 
 
@@ -761,7 +761,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     >>> natural = fc.bilinear_frequencies(structure)
     >>> resonance = natural.omega_bilinear[0]
     """
-    return structure.cached_result(_compute_bilinear_frequencies, from_matrices=True)
+    return structure.compute_once(_compute_bilinear_frequencies, from_matrices=True)
 
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:

@@ -111,8 +111,8 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         The structure is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
-    cache = structure.cached_result(receptance_cache)
-    shared_cache = structure.cached_result(shared_receptance_cache, from_matrices=True)
+    cache = structure.compute_once(receptance_cache)
+    shared_cache = structure.compute_once(shared_receptance_cache, from_matrices=True)
     if not cache and shared_cache:
         cache += filter(None, [_with_load(structure, shared_cache[0])])
     if not cache or cache[0].n_modes < n_modes:

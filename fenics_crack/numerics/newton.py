@@ -356,7 +356,7 @@ class PathPoint:
     length: float = float("nan")
     """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
-    observed: np.ndarray | None = field(default=None, repr=False, compare=False)
+    control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
     """Values for a step control: they follow from ``record``."""
 
 

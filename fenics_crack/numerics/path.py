@@ -21,7 +21,7 @@ If J is not formed, det J is unknown. Then
 The steps run in the kernel (``kernel/path.c``), many of them in one call for compiled equations
 (:mod:`equations`). An :class:`Event` may lie between two points: a fold, a wanted parameter, a
 closed loop, a crossing with a branch, or a zero of any function. Terminal events end the path. A
-:class:`StepControl` may reject steps by the values observed at the points.
+:class:`StepControl` may reject steps by control values of the points.
 
 References
 ----------
@@ -111,7 +111,7 @@ class EndReason(Enum):
         return str(self.value).format(max_points=max_points)
 
 
-NOT_IN_KERNEL = "located_events", "observed"
+NOT_IN_KERNEL = "located_events", "control_values"
 """Fields of a :class:`PathSegment` that the kernel's ``path`` lacks."""
 
 
@@ -131,11 +131,11 @@ class PathSegment(Sequence[PathPoint]):
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
         Events between the last two points, each with its place.
-    records, observed : (n, n_records) and (n, ...), optional
+    records, control_values : (n, n_records) and (n, ...), optional
         For a step control: records of linearisations, and values that follow from the records.
     """
 
-    observed: np.ndarray
+    control_values: np.ndarray
 
     def __init__(
         self, start_points: Sequence[PathPoint], capacity: int, n_records: int = 0
@@ -162,8 +162,8 @@ class PathSegment(Sequence[PathPoint]):
         self.lengths[index] = point.length
         if "records" in vars(self) and point.record is not None:
             self.records[index] = point.record
-        if "observed" in vars(self):
-            self.observed[index] = point.observed
+        if "control_values" in vars(self):
+            self.control_values[index] = point.control_values
         self.iterations[index], self.crossings[index] = point.iterations, point.crosses_branch
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
@@ -199,7 +199,7 @@ class PathSegment(Sequence[PathPoint]):
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
             tangent, bool(self.crossings[index]), length=float(self.lengths[index]),
             record=self.records[index] if "records" in vars(self) else None,
-            observed=self.observed[index] if "observed" in vars(self) else None,
+            control_values=self.control_values[index] if "control_values" in vars(self) else None,
         )  # fmt: skip
 
 
@@ -335,7 +335,7 @@ def find_zero(
             linearisation = solution.linearisation
             tangent = tangent_of(system, solution.unknown, linearisation, chord)
             point = replace(
-                solution, tangent=tangent, observed=observe_point(system, linearisation)
+                solution, tangent=tangent, control_values=observe_point(system, linearisation)
             )
             points_by_fraction[fraction] = point, function(point)
         return points_by_fraction[fraction][1]
@@ -464,7 +464,7 @@ def _find_between(
 
 
 class StepControl(ABC):
-    """Control of the step by values observed at the points."""
+    """Control of the step by values of the points."""
 
     @abstractmethod
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
@@ -516,7 +516,7 @@ class Path:
         self._points_per_call = (
             max_points if control is None else min(POINTS_AFTER_HALVING, max_points)
         )
-        self.last_point = start = self._with_observation(start)
+        self.last_point = start = self._with_control_values(start)
         self.end_reason: EndReason | None = None
         self.event: Event | None = None
         self._restart(start, options.initial_step)
@@ -584,7 +584,7 @@ class Path:
             for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
                 location = event.locate(self._system, ends, tolerance) if is_candidate else None
                 if location is not None:
-                    location = self._with_observation(location)
+                    location = self._with_control_values(location)
                     part.located_events.append((event, location))
                 if location is not None and event.is_terminal:
                     if location is ends[0]:
@@ -609,9 +609,9 @@ class Path:
 
     # --- its steps --------------------------------------------------------------------------------
 
-    def _with_observation(self, point: PathPoint) -> PathPoint:
-        """Return a point with record and observed values, for the step control."""
-        if self._control is None or point.observed is not None:
+    def _with_control_values(self, point: PathPoint) -> PathPoint:
+        """Return a point with record and control values."""
+        if self._control is None or point.control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
             point.unknown, point.parameter
@@ -619,7 +619,7 @@ class Path:
         return replace(
             point,
             record=linearisation.record.ravel(),
-            observed=observe_point(self._system, linearisation),
+            control_values=observe_point(self._system, linearisation),
         )
 
     def _rounding_at(self, point: PathPoint) -> float:
@@ -653,9 +653,9 @@ class Path:
             The last known point and the accepted new points; None if no new point is accepted.
         """
         assert self._control is not None
-        new_observed = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
-        segment.observed = np.concatenate(
-            [[point.observed for point in self._start_points], new_observed]
+        new_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
+        segment.control_values = np.concatenate(
+            [[point.control_values for point in self._start_points], new_control_values]
         )
         lengths = segment.lengths[n_known:].copy()
         lengths[0] = min(lengths[0], step)  # a chord across a jump is no step

@@ -141,7 +141,7 @@ class PreparedStructure:
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(replace(held, force=np.zeros(0)) for one in both
-                       for held in one.cached_result(receptance_cache)), **datasets,
+                       for held in one.compute_once(receptance_cache)), **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -182,8 +182,8 @@ class PreparedStructure:
             n_sources = len(known_receptance.modal)
             source = next(one for one in sources if sources_of(one).shape[1] == n_sources)
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.cached_result(receptance_cache)[:] = [loaded_receptance]
-            made.cached_result(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
+            source.compute_once(receptance_cache)[:] = [loaded_receptance]
+            made.compute_once(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
@@ -242,7 +242,7 @@ class PreparedFile:
         coarse = coarser_scene(scene)
         if self.coarser_structure is not None and isinstance(coarse, Scene):
             # As of a reduced structure.
-            structure.cached_result(kept, from_matrices=True).append(Made(
+            structure.compute_once(kept, from_matrices=True).append(Made(
                 self.coarser_structure.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
                 parts_shared(coarse, MPI.COMM_SELF),
             ))  # fmt: skip

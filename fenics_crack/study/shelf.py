@@ -90,7 +90,7 @@ class Shelf:
         for made, scene in self._made:
             if made.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
-            twins = made.structure.cached_result(kept, from_matrices=True)
+            twins = made.structure.compute_once(kept, from_matrices=True)
             twins = [twin for twin in twins if twin.parts[1] == made.parts[1]]  # of this load
             parts = packed(PreparedFile(*(_datasets(one, scene) for one in (made, *twins))))
             if not self._n_bytes < (n_bytes := _n_bytes(parts)):

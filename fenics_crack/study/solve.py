@@ -127,7 +127,7 @@ def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]
     of_file = not whole.has_matrices
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
-        most = min(most, len(whole.cached_result(receptance_cache)[0].squares) // 2)
+        most = min(most, len(whole.compute_once(receptance_cache)[0].squares) // 2)
     return mode_counts(whole, FIRST_MODES if large else kept.modes, most)
 
 

@@ -707,7 +707,7 @@ def _solved_in_steps(
     law = slide_along_lines(study.structure, omega, study.contact)
     solver = Solver(Problem(study.structure, omega, law, harmonics))
     search, finer_solution = solver.attempt(solution, wholly=False)
-    return finer_solution if search.converged else solution
+    return finer_solution if search.has_converged else solution
 
 
 # --- verification: two finer runs for each cause --------------------------------------------------
