@@ -451,14 +451,14 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
 
     New harmonics have the accuracy of an error estimate. Displacements keep the harmonics they had.
     """
-    resized = copy(compliance)
+    new_compliance = copy(compliance)
     matrices = compliance.matrices[: harmonics + 1]
     if len(matrices) <= harmonics:
         matrices = np.concatenate([matrices, compliance.compliance_above(harmonics)])
-    resized.matrices = matrices
-    resized.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
-    resized.shape = resized.linear_gap.shape
-    return resized
+    new_compliance.matrices = matrices
+    new_compliance.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
+    new_compliance.shape = new_compliance.linear_gap.shape
+    return new_compliance
 
 
 def _gap_basis(structure: Structure) -> np.ndarray:

@@ -431,11 +431,11 @@ class CoupledForces(ContactForces):
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
         tangent = self.tangent(basis)
         cosine_rows, sine_rows = tangent[1::2], tangent[2::2]
-        real, imaginary = matrices[1:].real, matrices[1:].imag
+        real_part, imaginary_part = matrices[1:].real, matrices[1:].imag
         jacobian = np.empty_like(tangent)
         jacobian[0] = matrices[0].real @ tangent[0]
-        jacobian[1::2] = np.matmul(real, cosine_rows) + np.matmul(imaginary, sine_rows)
-        jacobian[2::2] = np.matmul(real, sine_rows) - np.matmul(imaginary, cosine_rows)
+        jacobian[1::2] = np.matmul(real_part, cosine_rows) + np.matmul(imaginary_part, sine_rows)
+        jacobian[2::2] = np.matmul(real_part, sine_rows) - np.matmul(imaginary_part, cosine_rows)
         matrix = jacobian.reshape(tangent.shape[2], -1)
         matrix.flat[:: len(matrix) + 1] += 1.0
         return matrix

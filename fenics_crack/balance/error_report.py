@@ -140,7 +140,12 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    point: ContactPoint, assessment: Assessment, problem: Problem, *, search: bool, converged: bool
+    point: ContactPoint,
+    assessment: Assessment,
+    problem: Problem,
+    *,
+    search: bool,
+    has_converged: bool,
 ) -> ErrorReport:
     """Estimate the errors of a solution (collective).
 
@@ -154,7 +159,7 @@ def estimate_errors(
     assessment : Assessment
         Assessment by the exact flow.
     problem : Problem
-    search, converged : bool
+    search, has_converged : bool
     """
     structure, wave = problem.structure, assessment.wave
     expanded_gap = problem.row_structure.gap_of(wave.displacement_coefficients)
@@ -163,7 +168,7 @@ def estimate_errors(
         return relative_size(change, point, problem.row_structure.clearance)
 
     residual, penetration = relative(point.residual), relative(_penetration(point, problem))
-    if not converged:
+    if not has_converged:
         return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
     finer_integrals, sampling = point.system.integrals.refine(), 0.0
     if finer_integrals is not None:

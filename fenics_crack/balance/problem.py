@@ -163,8 +163,8 @@ class Problem:
         check_count("harmonics", self.harmonics, self.least_harmonics)
         check_law(self.structure, self.contact, rigid=True)
         if self.structure.n_pairs == 0:
-            allowed = "one with contact pairs; else use solve_linear"
-            raise InputError("structure", "0 pairs", allowed)
+            requirement = "one with contact pairs; else use solve_linear"
+            raise InputError("structure", "0 pairs", requirement)
         if self.samples is not None:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")
@@ -566,22 +566,24 @@ class Search:
         if point is not None:
             yield point.unknown
 
-    def _guesses_by_harmonics(self, problem: Problem, counts: list[int]) -> Iterator[np.ndarray]:
+    def _guesses_by_harmonics(
+        self, problem: Problem, harmonic_counts: list[int]
+    ) -> Iterator[np.ndarray]:
         """Yield guesses for the last of ascending numbers of harmonics.
 
         Each solution starts the next one, and the linear solution starts the first. A number
         without a solution is skipped. Many harmonics try an exact orbit first.
         """
         orbit_harmonics = self._min_harmonics_for_orbit_start
-        for count in counts:
-            if orbit_harmonics < count <= 2 * orbit_harmonics:
+        for n_harmonics in harmonic_counts:
+            if orbit_harmonics < n_harmonics <= 2 * orbit_harmonics:
                 yield from self._guesses_from_orbit(problem)
             system = self.system
             iterations_before = self.iterations
             simpler_point = self._simpler_point
-            if count != counts[-1]:
-                resized = resized_compliance(system.compliance, count)
-                system = problem.with_harmonics(count).system(resized)
+            if n_harmonics != harmonic_counts[-1]:
+                new_compliance = resized_compliance(system.compliance, n_harmonics)
+                system = problem.with_harmonics(n_harmonics).system(new_compliance)
             guess = (
                 system.linear
                 if simpler_point is None
@@ -710,9 +712,9 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
     max_stiffness, row_sums = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
     stiffness_limit = COARSE_TOLERANCE / (MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300)))
     if not max_stiffness < stiffness_limit:
-        allowed = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
-        allowed += "leaves nothing; UnilateralConstraint is the limit"
-        raise InputError("contact stiffness", max_stiffness, allowed)
+        requirement = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
+        requirement += "leaves nothing; UnilateralConstraint is the limit"
+        raise InputError("contact stiffness", max_stiffness, requirement)
     return residual_rounding(max_stiffness * float(row_sums.max(initial=0.0)))
 
 

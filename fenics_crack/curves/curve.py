@@ -298,7 +298,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
         problem, at = self._balanced(index)
         known = Assessment(problem.wave(at), flow=self._flow)
-        return solution_of(problem, at, status="point of a curve", search=search, known=known)
+        return solution_of(problem, at, status="point of a curve", search=search, assessment=known)
 
     def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
         """The problem at a point of harmonic balance, and its equations there."""

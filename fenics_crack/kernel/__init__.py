@@ -1,8 +1,8 @@
 """The compiled kernel: loops over points, instants and steps, in C.
 
-The C files in this folder hold the loops and their equations. cffi compiles the files when the
+The C files in this folder hold loops next to the equations. cffi compiles the files when the
 package is installed (``build.py``). The kernel calls SciPy's LAPACK by addresses. No C function
-checks its arguments: callers check the shapes of arrays first (:func:`require_shape`).
+checks its arguments: callers check array shapes first (:func:`require_shape`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ except ImportError as error:  # pragma: no cover
     ) from error
 
 kernel: Any = lib
-"""The functions of the C files, by their names."""
+"""Functions and constants of the C files, by name."""
 NULL: Any = ffi.NULL
 """The null pointer."""
 C_ARRAY_TYPES = {
@@ -50,7 +50,7 @@ def _bind_lapack() -> None:
 
 
 def require_shape(array: Any, *shape: int, kind: type = float) -> np.ndarray:
-    """Return an array C-contiguous with entries of one kind; a copy only if needed.
+    """Return an array C-contiguous with entries of one kind, without a copy if possible.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def pointer(array: np.ndarray) -> Any:
     Raises
     ------
     ValueError
-        The array has gaps, or a dtype that the kernel does not take.
+        The array has gaps, or a dtype unknown to the kernel.
     """
     array_type = C_ARRAY_TYPES.get(array.dtype)
     if array_type is None:
@@ -79,7 +79,7 @@ def pointer(array: np.ndarray) -> Any:
 
 
 def attach_destructor(allocation: Any, destructor: Any) -> Any:
-    """Let Python free an object that a kernel function has allocated.
+    """Let Python free an object allocated by the kernel.
 
     Raises
     ------
@@ -99,7 +99,7 @@ class Struct:
 
     Attributes
     ----------
-    address : pointer to the struct, as functions of the kernel take it
+    address : pointer to the struct, for functions of the kernel
     """
 
     def __init__(self, struct_type: str, **members: Any) -> None:
@@ -108,7 +108,7 @@ class Struct:
         self.address = ffi.new(f"{struct_type} *", c_members)
 
     def with_members(self, **members: Any) -> Struct:
-        """Return a copy with other values of some members, which is quicker than a new struct."""
+        """Return a copy with some members changed, quicker than a new struct."""
         copy = Struct.__new__(Struct)
         copy._members = self._members | members
         copy.address = ffi.new(ffi.typeof(self.address), self.address[0])
@@ -118,7 +118,7 @@ class Struct:
 
 
 def _as_c_member(member: Any) -> Any:
-    """Return a member of a struct as cffi takes it."""
+    """Return a member in the form for cffi."""
     if isinstance(member, np.ndarray):
         return pointer(member)
     if isinstance(member, Struct):

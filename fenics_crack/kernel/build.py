@@ -32,8 +32,8 @@ COMPILER_FLAGS = [
 """Options of the compiler.
 
 Products and sums are not contracted, so results do not depend on the processor. Hidden function
-names cannot clash with other libraries in the process. Symbols for debuggers, which Python's own
-options ask for, would take a fifth of the time.
+names cannot clash with other libraries in the process. Without symbols for debuggers, a default
+of Python's own options, compilation takes a fifth less time.
 """
 PYTHON_CALLBACKS = """
 extern "Python" {
@@ -45,15 +45,15 @@ extern "Python" {
     void python_record(equations *table, double *record_out);
 }
 """
-"""C declarations of the functions that call equations in Python (``numerics/equations.py``)."""
+"""C declarations of callbacks to equations in Python (``numerics/equations.py``)."""
 WRAPPER_PRAGMA = '#pragma GCC optimize ("O0")'
-"""Pragma for the wrappers that cffi writes after the headers. They only pass arguments; -O3 would
-take four times as long to compile."""
+"""Pragma for cffi's wrappers after the headers. Wrappers only pass arguments; -O3 would take four
+times as long to compile."""
 SANITIZER_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
 
 
 def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
-    """Return the builder of the module. Paths of sources are relative to a folder, if inside."""
+    """Return the builder of the module, with source paths relative to a folder if possible."""
     headers, sources = (
         sort_headers(sorted(KERNEL_FOLDER.glob("*.h"))),
         sorted(KERNEL_FOLDER.glob("*.c")),
@@ -78,7 +78,7 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
 
 
 def sort_headers(headers: list[Path]) -> list[Path]:
-    """Return headers and all that they include, each after the headers that it includes."""
+    """Return headers with their includes, every header after its own includes."""
     sorted_headers: list[Path] = []
     for header in headers:
         include_names = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))

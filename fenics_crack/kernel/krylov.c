@@ -12,7 +12,7 @@ struct krylov {
     int n_unknowns, max_vectors, n_stages, n_kept; /* vectors of all stages together */
     int stage_starts[MAX_STAGES + 1];
     double
-        *inverses[MAX_STAGES]; /* R^-1 Q^T - Q Q^T (size, size), size = begins[i + 1] - begins[i] */
+        *inverses[MAX_STAGES]; /* R^-1 Q^T - Q Q^T (size, size), size from stage_starts */
     double *vectors;                /* (2 max_vectors + 1, n) */
     double *columns, *triangle;     /* H and R, column by column: (max_vectors, max_vectors + 1) */
     double *cosines, *sines, *right_side;   /* of rotations; the right side: (max_vectors + 1) */

@@ -341,19 +341,24 @@ def find_zero(
         return points_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
-    kept_value, last_value = evaluate(kept_fraction), evaluate(last_fraction)
+    kept_function_value, last_function_value = evaluate(kept_fraction), evaluate(last_fraction)
     with suppress(ConvergenceError):
-        while kept_value * last_value < 0.0 and abs(last_fraction - kept_fraction) > 1e-12:
+        while (
+            kept_function_value * last_function_value < 0.0
+            and abs(last_fraction - kept_fraction) > 1e-12
+        ):
             width = last_fraction - kept_fraction
-            fraction = last_fraction - last_value * width / (last_value - kept_value)
+            fraction = last_fraction - last_function_value * width / (
+                last_function_value - kept_function_value
+            )
             if fraction in (kept_fraction, last_fraction):
                 break
-            new_value = evaluate(fraction)
-            if new_value * last_value < 0.0:
-                kept_fraction, kept_value = last_fraction, last_value
+            new_function_value = evaluate(fraction)
+            if new_function_value * last_function_value < 0.0:
+                kept_fraction, kept_function_value = last_fraction, last_function_value
             else:  # the Illinois method: halve the value at the end that stays
-                kept_value *= 0.5
-            last_fraction, last_value = fraction, new_value
+                kept_function_value *= 0.5
+            last_fraction, last_function_value = fraction, new_function_value
     return min(points_by_fraction.values(), key=lambda entry: abs(entry[1]))
 
 
