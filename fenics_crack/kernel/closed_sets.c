@@ -27,7 +27,7 @@ struct closed_sets {
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
 closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
-                             const double *friction, long most)
+                             const double *friction, long max_numbers)
 {
     const long rest = 2 * modes > 3 * TERMS ? 2 * modes : 3 * TERMS, contacts = friction ? 2L * pairs : pairs;
     closed_sets *s = calloc(1, sizeof(closed_sets));
@@ -38,7 +38,7 @@ closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const dou
     s->rows = rows;
     s->d = d;
     s->friction = friction;
-    s->max_numbers = most;
+    s->max_numbers = max_numbers;
     s->work = malloc(bytes(contacts * (2 * contacts + rest + 1) + 1));
     s->pivots = malloc((size_t)(contacts + 1) * sizeof(int));
     if (s->work && s->pivots) {
@@ -73,8 +73,8 @@ static long columns_size(const closed_sets *s, long size)
 
 static long set_size(const closed_sets *s, long size)
 {
-    const long m = s->modes, own = inverse_size(s, size) + columns_size(s, size);
-    return own + m * size + s->n_rows + (has_many(s, (int)size) ? m * m : 0);
+    const long m = s->modes, inverse_and_columns = inverse_size(s, size) + columns_size(s, size);
+    return inverse_and_columns + m * size + s->n_rows + (has_many(s, (int)size) ? m * m : 0);
 }
 
 /* Free sets, bucket by bucket, down to a number of kept numbers. A motion that passes more sets

@@ -266,17 +266,17 @@ static int make_forces(contact_point *point)
            (system->uses_products && !point->krylov_solver);
 }
 
-contact_point *new_contact_point(const contact_pairs *given)
+contact_point *new_contact_point(const contact_pairs *parameters)
 {
     contact_point *point = calloc(1, sizeof(contact_point));
     if (!point) return NULL;
-    point->parameters = *given;
-    const size_t H = given->structure.harmonics, p = given->structure.pairs,
-                 q = given->n_basis_gaps;
+    point->parameters = *parameters;
+    const size_t H = parameters->structure.harmonics, p = parameters->structure.pairs,
+                 q = parameters->n_basis_gaps;
     const size_t rows = 2 * H + 1, n = rows * p, size = rows * q,
-                 is_uncoupled = !given->has_coupled_pairs;
+                 is_uncoupled = !parameters->has_coupled_pairs;
     const size_t matrix_size =
-        given->forms_jacobian ? size : 0; /* for a Jacobian that is formed */
+        parameters->forms_jacobian ? size : 0; /* for a Jacobian that is formed */
     const size_t waves = 2 * H * (switching_cells((int)H) / 4 + 1);
     point->common.base = (equations){.unknowns = (int)n,
                                      .means = (int)p,
@@ -286,7 +286,7 @@ contact_point *new_contact_point(const contact_pairs *given)
                                      .by_parameter = by_parameter,
                                      .sign = sign,
                                      .apply = apply_jacobian};
-    point->dynamic_compliance = new_compliance(&given->structure);
+    point->dynamic_compliance = new_compliance(&parameters->structure);
     const struct {
         double **array;
         size_t size;
@@ -319,13 +319,14 @@ contact_point *new_contact_point(const contact_pairs *given)
         free_contact_point(point);
         return NULL;
     }
-    for (size_t i = 0; i < p && given->basis; i++)
-        for (size_t j = 0; j < q; j++) point->basis_transposed[j * p + i] = given->basis[i * q + j];
+    for (size_t i = 0; i < p && parameters->basis; i++)
+        for (size_t j = 0; j < q; j++)
+            point->basis_transposed[j * p + i] = parameters->basis[i * q + j];
     for (size_t i = 0; i < n; i++) {
         const double k = fmax(1.0, (double)((i / p + 1) / 2));
         point->angle_weights[i] = 1.0 / (k * k);
     }
-    if (!given->forms_jacobian) point->common.base.angle_weights = point->angle_weights;
+    if (!parameters->forms_jacobian) point->common.base.angle_weights = point->angle_weights;
     point->parameter = NAN;
     return point;
 }

@@ -24,21 +24,21 @@ struct coupled_forces {
 static double *allocate(size_t count) { return malloc((count + 1) * sizeof(double)); }
 
 /* Allocate a number of events. Returns 0, or 1 without memory. */
-static int allocate_events(coupled_forces *self, int most)
+static int allocate_events(coupled_forces *self, int max_events)
 {
     breathing_pairs *m = &self->pairs;
-    const size_t count = most, p = self->n_pairs, n = self->instants;
+    const size_t count = max_events, p = self->n_pairs, n = self->instants;
     free(m->theta), free(m->event_pairs);
     m->event_pairs = malloc((count + 1) * sizeof(int));
     m->theta = allocate(count * (2 + p + 4 * (size_t)self->harmonics + 1 + 2 * n));
     if (!m->theta || !m->event_pairs) return 1;
-    m->max_events = most;
+    m->max_events = max_events;
     m->gains = m->theta + count, m->vectors = m->gains + count;
     self->step_coefficients = m->vectors + count * p;
     self->step_values = self->step_coefficients + count * (4 * (size_t)self->harmonics + 1);
     self->jump_work = self->step_values + count * n;
     free_waves(self->step_waves);
-    self->step_waves = new_waves(2 * self->harmonics, self->instants, most);
+    self->step_waves = new_waves(2 * self->harmonics, self->instants, max_events);
     return !self->step_waves;
 }
 

@@ -118,24 +118,24 @@ static void multiply_stiffness(const exponentials *e, const double *x, double *p
 }
 
 /* Set the term after the next: new = -(K term t / (n + 1) + C next t) t / (n + 2). */
-WIDE static void set_next_term(const exponentials *e, int n, double time, const double *before,
-                               const double *now, double *next)
+WIDE static void set_next_term(const exponentials *e, int n, double time, const double *term,
+                               const double *next_term, double *new_term)
 {
     const int m = e->modes;
     const long square = (long)m * m;
     const double gain = -time * time / ((n + 1) * (n + 2)), loss = -time / (n + 2);
-    if (n > 1) multiply_stiffness(e, before, next);
+    if (n > 1) multiply_stiffness(e, term, new_term);
     else /* of b_0 = 0 and b_1 = time I */
-        for (long i = 0; i < square; i++) next[i] = n * time * e->stiffness[i];
+        for (long i = 0; i < square; i++) new_term[i] = n * time * e->stiffness[i];
     if (e->coupled) {
-        multiply_matrices(m, m, m, e->damping, now, gain / loss, next);
-        for (long i = 0; i < square; i++) next[i] *= loss;
+        multiply_matrices(m, m, m, e->damping, next_term, gain / loss, new_term);
+        for (long i = 0; i < square; i++) new_term[i] *= loss;
         return;
     }
     for (int i = 0; i < m; i++) {
         const double rate = loss * e->damping[i];
         for (long j = (long)i * m; j < (long)(i + 1) * m; j++)
-            next[j] = gain * next[j] + rate * now[j];
+            new_term[j] = gain * new_term[j] + rate * next_term[j];
     }
 }
 
@@ -144,21 +144,21 @@ WIDE static void expand_short_time(exponentials *e, double time, double angle)
 {
     const int m = e->modes;
     const long square = (long)m * m;
-    double *before = e->series_terms, *now = before + square, *next = now + square;
+    double *term = e->series_terms, *next_term = term + square, *new_term = next_term + square;
     double *b = e->right_blocks, *d = b + square, term_size = angle;
-    memset(before, 0, bytes(2 * square));
+    memset(term, 0, bytes(2 * square));
     memset(b, 0, bytes(2 * square));
-    for (int i = 0; i < m; i++) now[(long)i * (m + 1)] = b[(long)i * (m + 1)] = time;
+    for (int i = 0; i < m; i++) next_term[(long)i * (m + 1)] = b[(long)i * (m + 1)] = time;
     for (int n = 0; term_size > DBL_EPSILON; n++, term_size *= angle / (n + 1)) {
-        double *old_term = before;
-        set_next_term(e, n, time, before, now, next);
+        double *old_term = term;
+        set_next_term(e, n, time, term, next_term, new_term);
         for (long i = 0; i < square; i++) {
-            b[i] += next[i];
-            d[i] += (n + 2) / time * next[i];
+            b[i] += new_term[i];
+            d[i] += (n + 2) / time * new_term[i];
         }
-        before = now;
-        now = next;
-        next = old_term;
+        term = next_term;
+        next_term = new_term;
+        new_term = old_term;
     }
 }
 

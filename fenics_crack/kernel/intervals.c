@@ -126,9 +126,9 @@ static void expand_waves(int harmonics, double middle, double width, double *tay
             taylor[d * columns + 2 * k - 1] = real;
             taylor[d * columns + 2 * k] = imaginary;
             /* exp(i k theta) times (i k width / 2) / (d + 1) */
-            const double rate = 0.5 * width * k / (d + 1), turned = -rate * imaginary;
+            const double rate = 0.5 * width * k / (d + 1), next_real = -rate * imaginary;
             imaginary = rate * real;
-            real = turned;
+            real = next_real;
         }
     }
 }

@@ -24,18 +24,20 @@ krylov *new_krylov(int n)
 {
     krylov *k = calloc(1, sizeof(krylov));
     if (!k) return NULL;
-    const size_t size = n, most = n < MAX_KRYLOV_VECTORS ? n : MAX_KRYLOV_VECTORS;
-    k->n_unknowns = n, k->max_vectors = (int)most;
-    k->work = malloc(((2 * most + 2) * size + (2 * most + 5) * (most + 1)) * sizeof(double));
+    const size_t size = n, max_vectors = n < MAX_KRYLOV_VECTORS ? n : MAX_KRYLOV_VECTORS;
+    k->n_unknowns = n, k->max_vectors = (int)max_vectors;
+    k->work = malloc(((2 * max_vectors + 2) * size + (2 * max_vectors + 5) * (max_vectors + 1)) *
+                     sizeof(double));
     if (!k->work) {
         free(k);
         return NULL;
     }
-    k->vectors = k->work, k->image = k->vectors + (2 * most + 1) * size;
-    k->columns = k->image + size, k->triangle = k->columns + most * (most + 1);
-    k->cosines = k->triangle + most * (most + 1), k->sines = k->cosines + most + 1;
-    k->right_side = k->sines + most + 1, k->projections = k->right_side + most + 1;
-    k->products = k->projections + most + 1;
+    k->vectors = k->work, k->image = k->vectors + (2 * max_vectors + 1) * size;
+    k->columns = k->image + size, k->triangle = k->columns + max_vectors * (max_vectors + 1);
+    k->cosines = k->triangle + max_vectors * (max_vectors + 1),
+    k->sines = k->cosines + max_vectors + 1;
+    k->right_side = k->sines + max_vectors + 1, k->projections = k->right_side + max_vectors + 1;
+    k->products = k->projections + max_vectors + 1;
     return k;
 }
 
@@ -61,8 +63,8 @@ static void add_combination(int size, int n, const double *vectors, const double
 static void apply_kept_inverse(const krylov *k, double *x)
 {
     for (int stage = k->n_stages - 1; stage >= 0; stage--) {
-        const int begin = k->stage_starts[stage], size = k->stage_starts[stage + 1] - begin;
-        const double *vectors = k->vectors + (size_t)begin * k->n_unknowns;
+        const int start = k->stage_starts[stage], size = k->stage_starts[stage + 1] - start;
+        const double *vectors = k->vectors + (size_t)start * k->n_unknowns;
         multiply(size, k->n_unknowns, vectors, x, k->projections);
         multiply(size, size, k->inverses[stage], k->projections, k->products);
         add_combination(size, k->n_unknowns, vectors, k->products, x);

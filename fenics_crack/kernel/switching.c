@@ -109,15 +109,16 @@ static void evaluate_grid(change_search *s, const double *gap, const double *wav
 static void evaluate_derivatives(const change_search *s, double theta, double *derivatives_out)
 {
     const double c1 = cos(theta), s1 = sin(theta);
-    double c = 1.0, d = 0.0, value = s->gap[0], slope = 0.0, bend = 0.0;
-    const double *at = s->gap + s->n_pairs;
-    for (int k = 1; k <= s->harmonics; k++, at += 2 * s->n_pairs) {
-        const double turned = c * c1 - d * s1, a = at[0], b = at[s->n_pairs];
-        d = d * c1 + c * s1;
-        c = turned;
-        const double wave = a * c + b * d;
+    double cosine = 1.0, sine = 0.0, value = s->gap[0], slope = 0.0, bend = 0.0;
+    const double *coefficients = s->gap + s->n_pairs;
+    for (int k = 1; k <= s->harmonics; k++, coefficients += 2 * s->n_pairs) {
+        const double next_cosine = cosine * c1 - sine * s1, a = coefficients[0],
+                     b = coefficients[s->n_pairs];
+        sine = sine * c1 + cosine * s1;
+        cosine = next_cosine;
+        const double wave = a * cosine + b * sine;
         value += wave;
-        slope += k * (b * c - a * d);
+        slope += k * (b * cosine - a * sine);
         bend -= (double)k * k * wave;
     }
     derivatives_out[0] = value;
@@ -128,13 +129,13 @@ static void evaluate_derivatives(const change_search *s, double theta, double *d
 /* Return g at a phase. */
 static double value_at(const change_search *s, double theta)
 {
-    const double c1 = cos(theta), s1 = sin(theta), *at = s->gap + s->n_pairs;
-    double c = c1, d = s1, value = s->gap[0];
-    for (int k = 1; k <= s->harmonics; k++, at += 2 * s->n_pairs) {
-        value += at[0] * c + at[s->n_pairs] * d;
-        const double turned = c * c1 - d * s1;
-        d = d * c1 + c * s1;
-        c = turned;
+    const double c1 = cos(theta), s1 = sin(theta), *coefficients = s->gap + s->n_pairs;
+    double cosine = c1, sine = s1, value = s->gap[0];
+    for (int k = 1; k <= s->harmonics; k++, coefficients += 2 * s->n_pairs) {
+        value += coefficients[0] * cosine + coefficients[s->n_pairs] * sine;
+        const double next_cosine = cosine * c1 - sine * s1;
+        sine = sine * c1 + cosine * s1;
+        cosine = next_cosine;
     }
     return value;
 }
@@ -208,18 +209,18 @@ static int find_next_change(change_search *s, double *theta)
     }
 }
 
-int switching_instants(int harmonics, int pairs, const double *gap, const double *waves, int room,
-                       double *theta, double *closing, signed char *closed)
+int switching_instants(int harmonics, int pairs, const double *gap, const double *waves,
+                       int capacity, double *theta, double *closing, signed char *closed)
 {
     change_search s;
     int count = 0, failed = allocate_search(&s, harmonics, pairs), change;
     if (!failed) {
-        double at;
+        double instant;
         evaluate_grid(&s, gap, waves);
         *closed = s.values[0] > 0.0;
-        for (; (change = find_next_change(&s, &at)); count++)
-            if (count < room) {
-                theta[count] = at;
+        for (; (change = find_next_change(&s, &instant)); count++)
+            if (count < capacity) {
+                theta[count] = instant;
                 closing[count] = change;
             }
     }
