@@ -13,7 +13,7 @@ typedef struct {
     int max_iterations, max_stalled_steps;
 } correction;
 
-/* Norm of a change at a solution: weight (|x_oscillating|^2 + mean_weight |x_means|^2). */
+/* Squared norm of a change at a solution: weight (|x_oscillating|^2 + mean_weight |x_means|^2). */
 typedef struct {
     double weight, mean_weight;
 } norm;

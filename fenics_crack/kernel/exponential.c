@@ -117,7 +117,7 @@ static void multiply_stiffness(const exponentials *e, const double *x, double *p
             product_out[j] = unit * product_out[j] + e->squares[i] * x[j];
 }
 
-/* Set the term after the next: new = -(K term t / (n + 1) + C next t) t / (n + 2). */
+/* Set the term after the next: new = -(K term t / (n + 1) + C next) t / (n + 2). */
 WIDE static void set_next_term(const exponentials *e, int n, double time, const double *term,
                                const double *next_term, double *new_term)
 {

@@ -38,8 +38,8 @@ static double polynomial_root(const double *c, int degree, double low, double hi
     return root;
 }
 
-/* Divide by (x - root): after its root the polynomial keeps its sign. If the quotient does not stay
- * positive there, set it to 1; the set at the cell's end shows what comes next. */
+/* Divide by (x - root): after its root the polynomial keeps its sign. If the quotient is not
+ * positive at the root, set it to 1; the set at the cell's end shows what comes next. */
 static void divide_by_root(double *c, double root)
 {
     double quotient[TERMS] = {0.0};

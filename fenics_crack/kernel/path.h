@@ -9,7 +9,7 @@
 
 typedef struct {
     double max_step, min_step, min_cosine, rounding;
-    double min_parameter, max_parameter; /* the path ends outside of these */
+    double min_parameter, max_parameter; /* a call ends outside of these */
     correction correction; /* its max_parameter_change is in steps; short steps have a smaller
                             * tolerance */
 } stepping;

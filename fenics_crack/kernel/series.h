@@ -11,8 +11,8 @@
 
 /* ORDER: highest order of the polynomials. BLOCK: numbers that a processor works on together.
  * MAX_PIECE_ANGLE: largest angle by which the fastest mode turns in a piece of the flow.
- * STEPS_PER_RADIAN: steps of the search for events in a piece. MAX_TIMES: number of ends of all
- * steps, in whole blocks. */
+ * STEPS_PER_RADIAN: steps of the search for events, for each radian of this angle. MAX_TIMES:
+ * number of ends of all steps, in whole blocks. */
 enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, MAX_PIECE_ANGLE = 10, STEPS_PER_RADIAN = 2 };
 enum { MAX_TIMES = (STEPS_PER_RADIAN * MAX_PIECE_ANGLE + BLOCK) / BLOCK * BLOCK };
 

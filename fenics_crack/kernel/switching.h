@@ -13,9 +13,9 @@ int switching_cells(int harmonics);
  * first quarter of the period, (H, 2, cells / 4 + 1). */
 void switching_waves(int harmonics, double *waves);
 
-/* Find all sign changes of the gap of one pair, in order. theta (capacity): phases; closing (capacity): +1
- * if the gap becomes positive, else -1; closed: whether the gap is positive at 0. Returns their
- * number, of which at most `capacity` are written, or -1 without memory. */
+/* Find all sign changes of the gap of one pair, in order. theta (capacity): phases; closing
+ * (capacity): +1 if the gap becomes positive, else -1; closed: whether the gap is positive at 0.
+ * Returns their number, of which at most `capacity` are written, or -1 without memory. */
 int switching_instants(int harmonics, int pairs, const double *gap, const double *waves,
                        int capacity, double *theta, double *closing, signed char *closed);
 
