@@ -7,8 +7,8 @@
 
 enum {
     SIGN_LOST = FAILED + 1, /* points have the other sign of det J */
-    MAX_UNCHECKED_POINTS =
-        8 /* points without a check: two crossings within are missed */
+    /* points without a check: two crossings within are missed */
+    MAX_UNCHECKED_POINTS = 8
 };
 /* Fractions of the longest step. Within LOCAL_STEP_RATIO, a path that changes its sign straight on
  * crosses a branch, and a corner is passed. CORNER_STEP_RATIO: shortest step around a corner. */
@@ -28,21 +28,22 @@ static void add_curvature(const equations *system, const path *points, double st
 {
     if (points->n_known < 2) return;
     const int n = system->unknowns, last = points->n_known - 1;
-    const double *point = points->unknowns + (size_t)last * n, *last_point = point - n;
-    const double *tangent = points->tangents + (size_t)last * n, *last_tangent = tangent - n;
-    const double slope = points->slopes[last], old_slope = points->slopes[last - 1];
+    const double *point = points->unknowns + (size_t)last * n, *previous_point = point - n;
+    const double *tangent = points->tangents + (size_t)last * n, *previous_tangent = tangent - n;
+    const double slope = points->slopes[last], previous_slope = points->slopes[last - 1];
     const norm metric = metric_at(points, last);
     const double parameter_change = points->parameters[last] - points->parameters[last - 1];
-    for (int i = 0; i < n; i++) work[i] = point[i] - last_point[i];
+    for (int i = 0; i < n; i++) work[i] = point[i] - previous_point[i];
     const double back_distance = product(system, metric, work, tangent) + parameter_change * slope;
-    const double size =
-        sqrt(product(system, metric, last_tangent, last_tangent) + old_slope * old_slope);
+    const double size = sqrt(product(system, metric, previous_tangent, previous_tangent) +
+                             previous_slope * previous_slope);
     const double cosine =
-        (product(system, metric, last_tangent, tangent) + old_slope * slope) / size;
+        (product(system, metric, previous_tangent, tangent) + previous_slope * slope) / size;
     if (!(back_distance > 0.0 && cosine > 0.5)) return;
     /* x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes. */
     for (int i = 0; i <= n; i++) {
-        const double end = i < n ? tangent[i] : slope, start = i < n ? last_tangent[i] : old_slope;
+        const double end = i < n ? tangent[i] : slope,
+                     start = i < n ? previous_tangent[i] : previous_slope;
         const double mean = (i < n ? work[i] : parameter_change) / back_distance,
                      second = (end - mean) / back_distance;
         const double third =

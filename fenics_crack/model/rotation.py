@@ -348,13 +348,13 @@ class Ritz:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunUpBody(ReducedBody):
-    """Body of a rotating structure at one speed; ``dense`` is V^T K(W) V."""
+    """Body of a rotating structure at one speed; ``dense_stiffness`` is V^T K(W) V."""
 
     speed: float
     shapes: np.ndarray
     static_root: np.ndarray
     ritz: Ritz
-    dense: np.ndarray
+    dense_stiffness: np.ndarray
 
 
 class RunUpStructure(MasslessInterface):
@@ -398,7 +398,7 @@ class RunUpStructure(MasslessInterface):
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
             shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],
-            dense=stiffness,
+            dense_stiffness=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 
@@ -408,7 +408,7 @@ class RunUpStructure(MasslessInterface):
 
         Paths make a structure for each of many speeds, and never need this matrix.
         """
-        return distribute_rows(self.body.dense, MPI.COMM_SELF)
+        return distribute_rows(self.body.dense_stiffness, MPI.COMM_SELF)
 
     @property
     def _size_description(self) -> str:
