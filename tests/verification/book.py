@@ -102,7 +102,7 @@ class Case:
         ]
         if self.maker:
             parts.append(f"The references were made with {self.maker()}.\n")
-        parts.append(f"The rows come from `tests/verification/{self.file}`:\n")
+        parts.append(f"Made by `tests/verification/{self.file}`:\n")
         parts.append(f"    .venv/bin/python -m pytest tests/verification -k 'book[{self.name}]'\n")
         return "\n".join(parts)
 
@@ -164,13 +164,11 @@ def index() -> str:
     """The index, from the pages as they are, and the smaller checks, which it keeps."""
     lines = [
         "# The verification book\n",
-        "One page a case: the problem, where its reference comes from, our figures beside it, and",
-        "the command that makes them. The tests make every table again and fail where a figure no",
-        "longer holds (`tests/verification/`). 🟢: every figure is within the difference allowed",
-        "there; 🔴: at least one is not. A case is a function that returns rows. After a change:\n",
+        "One page a case: the problem, the source of its reference, our figures beside it, and the",
+        "command that makes them. The tests make every table again and fail where a figure no longer",
+        "holds. 🟢: all figures are within the difference allowed; 🔴: at least one is not. After a",
+        "change (references of CalculiX need `apt-get install calculix-ccx`):\n",
         "    .venv/bin/python -m pytest tests/verification --write-book\n",
-        "References that CalculiX makes need it (`apt-get install calculix-ccx`); without it the",
-        "tests of these pages are skipped.\n",
         "[Smaller checks](#smaller-checks-a-line-each) follow, a line each.\n",
     ]
     for topic in dict.fromkeys(case.topic for case in CASES.values()):
