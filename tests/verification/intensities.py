@@ -418,12 +418,12 @@ def growth_of_half_ellipses() -> list[Row]:
     paths, exact, many = lives()
     rows = []
     for (start, until, stress, exponent), path, its in zip(CASES, paths, exact, strict=True):
-        name = f"a {start[0] * 1e3:.3g} to {until * 1e3:.3g}, 2 c from {start[1] * 1e3:.3g} mm"
-        name += f", tension {stress[0]:g}, bending {stress[1]:g}, m = {exponent:g}: cycles"
+        name = f"tension {stress[0]:g}, bending {stress[1]:g}, m = {exponent:g}, first 2 c ="
+        name += f" {start[1] / start[0]:.3g} a: a {start[0] * 1e3:.3g} to {until * 1e3:.3g} mm"
         rows.append(Row(name, float(path.cycles[-1]), float(its[2]), 0.015))
     own, fine = (np.array(x) for x in ([path.cycles[-1] for path in paths], many))
     return [
-        *rows,
+        *(row for load in range(5) for row in rows[load::5]),
         Row("cycles by 8 x 8 shapes over these, furthest off",
             furthest(fine / [its[2] for its in exact]), 1.0, None),
         Row("cycles by 5 x 5 over those by 8 x 8 shapes, furthest off", furthest(own / fine), 1.0,
