@@ -108,8 +108,8 @@ class Assessment:
             for attribute in fields(Wave)
         ]
         return all(
-            expected is actual or (isinstance(expected, int | float) and expected == actual)
-            for expected, actual in pairs
+            part is wave_part or (isinstance(part, int | float) and part == wave_part)
+            for part, wave_part in pairs
         )
 
     @cached_property

@@ -447,14 +447,14 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
 
     New harmonics have the accuracy of an error estimate. Displacements keep the harmonics they had.
     """
-    resized = copy(compliance)
+    resized_copy = copy(compliance)
     matrices = compliance.matrices[: harmonics + 1]
     if len(matrices) <= harmonics:
         matrices = np.concatenate([matrices, compliance.compliance_above(harmonics)])
-    resized.matrices = matrices
-    resized.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
-    resized.shape = resized.linear_gap.shape
-    return resized
+    resized_copy.matrices = matrices
+    resized_copy.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
+    resized_copy.shape = resized_copy.linear_gap.shape
+    return resized_copy
 
 
 def _gap_basis(structure: Structure) -> np.ndarray:

@@ -257,7 +257,7 @@ def solve_harmonic_balance(
     PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``;
     of the block form its KSP and PC, too: ``-crack_hb_ksp_type gmres -crack_hb_pc_type bjacobi``.
 
-    Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/theory.md``.
+    Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/the_paper.md``.
 
     Examples
     --------

@@ -734,8 +734,8 @@ class _Search:
 
         The inner product belongs to the energy norm.
         """
-        weighted = self._weights**2 * step
-        return float(change @ weighted / (step @ weighted))
+        weighted_vector = self._weights**2 * step
+        return float(change @ weighted_vector / (step @ weighted_vector))
 
     def _follow(self, state: np.ndarray) -> Motion:
         """Integrate a period from a state, on the remaining budget."""

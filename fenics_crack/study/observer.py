@@ -191,7 +191,7 @@ def at_tips(
     for tip, (one, two, *three) in zip(
         tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True
     ):
-        stated, touching = one, getattr(tip, "touching_pairs", ())
+        stated, touching = one, tip.touching_pairs
         if exact and len(touching):
             shut = np.all(record.force[:, touching] > 0.0, axis=1)
             stated = np.where(shut, 0.0, one.clip(0.0))

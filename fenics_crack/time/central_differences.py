@@ -487,8 +487,8 @@ class _CentralDifferences(Scheme):
             return self._apply(self._damping.mult, velocity)
         if self._modes is None:
             return np.zeros_like(velocity)
-        modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.rate * modal)
+        modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
+        return self._modes.mass_shapes @ (self._modes.rate * modal_velocity)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""

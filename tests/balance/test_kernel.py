@@ -596,7 +596,7 @@ def test_path_of_a_chain(name: str) -> None:
     """With three pairs, in every family, by steps that are too long for some points."""
     structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
     family = WAVES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
-    first = family.at(family.start)
+    first = family.problem_at(family.start)
     start = fc.solve_harmonic_balance(
         first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
     )
