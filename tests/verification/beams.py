@@ -162,9 +162,8 @@ def open_crack_in_a_beam() -> list[Row]:
 
     Reference: Euler and Bernoulli's beam with a spring at the crack, whose compliance is the
     integral of Tada's K_I for bending (Tada, Paris and Irwin, handbook). It agrees with another
-    program's (Zheng and Kessissoglou, J. Sound Vib. 273, 2004, 457-475; largest difference in a
-    row). fenics_crack solves plane stress on graded nine-node quadrilaterals. Fits of the spring
-    differ by 0.2 %.
+    program's (Zheng and Kessissoglou, J. Sound Vib. 273, 2004, 457-475). fenics_crack solves plane
+    stress.
 
     An edge crack also couples bending to extension, which the spring leaves out: 0.4 % in mode 3 of
     the deep beam with a crack of 0.4 of its depth (0.5 % allowed), 1 and 3 % at 0.5 and 0.6 (not
@@ -252,8 +251,7 @@ def breathing_crack_in_a_beam() -> list[Row]:
 
     Reference: a bilinear oscillator resonates at 2 r / (1 + r) of the uncracked beam's frequency, r
     the ratio of the open crack by Tada's spring. That holds within a few per cent, as contact also
-    excites other modes; 1 % is allowed. In the small picture green is the thin beam, orange the
-    deep one.
+    excites other modes; 1 % is allowed.
     """
     curve, dof = breathing_curve()
     uncracked = THICK.frequencies(0.0)[0]

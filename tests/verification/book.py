@@ -64,13 +64,14 @@ class Row:
 
 
 def join_series(rows: list[Row]) -> list[list[Row]]:
-    """Join consecutive rows whose quantities differ by one number, as that of a mode."""
+    """Join rows whose quantities differ by one number, as that of a mode."""
     groups: list[list[Row]] = []
     for row in rows:
-        if groups and _numbers_of([*groups[-1], row]):
-            groups[-1].append(row)
-        else:
+        series = next((group for group in groups if _numbers_of([*group, row])), None)
+        if series is None:
             groups.append([row])
+        else:
+            series.append(row)
     return groups
 
 
@@ -137,7 +138,7 @@ class Case:
             f"{verdict} figures {'do not hold' if wrong else 'hold'}.\n",
             f"{self.text}\n",
             HEAD + "\n".join(f"| {' | '.join(series_cells(s))} |" for s in join_series(rows)) + "\n",
-            f"![{self.title}]({self.name}.png)\n",
+            f"![picture]({self.name}.png)\n",
         ]
         if self.maker:
             parts.append(f"The references were made with {self.maker()}.\n")

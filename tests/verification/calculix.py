@@ -117,11 +117,9 @@ def calculix_frequencies() -> list[Row]:
     16 quadrilaterals or as many pairs of triangles, and on graded quadrilaterals. Both programs get
     the same nodes and cells. A bonded crack is B^T u = 0.
 
-    Quadratic quadrilaterals have nine nodes here and eight there (CPS8, CPE8). With our M, K and B
-    restricted by u9 = -(u1 + ... + u4) / 4 + (u5 + ... + u8) / 2 both programs agree to the digits
-    that CalculiX prints, 1e-7. The nine nodes lie nearer to the limit: the two differ by 6e-3 on 16
-    x 16 cells and by 6e-4 on the graded mesh (last of its rows). For triangles CalculiX takes fewer
-    points for the mass.
+    Quadratic quadrilaterals have nine nodes here and eight there (CPS8, CPE8). With ours restricted
+    by u9 = -(u1 + ... + u4) / 4 + (u5 + ... + u8) / 2 both agree to the digits printed, 1e-7; the
+    nine nodes themselves differ by 6e-3 on 16 x 16 cells and by 6e-4 on the graded mesh.
 
     CalculiX's plane stress is 0.2 % too stiff where nu = 0.3, so CPS8 is compared with nu = 0. With
     nu = 0.3 plane strain is taken: with E (1 + 2 nu) / (1 + nu)^2 and nu / (1 + nu) its equations
@@ -173,9 +171,9 @@ def calculix_rotating_blade() -> list[Row]:
     of `meshes/solid_blade.msh`.
 
     Reference: CalculiX with `*DLOAD, CENTRIF` in a static step with large displacements (`NLGEOM`),
-    and `*FREQUENCY` in a `PERTURBATION` step. At rest the programs differ by the points at which
-    they integrate curved cells. At speed ours displaces the blade linearly; what that leaves out
-    grows with the fourth power of the speed.
+    and `*FREQUENCY` in a `PERTURBATION` step. At rest the programs integrate curved cells at other
+    points. At speed ours displaces the blade linearly; what that leaves out grows with the fourth
+    power of the speed.
     """
     return [
         Row(f"{rpm:g} rpm: mode {mode} [Hz]", ours, theirs, 1e-3)
@@ -306,8 +304,7 @@ def calculix_breathing_plate() -> list[Row]:
     harmonics.
 
     Differences are the largest of two periods over the largest value; 2 % are allowed. A contact
-    stiffness of 0.8 or 1.25 times CalculiX's would be 2.6 or 2.1 % away. CalculiX 2.20 stops with
-    equal steps (`DIRECT`) and with `TYPE=NODE TO SURFACE`.
+    stiffness of 0.8 or 1.25 times CalculiX's would be 2.6 or 2.1 % away.
     """
     rows = []
     for start, (ours, theirs) in breathing().items():
@@ -369,10 +366,10 @@ def calculix_paper_plate() -> list[Row]:
 
     Reference: CalculiX with its own contact (`SURFACE TO SURFACE`) and integration (`*DYNAMIC`, at
     most 1/200 of a period a step with 1e9 N/m, 1/800 with 1e11 N/m), on bricks as
-    [here](calculix_breathing_plate.md). Its pressure pushes the mouth's node with a third of
-    pressure times area: 3 k / (length thickness) for each metre of depth is our k. Ours is the
-    exact flow of `fc.integrate_events`. Differences are the largest over the time named, over the
-    largest value.
+    [here](calculix_breathing_plate.md). Its 3 k / (length thickness) for each metre of depth is our
+    k, as pressure pushes the mouth's node with a third of pressure times area. Ours is the exact
+    flow of `fc.integrate_events`. Differences are the largest over the time named, over the largest
+    value.
 
     References and input file are in `tests/exchange/paper_plate/`;
     `tests/verification/paper_plate.py` makes them.
@@ -506,9 +503,8 @@ def calculix_solids() -> list[Row]:
     file and finds the pairs of the crack ([matrices](../matrices.md)). A force along the beam at
     its free end pulls the crack open: openings, and work.
 
-    The first frequencies are compared with a mesh of 75,000 dofs, with Euler and Bernoulli's beam
-    with a spring ([beams](open_crack_in_a_beam.md)), with plane stress, and with a measured beam
-    with a cut (174.7 of 185.2 Hz: Shock and Vibration 2019, article 7302057).
+    Last rows: a mesh of 75,000 dofs, [beams with a spring](open_crack_in_a_beam.md), plane stress,
+    and a measured beam with a cut (174.7 of 185.2 Hz: Shock and Vibration 2019, article 7302057).
     """
 
     def quotients(name: str, ours: Any, theirs: Any, near: float) -> list[Row]:

@@ -218,7 +218,7 @@ def stress_intensity_along_a_front() -> list[Row]:
 
     Reference: Tada's edge crack in tension (0.5 %); Newman and Raju's ellipse (Engineering Fracture
     Mechanics 15, 1981, 185-192), a fit within 5 %, averaged likewise. Ours has 0.53 of its width
-    cracked, where their fit ends at 0.5. On few elements K is too small.
+    cracked; their fit ends at 0.5.
 
     `stress_intensity` has an interaction integral instead, at 13 stations with hats of 15 degrees.
     Last rows: K^2 = K_I^2 + K_II^2 + K_III^2 / (1 - nu) over that of the energy release with the

@@ -183,7 +183,7 @@ def free_motion_with_a_clearance() -> list[Row]:
 
     For E = 0.00650108331626 a value of 0.64621695 Hz is published as analytic, 6e-4 away. It takes
     sqrt(2 E / (k + kc)) for the contact's amplitude and drops a term under the root, which is (2 E
-    - k kc d^2 / (k + kc)) / (k + kc). The mass has not come back after a period of that length.
+    - k kc d^2 / (k + kc)) / (k + kc). The mass has not come back after such a period.
     """
     law, structure = fc.UnilateralPenalty(50.0), clearance_oscillator()
     rows = []
@@ -337,8 +337,7 @@ def stops_on_both_sides() -> list[Row]:
     """Two masses, one of them between two stops.
 
     M = diag(1, 2), K = [[2, -1], [-1, 3]], C = [[0.1, -0.03], [-0.03, 0.12]], a load 0.7 cos(0.8 t)
-    on mass 1, which meets springs of 5 at 0.3 on one side and at 0.4 on the other. So the motion
-    has a mean and even harmonics.
+    on mass 1, which meets springs of 5 at 0.3 on one side and at 0.4 on the other.
 
     Reference: SciPy's DOP853 with tolerance 1e-10 and Newton's method on the state after a period.
     Harmonic balance has H = 60.

@@ -327,8 +327,7 @@ def torsion_of_a_cracked_bar() -> list[Row]:
 
         K_III^2 = -mu T^2 / (2 pi c) d(phi_0 / T) / dc,         K_I = K_II = 0.
 
-    The handbooks' polynomials are up to 1.8 % too large. K is too small by an error of about first
-    order in the elements' size.
+    The handbooks' polynomials are up to 1.8 % too large.
     """
     _, found, count = torsion()
     others = float(np.abs(found[:, :2]).max())

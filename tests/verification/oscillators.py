@@ -45,7 +45,7 @@ def bilinear_oscillator() -> list[Row]:
     x'' + c x' + x + kc max(x, 0) = cos(W t) with c = 0.1 and kc = 1. Its natural frequency without
     damping is w0 = 2 w1 w2 / (w1 + w2) = 1.171573, w1 = 1 and w2 = sqrt(1 + kc) (Shaw and Holmes,
     J. Sound Vib. 90, 1983, 129-155). It is loaded at half of w0, where it resonates by its second
-    harmonic, and at W = 1. In the picture x is in contact where it is grey.
+    harmonic, and at W = 1.
 
     Reference: piecewise-linear integration by another program, to about 1e-9, beside harmonic
     balance (H = 20, exact integrals) and `fc.integrate_events` from rest. Extremes are those of

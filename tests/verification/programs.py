@@ -188,10 +188,9 @@ def rotor_with_a_crack() -> list[Row]:
 
     m (eta'' + 2 W xi' - W^2 eta) + c eta' + k eta = -m g sin(W t) + m e W^2 sin(b)
 
-    (Gasch's hinge, J. Sound Vib. 160, 1993, 313-332, without the small loss along the crack):
-    stiffness k - dk, a matrix C that is not symmetric, and a pair of stiffness dk that closes where
-    xi < 0, for `fc.Structure.from_matrices`. m = k = g = 1, dk = 0.2, c = 0.08, e = 0.05, b = 0.7.
-    Damping by the surroundings is refused: its stiffness c W (-eta, xi) is not symmetric.
+    (Gasch's hinge, J. Sound Vib. 160, 1993, 313-332, without the small loss along the crack) as
+    matrices for `fc.Structure.from_matrices`. m = k = g = 1, dk = 0.2, c = 0.08, e = 0.05, b = 0.7.
+    Damping by the surroundings is refused: its stiffness is not symmetric.
 
     Reference: m z'' + c (z' - i W z) + k z - dk max(xi, 0) e^(iWt) = m g + m e W^2 e^(i (W t + b)),
     z = (xi + i eta) e^(iWt), by SciPy's DOP853 and Newton's method; abs(z1) turns with the shaft,
