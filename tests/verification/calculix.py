@@ -171,9 +171,8 @@ def calculix_rotating_blade() -> list[Row]:
     of `meshes/solid_blade.msh`.
 
     Reference: CalculiX with `*DLOAD, CENTRIF` in a static step with large displacements (`NLGEOM`),
-    and `*FREQUENCY` in a `PERTURBATION` step. At rest the programs integrate curved cells at other
-    points. At speed ours displaces the blade linearly; what that leaves out grows with the fourth
-    power of the speed.
+    and `*FREQUENCY` in a `PERTURBATION` step. At speed ours displaces the blade linearly; what that
+    leaves out grows with the fourth power of the speed.
     """
     return [
         Row(f"{rpm:g} rpm: mode {mode} [Hz]", ours, theirs, 1e-3)
@@ -368,8 +367,7 @@ def calculix_paper_plate() -> list[Row]:
     most 1/200 of a period a step with 1e9 N/m, 1/800 with 1e11 N/m), on bricks as
     [here](calculix_breathing_plate.md). Its 3 k / (length thickness) for each metre of depth is our
     k, as pressure pushes the mouth's node with a third of pressure times area. Ours is the exact
-    flow of `fc.integrate_events`. Differences are the largest over the time named, over the largest
-    value.
+    flow of `fc.integrate_events`. Differences are over the largest value.
 
     References and input file are in `tests/exchange/paper_plate/`;
     `tests/verification/paper_plate.py` makes them.
@@ -620,8 +618,7 @@ def calculix_nodal_diameters() -> list[Row]:
     """CalculiX: nodal diameters of a bladed disk.
 
     Eight steel blades of 60 x 10 x 6 mm on a disk 10 mm thick, from 20 mm, where it is clamped, to
-    70 mm about the axis, E = 2.1e11 Pa, nu = 0.3, 7850 kg/m^3, without a crack. The disk is soft:
-    from n = 1 to 4 the second frequency rises by 23 %.
+    70 mm about the axis, E = 2.1e11 Pa, nu = 0.3, 7850 kg/m^3, without a crack.
 
     Reference: CalculiX's `*CYCLIC SYMMETRY MODEL` with `*SELECT CYCLIC SYMMETRY MODES` of one
     sector, with the same straight tetrahedra (C3D10). At speed: a static step (`NLGEOM`) under

@@ -242,8 +242,7 @@ def frequencies_with_a_crack() -> list[Row]:
     Reference: that order (Strang and Fix, An Analysis of the Finite Element Method, chapter 8),
     fitted over 16, 32, 64 cells a side (four nodes) and 8, 16, 32 (nine nodes). A graded mesh of
     8000 dofs has a quarter of the error of 32 x 32 equal cells and less. Only the cells at the tip
-    matter: the order is found in their size alone (last rows, with nu = 0; with nu = 0.3 the
-    clamp's corners have stresses like r^-0.24).
+    matter: the order is found in their size alone (last rows, nu = 0).
     """
     rows = []
     for order, cells in UNIFORM.items():

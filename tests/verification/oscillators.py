@@ -254,8 +254,7 @@ def duffing_spurious_roots() -> list[Row]:
     Phys. 215, 2006, 298-320). From 4H + 1 samples on they are gone.
 
     Reference: y = abs(X1)^2 is a root of ((1 - W^2 + 3 y / 4)^2 + (0.2 W)^2) y = 1.25^2. The number
-    of collocated roots follows from a Groebner basis (`tests/balance/test_forms.py`); Newton's
-    method from 400 random starts finds them.
+    of collocated roots follows from a Groebner basis (`tests/balance/test_forms.py`).
     """
     exact = classical_amplitudes()
     many, few = duffing_roots()

@@ -53,8 +53,7 @@ def true_errors_over_stated_ones() -> list[Row]:
     Reference: true errors over stated ones, which should lie between 0 and 1; by the mesh the
     change on one four times finer, by the modes that of the exact orbit with 40 modes, by the
     harmonics the distance from the exact motion (so 1). An error of first order with the factor of
-    safety 1.25 gives 3/4/1.25 = 0.6; the order of [frequencies with a
-    crack](frequencies_with_a_crack.md) is 1. More: `benchmarks/stated_errors.py`.
+    safety 1.25 gives 3/4/1.25 = 0.6. More: `benchmarks/stated_errors.py`.
     """
     rows = [
         Row(
