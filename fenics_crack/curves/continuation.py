@@ -132,7 +132,9 @@ class GrowingCurve:
 
     def _convert_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
-        return self._curve_point(point.parameter, point.unknown, point.iterations, point.observed)
+        return self._curve_point(
+            point.parameter, point.unknown, point.iterations, point.control_values
+        )
 
     def _curve_point(
         self,
@@ -143,7 +145,7 @@ class GrowingCurve:
     ) -> CurvePoint:
         """Return a point of the curve from a path point's numbers.
 
-        ``observed`` are leading multipliers and counts (:mod:`orbit_events`).
+        ``control_values`` are leading multipliers and counts (:mod:`orbit_events`).
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -272,7 +274,7 @@ class GrowingCurve:
         ]
         self._special_points += special_points
         multipliers_and_counts = (
-            segment.observed if "observed" in vars(segment) else [None] * len(segment)
+            segment.control_values if "control_values" in vars(segment) else [None] * len(segment)
         )
         parameters, iterations = segment.parameters.tolist(), segment.iterations.tolist()
         self.points += map(
@@ -437,7 +439,7 @@ def first_point(
     step_control_values = observe_point(system, linearisation)
     record = None if step_control_values is None else linearisation.record.ravel()
     return PathPoint(
-        unknown, parameter, iterations, tangent, record=record, observed=step_control_values
+        unknown, parameter, iterations, tangent, record=record, control_values=step_control_values
     )
 
 
