@@ -17,8 +17,8 @@ from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
 from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
+from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.run import Run
 from fenics_crack.study.sharing import SHELVES
 
 if TYPE_CHECKING:

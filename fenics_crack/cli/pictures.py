@@ -47,13 +47,13 @@ from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import TipFit
 from fenics_crack.monitoring.tip_timing.timing import Timing, largest_blade
+from fenics_crack.runs.conclusion import frequency_in_words, known_to
+from fenics_crack.runs.run import Run, stress_intensity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words
 from fenics_crack.study.campbell import ORDERS, Campbell
-from fenics_crack.study.conclusion import frequency_in_words, known_to
 from fenics_crack.study.prepare import prepare
-from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult, is_part

@@ -27,9 +27,9 @@ from fenics_crack.monitoring.tip_timing.arrival_times import (
 )
 from fenics_crack.monitoring.tip_timing.harmonics import TipFit
 from fenics_crack.monitoring.tip_timing.timing import Timing
+from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
-from fenics_crack.study.run import Run
 
 RECORD_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",

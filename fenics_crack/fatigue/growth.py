@@ -40,15 +40,15 @@ from fenics_crack.basics.tables import (
     quantity,
     with_frequency,
 )
+from fenics_crack.errors.vary import EVERY, stated_errors
 from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
+from fenics_crack.runs.run import solve
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.run import solve
-from fenics_crack.study.vary import EVERY, stated_errors
 from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, run_sweep
 

@@ -25,12 +25,12 @@ from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
 from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
 from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.runs.run import Run, load_run, solve
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST, TOO_FAST
-from fenics_crack.study.run import Run, load_run, solve
 
 DECIDED = (*LOOKED_AT, "reduction")
 """Tables of a scene that may differ from those of a result: those that choose results, and those

@@ -87,11 +87,32 @@ from fenics_crack.balance.harmonic_balance import (
 from fenics_crack.balance.more_modes import reference_of
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.basics.causes import OTHER_RUNS, REDUCTION_CAUSES
 from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError, InputError
 from fenics_crack.basics.observables import Place, names_of
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors.changes import sizes_of_change
+from fenics_crack.errors.numbers import (
+    Numbers,
+    accepted_orbit,
+    as_changed,
+    bilinear_of,
+    many_harmonics,
+    natural_name,
+    numbers_of,
+    of_orbit,
+)
+from fenics_crack.errors.verification import (
+    UNCHANGED,
+    GridConvergence,
+    Part,
+    Varied,
+    Verification,
+    dent_by_force,
+    grid_convergence,
+)
 from fenics_crack.model.contact import CoulombFriction, friction_of, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import (
@@ -107,31 +128,11 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.changes import sizes_of_change
 from fenics_crack.study.meshes import coarser, finer_mesh, is_even, n_elements
-from fenics_crack.study.numbers import (
-    Numbers,
-    accepted_orbit,
-    as_changed,
-    bilinear_of,
-    many_harmonics,
-    natural_name,
-    numbers_of,
-    of_orbit,
-)
 from fenics_crack.study.observer import errors_along_fronts, rows_requested
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced, reduction_of
 from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
 from fenics_crack.study.solve import Solved, solve_prepared
-from fenics_crack.study.verification import (
-    UNCHANGED,
-    GridConvergence,
-    Part,
-    Varied,
-    Verification,
-    dent_by_force,
-    grid_convergence,
-)
 
 TIP, CLAMP = 1.0, 1.5
 """Orders of convergence at a crack tip and at a clamp's ends."""
@@ -150,10 +151,6 @@ SLIDING_QUANTITIES = ("K_II_max", "K_III_max")
 SOUGHT = 10
 """Harmonics of the solutions next to which its two orbits are sought."""
 OWN = "the scene's own choice"
-RUNS = {
-    "mesh": "another mesh", "shift": "a shifted resonance", "friction": "a run with friction",
-}  # fmt: skip
-"""Words for the other run of a cause, but "a run with more modes"."""
 
 
 # --- levels of a cause ----------------------------------------------------------------------------
@@ -203,7 +200,9 @@ def vary(found: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ver
         try:
             found.take(cause, part())
         except REFUSALS as error:
-            found.unknown[cause] = _why_failed(RUNS.get(cause, f"a run with more {cause}"), error)
+            found.unknown[cause] = _why_failed(
+                OTHER_RUNS.get(cause, f"a run with more {cause}"), error
+            )
     return found
 
 
@@ -460,7 +459,7 @@ def errors_of_natural(
     return vary(Verification(scene, values, dict.fromkeys(values, unit)), {"mesh": by_mesh})
 
 
-EVERY = ("modes", "harmonics", "mesh", "friction")
+EVERY = (*REDUCTION_CAUSES, "friction")
 """Causes of stated errors."""
 
 
@@ -489,7 +488,7 @@ def stated_errors(
     numbers = numbers_of(study, found)
     stated = Verification(study.scene, numbers.values, numbers.units)
     if not is_small(study.structure):  # three more solutions take three times as long
-        stated.unknown.update(dict.fromkeys(EVERY[:3], "the structure is not reduced"))
+        stated.unknown.update(dict.fromkeys(REDUCTION_CAUSES, "the structure is not reduced"))
         return stated
     if found.report.unknown:  # other runs may agree by chance
         stated.unknown["harmonics"] = not_estimated(found.report)

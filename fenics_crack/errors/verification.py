@@ -34,6 +34,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fenics_crack.basics.causes import (
+    MESH_CAUSES,
+    MISSING_PART_REASONS,
+    OPTIONAL_CAUSES,
+    REQUIRED_CAUSES,
+)
 from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, check_number
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
@@ -217,16 +223,6 @@ Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
 Varied = Part | str
 """The same; or the reason why there is none, "" where it does not apply."""
 
-MESH_CAUSES = ("mesh", "shift")
-"""The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
-resonance."""
-ESTIMATED = ("harmonics", "modes")
-"""Causes without whose part no error is known; the mesh may be left out by choice."""
-CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
-BY_CHOICE = ("mesh", "friction")
-"""Causes that contribute an unknown part where they are not varied."""
-MISSING_PART_REASONS = {"friction": "that at the crack tip itself is not known"}
-"""Reason why a number has no part of a cause that was varied."""
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
@@ -286,7 +282,7 @@ class Verification(Saved):
         if not isinstance(made, str):
             self.counts[cause], self.parts[cause] = made
         elif made:
-            (self.unknown if cause in BY_CHOICE else self.absent)[cause] = made
+            (self.unknown if cause in OPTIONAL_CAUSES else self.absent)[cause] = made
 
     # --- files ------------------------------------------------------------------------------------
 
@@ -365,7 +361,7 @@ class Verification(Saved):
         nothing that was varied changes it and something else was not. Infinite where the estimate
         is as large as the quantity, as of a mesh that is too coarse.
         """
-        unknown = any(cause in self.unknown for cause in ESTIMATED)
+        unknown = any(cause in self.unknown for cause in REQUIRED_CAUSES)
         parts = self._parts(quantity) if quantity in self.values else {}
         if not parts or unknown:
             return math.nan, ""
@@ -378,7 +374,7 @@ class Verification(Saved):
     def doubt(self, quantity: str) -> str:
         """Return why the error of a quantity is unknown; empty where it is known, or was left out
         by choice."""
-        for cause in ESTIMATED:
+        for cause in REQUIRED_CAUSES:
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)

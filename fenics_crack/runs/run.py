@@ -27,6 +27,8 @@ from fenics_crack.basics.tables import Tabular, counted, percent, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.curves.stability import from_rest
+from fenics_crack.errors.vary import error_by_modes, errors_of
+from fenics_crack.errors.verification import Verification, verification_of
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
@@ -39,9 +41,9 @@ from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
 from fenics_crack.motion.motions import ObservedMotion
+from fenics_crack.runs.conclusion import Answer, said_of
 from fenics_crack.scene.scene import Scene, check_known, without_clamp, without_tips
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.conclusion import Answer, said_of
 from fenics_crack.study.observer import (
     AtTip,
     at_tips,
@@ -60,8 +62,6 @@ from fenics_crack.study.solve import (
     with_lines,
     with_more_modes,
 )
-from fenics_crack.study.vary import error_by_modes, errors_of
-from fenics_crack.study.verification import Verification, verification_of
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
 
 Found = TypeVar("Found", bound=Result, covariant=True)

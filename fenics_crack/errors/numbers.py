@@ -12,6 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
+from fenics_crack.errors.verification import UNCHANGED
 from fenics_crack.model.modes import FREQUENCY_KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Harmonics, ObservedMotion, Record
@@ -19,7 +20,6 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import observe
 from fenics_crack.study.prepare import Study
-from fenics_crack.study.verification import UNCHANGED
 
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:
