@@ -70,9 +70,9 @@ import fenics_crack as fc
 from fenics_crack.balance.error_report import error_against_reference
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.basics.causes import MESH_CAUSES
+from fenics_crack.errors.convergence import UNCHANGED
 from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
-from fenics_crack.errors.verification import UNCHANGED
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.study.meshes import finer_mesh

@@ -59,10 +59,10 @@ from fenics_crack.draw.vtk import stress_at as stress_at
 from fenics_crack.draw.vtk import write_fronts as write_fronts
 from fenics_crack.draw.vtk import write_modes as write_modes
 from fenics_crack.draw.vtk import write_period as write_period
-from fenics_crack.errors.vary import verify as verify
-from fenics_crack.errors.verification import GridConvergence as GridConvergence
+from fenics_crack.errors.convergence import GridConvergence as GridConvergence
+from fenics_crack.errors.convergence import grid_convergence as grid_convergence
 from fenics_crack.errors.verification import Verification as Verification
-from fenics_crack.errors.verification import grid_convergence as grid_convergence
+from fenics_crack.errors.verify import verify as verify
 from fenics_crack.fatigue.growth import Growth as Growth
 from fenics_crack.fatigue.growth import grow as grow
 from fenics_crack.fem.build import build_structure as build_structure

@@ -353,7 +353,7 @@ COMMANDS = {
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"errors.vary:verify {SOLVED} --fresh --pictures",
+        f"errors.verify:verify {SOLVED} --fresh --pictures",
     ),
     "curve": ("response curve of the table [curve]", f"runs.run:curve {SOLVED} --fresh"),
     "integrate": ("motion in time by the table [integration]", f"runs.run:integrate {SOLVED}"),

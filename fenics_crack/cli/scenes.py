@@ -15,7 +15,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
 from fenics_crack.cli.given import Console, Inputs
-from fenics_crack.errors.vary import errors_of_natural
+from fenics_crack.errors.stated import errors_of_natural
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range

@@ -34,7 +34,8 @@ from fenics_crack.draw.figure import (
     label_axis,
     label_count,
 )
-from fenics_crack.errors.verification import SAFE, Verification
+from fenics_crack.errors.convergence import SAFE
+from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.scene.words import key_in_words
 

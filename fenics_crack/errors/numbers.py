@@ -12,7 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
-from fenics_crack.errors.verification import UNCHANGED
+from fenics_crack.errors.convergence import UNCHANGED
 from fenics_crack.model.modes import FREQUENCY_KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Harmonics, ObservedMotion, Record

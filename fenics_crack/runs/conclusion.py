@@ -23,7 +23,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import AT_END
 from fenics_crack.errors.numbers import natural_name
-from fenics_crack.errors.vary import not_estimated
+from fenics_crack.errors.stated import not_estimated
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes

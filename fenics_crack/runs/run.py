@@ -27,7 +27,7 @@ from fenics_crack.basics.tables import Tabular, counted, percent, quantity
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.curves.stability import from_rest
-from fenics_crack.errors.vary import error_by_modes, errors_of
+from fenics_crack.errors.stated import error_by_modes, errors_of
 from fenics_crack.errors.verification import Verification, verification_of
 from fenics_crack.files.results import Result, save, type_of, unpack
 from fenics_crack.files.store import Stored, read
