@@ -626,9 +626,9 @@ def _modal_truncation_errors(
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     if more is None or more.orbit is None:
-        many = problem.response_harmonics(SearchOptions.harmonics[-1])
-        balance = Solver(problem.with_harmonics(many))
-        solution = balance.attempt(wave_with(many), wholly=False, more_modes=more)[1]
+        n_harmonics = problem.response_harmonics(SearchOptions.harmonics[-1])
+        balance = Solver(problem.with_harmonics(n_harmonics))
+        solution = balance.attempt(wave_with(n_harmonics), wholly=False, more_modes=more)[1]
         if solution.converged:
             return solution.report.reduction, solution.report.displacement
     return (more and more.errors) or (UNKNOWN, UNKNOWN)

@@ -44,15 +44,15 @@ class Kind(NamedTuple):
 
 KINDS = {
     "set of modes": Kind(
-        "modes", "Modes", "cli.results:report_of_modes", "runs.run:read_run",
+        "modes", "Modes", "cli.results:report_of_modes", "runs.load:read_run",
         "cli.pictures:draw_modes_of",
     ),
     "periodic solution": Kind(
-        "solution", "Steady vibration", "cli.results:report_of_solution", "runs.run:read_run",
+        "solution", "Steady vibration", "cli.results:report_of_solution", "runs.load:read_run",
         "cli.pictures:draw_solution",
     ),
     "response curve": Kind(
-        "curve", "Response curve", "cli.results:report_of_curve", "runs.run:read_run",
+        "curve", "Response curve", "cli.results:report_of_curve", "runs.load:read_run",
         "cli.pictures:draw_curve_of",
     ),
     "sweep": Kind(
@@ -60,7 +60,7 @@ KINDS = {
         "cli.pictures:draw_sweep",
     ),
     "time history": Kind(
-        "integration", "Motion in time", "cli.results:report_of_history", "runs.run:read_run",
+        "integration", "Motion in time", "cli.results:report_of_history", "runs.load:read_run",
         "cli.pictures:draw_history",
     ),
     "crack growth": Kind(

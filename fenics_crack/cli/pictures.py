@@ -48,7 +48,8 @@ from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
 from fenics_crack.monitoring.tip_timing.harmonics import TipFit
 from fenics_crack.monitoring.tip_timing.timing import Timing, largest_blade
 from fenics_crack.runs.conclusion import frequency_in_words, known_to
-from fenics_crack.runs.run import Run, stress_intensity
+from fenics_crack.runs.run import Run
+from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, differences, given_values, key_in_words, value_in_words

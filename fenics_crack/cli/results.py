@@ -39,7 +39,8 @@ from fenics_crack.model.modes import (
 )
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.runs.conclusion import said_of, unknown_error, unknown_of_solution
-from fenics_crack.runs.run import Run, stress_intensity
+from fenics_crack.runs.run import Run
+from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import asked_quantities
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import observe

@@ -38,7 +38,8 @@ from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import packaged
 
 if TYPE_CHECKING:
-    from fenics_crack.runs.run import Run, StressIntensity
+    from fenics_crack.runs.run import Run
+    from fenics_crack.runs.stress_intensity import StressIntensity
 
 
 def in_space(vectors: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
-"""Numbers by which answers are compared: of watched points, crack faces, crack tips and the clamp,
-and natural frequencies; of solutions and of the exact orbits next to them."""
+"""Numbers by which answers are compared, of solutions and of exact orbits next to them.
+
+They are of watched points, crack faces, crack tips and the clamp, and natural frequencies.
+"""
 
 from __future__ import annotations
 
@@ -23,18 +25,18 @@ from fenics_crack.study.prepare import Study
 
 
 def natural_name(scene: Scene, kind: str, mode: int) -> str:
-    """The name of a natural frequency: "frequency_open_1"."""
+    """Return the name of a natural frequency: "frequency_open_1"."""
     return f"{'frequency' if scene.in_hertz else 'omega'}_{kind}_{mode}"
 
 
 def bilinear_of(structure: Structure, mode: int) -> float:
-    """Bilinear frequency of a mode [rad/s] (collective)."""
+    """Return the bilinear frequency of a mode [rad/s] (collective)."""
     return float(bilinear_frequencies(structure).omega_bilinear[mode - 1])
 
 
 @dataclass(frozen=True)
 class Numbers:
-    """The numbers of an answer.
+    """Numbers of an answer.
 
     Attributes
     ----------
@@ -52,95 +54,126 @@ class Numbers:
     mode: int
 
 
-def numbers_of(study: Study, found: PeriodicSolution | _Exact, mode: int | None = None) -> Numbers:
-    """Return the requested numbers of the watched points and the crack faces, and natural
-    frequencies: the lowest ones, and those of a mode, by default of the one with the nearest
-    resonance (collective)."""
-    scene, structure = study.scene, study.structure
-    chosen = scene.quantities or names_of(where=STATED)
+def numbers_of(
+    study: Study, motion: PeriodicSolution | TruncatedOrbit, mode: int | None = None
+) -> Numbers:
+    """Return the requested numbers of a motion, and natural frequencies (collective).
+
+    The frequencies are the lowest ones, and those of a mode. By default it is the mode with the
+    nearest resonance.
+    """
+    quantities = study.scene.quantities or names_of(where=STATED)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    seen = found.measure([watched.dof for watched in study.watched])
-    rounding = NEGLIGIBLE * min(one.amplitude + abs(one.mean) for one in seen)  # of closed pairs
-    numbers = (one for one in observe(study, found) if one.name in chosen)
-    for one in sorted(numbers, key=lambda one: chosen.index(one.name)):
-        of, value = QUANTITIES[one.name].of, float(one.value)
-        least = {"1": UNCHANGED, "m": rounding * (of is Place.FACES)}.get(one.unit, 0.0)
-        if abs(value) > least or (of.on_request and value == 0.0):
-            values[one.column], units[one.column] = value, one.unit.replace("1", "")
-    natural = bilinear_frequencies(structure)
-    mode = mode or int(natural.nearest(found.omega)["mode"])
-    factor, _, unit = frequency_axis(scene.in_hertz)
-    wanted = {("open", number) for number in (1, 2, 3, mode)}
-    if structure.n_pairs:
-        wanted |= {("tied", mode), ("bilinear", mode)}
-    for kind, number in sorted(wanted, key=lambda one: (FREQUENCY_KINDS.index(one[0]), one[1])):
-        if number <= len(natural.omega_open):
-            name, omega = natural_name(scene, kind, number), getattr(natural, f"omega_{kind}")
-            values[name], units[name] = factor * float(omega[number - 1]), unit
-    resonance = natural_name(scene, "bilinear" if structure.n_pairs else "open", mode)
+    displacements = motion.measure([watched.dof for watched in study.watched])
+    rounding = NEGLIGIBLE * min(  # of closed pairs
+        indicators.amplitude + abs(indicators.mean) for indicators in displacements
+    )
+    requested = (number for number in observe(study, motion) if number.name in quantities)
+    for number in sorted(requested, key=lambda number: quantities.index(number.name)):
+        place, value = QUANTITIES[number.name].of, float(number.value)
+        min_size = {"1": UNCHANGED, "m": rounding * (place is Place.FACES)}.get(number.unit, 0.0)
+        if abs(value) > min_size or (place.on_request and value == 0.0):
+            values[number.column] = value
+            units[number.column] = number.unit.replace("1", "")
+    resonance, mode = _add_frequencies(study, motion.omega, mode, values, units)
     return Numbers(values, units, resonance, mode)
+
+
+def _add_frequencies(
+    study: Study, omega: float, mode: int | None, values: dict[str, float], units: dict[str, str]
+) -> tuple[str, int]:
+    """Add natural frequencies to numbers and units; return the resonance's name and mode."""
+    scene, has_pairs = study.scene, study.structure.n_pairs > 0
+    frequencies = bilinear_frequencies(study.structure)
+    mode = mode or int(frequencies.nearest(omega)["mode"])
+    factor, _, unit = frequency_axis(scene.in_hertz)
+    modes_by_kind = {"open": sorted({1, 2, 3, mode})}
+    if has_pairs:
+        modes_by_kind |= {"tied": [mode], "bilinear": [mode]}
+    for kind in FREQUENCY_KINDS:
+        for number in modes_by_kind.get(kind, []):
+            if number <= len(frequencies.omega_open):
+                name = natural_name(scene, kind, number)
+                omegas = getattr(frequencies, f"omega_{kind}")
+                values[name], units[name] = factor * float(omegas[number - 1]), unit
+    return natural_name(scene, "bilinear" if has_pairs else "open", mode), mode
 
 
 # --- of orbits ------------------------------------------------------------------------------------
 
 
-def accepted_orbit(found: PeriodicSolution) -> PeriodicOrbit | None:
-    """The exact orbit that is a solution's own, unless it would be sought for long (collective)."""
-    known = found.assessment
-    return known.orbit if known.affordable and known.is_accepted else None
+def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
+    """Return the exact orbit that is a solution's own, or None (collective).
+
+    None also if the search would take long.
+    """
+    assessment = solution.assessment
+    return assessment.orbit if assessment.affordable and assessment.is_accepted else None
 
 
-def largest_left_out(found: PeriodicSolution, dof: int) -> tuple[int, float] | None:
-    """The order k and U_k / U_1 of the largest harmonic of a dof above the load's, where that is
-    one which a solution leaves out of its own exact orbit; None elsewhere (collective)."""
-    orbit = accepted_orbit(found)
+def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
+    """Return order k and U_k / U_1 of the largest harmonic above the load's, if it is truncated.
+
+    The harmonic is that of a dof in the solution's own exact orbit. None: the solution has it, or
+    there is no such orbit (collective).
+    """
+    orbit = accepted_orbit(solution)
     if orbit is None:
         return None
-    moved = orbit.coefficients(many_harmonics(found)).displacement
-    rows = found.structure.values_at(moved, [dof])[:, 0]
-    seen = Harmonics(rows, found.subharmonic)
-    if not seen.largest_order * found.subharmonic > found.harmonics:
+    displacement = orbit.coefficients(many_harmonics(solution)).displacement
+    rows = solution.structure.values_at(displacement, [dof])[:, 0]
+    harmonics = Harmonics(rows, solution.subharmonic)
+    if not harmonics.largest_order * solution.subharmonic > solution.harmonics:
         return None
-    return int(seen.largest_order), float(seen.ratio_largest)
+    return int(harmonics.largest_order), float(harmonics.ratio_largest)
 
 
 def as_changed(
-    values: Mapping[str, float], one: Mapping[str, float], other: Mapping[str, float]
+    values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
 ) -> dict[str, float]:
-    """Numbers, changed as they differ between two orbits; 0 where one is none there."""
-    return {name: v + other.get(name, 0.0) - one.get(name, 0.0) for name, v in values.items()}
+    """Return numbers, changed as they differ between two motions; 0 if a motion has none."""
+    return {
+        name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
+    }
 
 
-def many_harmonics(found: PeriodicSolution) -> int:
-    """Harmonics with which an orbit's motion of points is written: 100, or four times a
-    solution's."""
-    return max(4 * found.harmonics, MOST_HARMONICS)
+def many_harmonics(solution: PeriodicSolution) -> int:
+    """Return the number of harmonics with which an orbit's motion of points is written.
+
+    It is 100, or four times a solution's.
+    """
+    return max(4 * solution.harmonics, MOST_HARMONICS)
 
 
 @dataclass(frozen=True)
-class _Exact(ObservedMotion):
-    """An orbit, seen with some of its own Fourier coefficients."""
+class TruncatedOrbit(ObservedMotion):
+    """Orbit, observed with some of its Fourier coefficients."""
 
     orbit: PeriodicOrbit
     harmonics: int
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]
+        """Return the orbit's structure."""
         return self.orbit.structure
 
     @property
-    def omega(self) -> float:
+    def omega(self) -> float:  # type: ignore[override]
+        """Return the load frequency [rad/s]."""
         return self.orbit.omega
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
+        """Return the orbit's records, with the coefficients."""
         waves = self.orbit.product_coefficients(rows, self.harmonics)
         return (replace(record, coefficients=waves) for record in self.orbit.records(rows))
 
 
 def of_orbit(
-    study: Study, found: PeriodicSolution, orbit: PeriodicOrbit, mode: int
+    study: Study, solution: PeriodicSolution, orbit: PeriodicOrbit, mode: int
 ) -> dict[str, float]:
-    """The numbers of an orbit next to a solution, of a study's structure; those of points have many
-    harmonics (collective)."""
-    return numbers_of(study, _Exact(orbit, many_harmonics(found)), mode).values
+    """Return the numbers of an orbit next to a solution (collective).
+
+    The study has the orbit's structure. Numbers of points have many harmonics.
+    """
+    return numbers_of(study, TruncatedOrbit(orbit, many_harmonics(solution)), mode).values

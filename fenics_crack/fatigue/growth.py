@@ -45,7 +45,7 @@ from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
-from fenics_crack.runs.run import solve
+from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene

@@ -25,7 +25,9 @@ from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
 from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
 from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
-from fenics_crack.runs.run import Run, load_run, solve
+from fenics_crack.runs.load import load_run
+from fenics_crack.runs.run import Run
+from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
