@@ -26,6 +26,16 @@ from fenics_crack.time.march import TimeHistory
 Found = TypeVar("Found", bound=Result, covariant=True)
 
 
+class ResultAttribute:
+    """Attribute of a run's result, read through the run."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, run: Any, owner: type | None = None) -> Any:
+        return self if run is None else getattr(run.result, self.name)
+
+
 @dataclass(frozen=True, repr=False)
 class Run(Answer, Generic[Found]):
     """A study with its result, whose attributes are also its own: ``run.peak()``.
@@ -60,14 +70,6 @@ class Run(Answer, Generic[Found]):
 
     def _repr_html_(self) -> str:
         return self.result.table().html(str(self))
-
-    def __dir__(self) -> list[str]:
-        return sorted({*super().__dir__()} - {"peak"} | {*dir(self.result)})
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_") or "result" not in vars(self):  # while it is being copied
-            raise AttributeError(f"'Run' object has no attribute {name!r}")
-        return getattr(self.result, name)
 
     def peak(self, dof: int | None = None) -> Peak:
         """Return the largest response of a curve (:meth:`ResponseCurve.peak`; collective).
@@ -120,6 +122,108 @@ class Run(Answer, Generic[Found]):
             write()
         else:
             on_root(self.structure.whole.comm, write)
+
+    # --- attributes of the result, in alphabetical order ---
+
+    KIND = ResultAttribute()
+    amplitude = ResultAttribute()
+    assessment = ResultAttribute()
+    assessments = ResultAttribute()
+    at_bifurcations = ResultAttribute()
+    at_phase = ResultAttribute()
+    base_omega = ResultAttribute()
+    bifurcation = ResultAttribute()
+    bifurcations = ResultAttribute()
+    branch = ResultAttribute()
+    breathes = ResultAttribute()
+    by_period = ResultAttribute()
+    change = ResultAttribute()
+    coefficients_at = ResultAttribute()
+    complete = ResultAttribute()
+    contact_force = ResultAttribute()
+    converged = ResultAttribute()
+    coordinates = ResultAttribute()
+    created_energy = ResultAttribute()
+    displacement = ResultAttribute()
+    displacement_coefficients = ResultAttribute()
+    displacement_errors = ResultAttribute()
+    displacement_field = ResultAttribute()
+    distance = ResultAttribute()
+    estimate = ResultAttribute()
+    exact = ResultAttribute()
+    faces = ResultAttribute()
+    final_state = ResultAttribute()
+    force_coefficients = ResultAttribute()
+    force_rows = ResultAttribute()
+    frequency = ResultAttribute()
+    friction = ResultAttribute()
+    function = ResultAttribute()
+    gap = ResultAttribute()
+    gap_coefficients = ResultAttribute()
+    gap_rows = ResultAttribute()
+    gaps_and_forces = ResultAttribute()
+    harmonics = ResultAttribute()
+    indicators = ResultAttribute()
+    instants = ResultAttribute()
+    irregular = ResultAttribute()
+    iterations = ResultAttribute()
+    measure = ResultAttribute()
+    method = ResultAttribute()
+    multipliers = ResultAttribute()
+    nearest = ResultAttribute()
+    observe = ResultAttribute()
+    observe_rows = ResultAttribute()
+    omega = ResultAttribute()
+    orbit = ResultAttribute()
+    others = ResultAttribute()
+    over_period = ResultAttribute()
+    parameter = ResultAttribute()
+    part = ResultAttribute()
+    period = ResultAttribute()
+    periods = ResultAttribute()
+    points = ResultAttribute()
+    problem = ResultAttribute()
+    problem_at = ResultAttribute()
+    problem_of = ResultAttribute()
+    reason = ResultAttribute()
+    recorded = ResultAttribute()
+    recorded_dofs = ResultAttribute()
+    records = ResultAttribute()
+    report = ResultAttribute()
+    reported = ResultAttribute()
+    residual = ResultAttribute()
+    resolution = ResultAttribute()
+    row_structure = ResultAttribute()
+    said = ResultAttribute()
+    samples = ResultAttribute()
+    seconds = ResultAttribute()
+    settled = ResultAttribute()
+    shapes = ResultAttribute()
+    slow_gap_coefficients = ResultAttribute()
+    solution = ResultAttribute()
+    stability = ResultAttribute()
+    stable = ResultAttribute()
+    static_above = ResultAttribute()
+    status = ResultAttribute()
+    steps_per_period = ResultAttribute()
+    sticking_places = ResultAttribute()
+    still = ResultAttribute()
+    subharmonic = ResultAttribute()
+    system = ResultAttribute()
+    table = ResultAttribute()
+    tangential_force = ResultAttribute()
+    tangential_force_coefficients = ResultAttribute()
+    tangential_gap = ResultAttribute()
+    tangential_gap_coefficients = ResultAttribute()
+    time = ResultAttribute()
+    to_csv = ResultAttribute()
+    to_dataframe = ResultAttribute()
+    to_dict = ResultAttribute()
+    tolerance = ResultAttribute()
+    top = ResultAttribute()
+    undecided = ResultAttribute()
+    values = ResultAttribute()
+    verdicts = ResultAttribute()
 
 
 def check_motion(run: object) -> None:
