@@ -8,7 +8,7 @@ a mesh four times finer.
   out. To few harmonics the modes above all of them seem static, whether they are kept or not: if an
   exact orbit is the answer's own, f and f_ref are those of orbits. A number may change by little by
   chance, where the remaining modes have another phase. So e is at least the size of the motion's
-  change, as the number would show it at another phase (:mod:`changes`), over the share.
+  change, as the number would show it at another phase (:mod:`numbers`), over the share.
 - *harmonics*, judged by the exact orbit: e = |f - f_orbit|. Without an orbit twice as many are
   solved. If the report says that harmonics are too few, the difference may vanish by chance, and
   four times as many are solved, too.
@@ -33,7 +33,7 @@ a mesh four times finer.
   near half a resonance by as much as the mesh moves it. K_I that is computed while a solid's front
   is closed is another part of the numbers of K; their difference between the meshes is taken where
   it is the largest on the front.
-- *friction*: see :mod:`friction`.
+- *friction*: see :mod:`case`.
 
 The contact duty cycle is counted at instants, the same in all these runs. Its error is the distance
 from that by the switching instants of the exact orbit; elsewhere one instant's part is added.
@@ -68,10 +68,14 @@ from fenics_crack.errors.case import (
     solve_in_steps,
     vary,
 )
-from fenics_crack.errors.changes import sizes_of_change
 from fenics_crack.errors.convergence import TIP_ORDER, UNCHANGED, GridConvergence, Varied, part_of
-from fenics_crack.errors.friction import friction_error
-from fenics_crack.errors.numbers import as_changed, bilinear_of, natural_name, numbers_of
+from fenics_crack.errors.numbers import (
+    as_changed,
+    bilinear_of,
+    natural_name,
+    numbers_of,
+    sizes_of_change,
+)
 from fenics_crack.errors.verification import Verification, dent_by_force
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import (
@@ -365,10 +369,6 @@ class StatedCase(Case):
             error = math.hypot(part.uncertainty(-1), 1.0 / len(self.wave.instants()))
             parts["closed_share"] = replace(part, extrapolated=part.values[-1] + error)
         return (count, 2 * count), parts
-
-    def friction(self) -> Varied:
-        """Judge by exact orbits without friction and with it (collective)."""
-        return friction_error(self)
 
     def mesh(self) -> Varied:
         """Judge by a coarser mesh (collective).

@@ -29,7 +29,6 @@ from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError
 from fenics_crack.basics.progress import within
 from fenics_crack.errors.case import CAUSE_WITHOUT_CONTACT, Case, solve_again, vary
 from fenics_crack.errors.convergence import CLAMP_ORDER, TIP_ORDER, Level, Varied, part_of
-from fenics_crack.errors.friction import friction_error
 from fenics_crack.errors.numbers import accepted_orbit, as_changed, bilinear_of, numbers_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
@@ -101,7 +100,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         "modes": case.modes,
         "harmonics": case.harmonics,
         "samples": case.samples,
-        "friction": partial(friction_error, case),
+        "friction": case.friction,
     }
     errors = vary(errors, causes)
     return replace(errors, failures=tuple(case.failures), verdicts=case.verdicts)
