@@ -58,12 +58,14 @@ def beam_modes(
     ]
     slopes = np.array([[36, 3, -36, 3], [3, 4, -3, -1], [-36, -3, 36, -3], [3, -1, -3, 4]])
     values = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
-    stiff = bending / (h**3 * (1.0 + phi)) * np.array(cubic) + tension / (30.0 * h) * slopes
-    heavy = mass * h / 420.0 * values + rotary / (30.0 * h) * slopes
+    element_stiffness = (
+        bending / (h**3 * (1.0 + phi)) * np.array(cubic) + tension / (30.0 * h) * slopes
+    )
+    element_mass = mass * h / 420.0 * values + rotary / (30.0 * h) * slopes
     matrices = np.zeros((2, 2 * N_ELEMENTS + 2, 2 * N_ELEMENTS + 2))
     for element in range(N_ELEMENTS):
         part = slice(2 * element, 2 * element + 4)
-        matrices[:, part, part] += turn @ np.array([stiff, heavy]) @ turn
+        matrices[:, part, part] += turn @ np.array([element_stiffness, element_mass]) @ turn
     stiffness, inertia = matrices[:, 2:-2, 2:-2]
     modes = fc.solve_modes(
         fc.Structure.from_matrices(inertia, stiffness, gap=np.eye(len(inertia))[0]), n_modes
@@ -80,23 +82,25 @@ def families() -> list[tuple]:
     Of each: squares of frequencies, resultants over the root of the stiffness (one or two), the
     modes used, and their columns of the table.
     """
-    found = []
+    beam_families = []
     area = WIDTH * THICKNESS
-    for size, other, used, columns, n_modes in (
+    for size, other_size, mode_numbers, columns, n_modes in (
         (THICKNESS, WIDTH, [0, 1, 2, 3], [0, 1, 2, 4], 8),
         (WIDTH, THICKNESS, [0], [5], 5),
     ):
-        second = other * size**3 / 12.0
+        second = other_size * size**3 / 12.0
         squares, _, curvatures = beam_modes(
             YOUNG * second, SHEAR * area / 1.2, 0.0, DENSITY * area, DENSITY * second, n_modes
         )
-        found.append((squares, [np.sqrt(YOUNG * second) * curvatures], used, columns))
+        beam_families.append(
+            (squares, [np.sqrt(YOUNG * second) * curvatures], mode_numbers, columns)
+        )
     torsion = SHEAR * WIDTH * THICKNESS**3 / 3.0 * (1.0 - 0.63 * THICKNESS / WIDTH)
-    warping = YOUNG * (WIDTH * THICKNESS) ** 3 / 144.0
+    warping_stiffness = YOUNG * (WIDTH * THICKNESS) ** 3 / 144.0
     polar = DENSITY * area * (WIDTH**2 + THICKNESS**2) / 12.0
-    squares, twists, changes = beam_modes(warping, np.inf, torsion, polar, 0.0, 5)
-    resultants = [np.sqrt(torsion) * twists, np.sqrt(warping) * changes]
-    return [*found, (squares, resultants, [0], [3])]
+    squares, twists, changes = beam_modes(warping_stiffness, np.inf, torsion, polar, 0.0, 5)
+    resultants = [np.sqrt(torsion) * twists, np.sqrt(warping_stiffness) * changes]
+    return [*beam_families, (squares, resultants, [0], [3])]
 
 
 FAMILIES = families()
@@ -117,7 +121,9 @@ def predict(p: np.ndarray, beams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     depth, springs = beams[:, 0], iter(np.reshape(p[:8], (4, 2)))
     logs, drops = np.zeros((len(beams), 6)), np.zeros((len(beams), 6, 2))
-    for (squares, resultants, used, columns), power in zip(FAMILIES, (2, 2, 1), strict=True):
+    for (squares, resultants, mode_numbers, columns), power in zip(
+        FAMILIES, (2, 2, 1), strict=True
+    ):
         flexibility = np.tile(np.diag(1.0 / squares), (len(beams), 1, 1))
         for resultant in resultants:
             a, b = next(springs)
@@ -126,10 +132,17 @@ def predict(p: np.ndarray, beams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 place = np.round(beams[:, 1 + notch] / LENGTH * N_ELEMENTS).astype(int)
                 moment = resultant[place] / squares
                 flexibility += compliance[:, None, None] * moment[:, :, None] * moment[:, None]
-                drop = -0.5 * compliance[:, None] * moment[:, used] ** 2 * squares[used]
+                drop = (
+                    -0.5
+                    * compliance[:, None]
+                    * moment[:, mode_numbers] ** 2
+                    * squares[mode_numbers]
+                )
                 drops[:, columns, notch] += drop
-        soft = np.linalg.eigvalsh(flexibility)[:, ::-1]
-        logs[:, columns] = -0.5 * np.log(soft[:, used] * squares[used])
+        flexibility_values = np.linalg.eigvalsh(flexibility)[:, ::-1]
+        logs[:, columns] = -0.5 * np.log(
+            flexibility_values[:, mode_numbers] * squares[mode_numbers]
+        )
     return logs + p[8:], drops
 
 
@@ -139,10 +152,10 @@ def covariances(s: np.ndarray, drops: np.ndarray) -> np.ndarray:
     factor[np.tril_indices(6)] = 1e-3 * s[:21]
     groups = [np.ones(6), *([k in family[3] for k in range(6)] for family in FAMILIES), *np.eye(6)]
     sizes = np.exp(s[[21, 22, 23, 24, *[25] * 6]])
-    common = [
+    notch_errors = [
         size * drops * np.array(group)[:, None] for size, group in zip(sizes, groups, strict=True)
     ]
-    errors = np.concatenate(common, axis=2)
+    errors = np.concatenate(notch_errors, axis=2)
     return factor @ factor.T + errors @ errors.transpose(0, 2, 1)
 
 
@@ -160,9 +173,9 @@ def log_likelihood(chi_square: np.ndarray, half_log: np.ndarray) -> np.ndarray:
 
 def calibrate(beams: np.ndarray, frequencies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return p and s of beams (n, 3) whose notches are known, by their frequencies (n, 6)."""
-    measured = np.log(frequencies)
+    log_frequencies = np.log(frequencies)
     springs = [-0.5, 0.0, -1.7, 0.1, 0.0, 0.0, 1.0, 0.0]
-    p = np.r_[springs, np.quantile(measured, 0.9, axis=0)]
+    p = np.r_[springs, np.quantile(log_frequencies, 0.9, axis=0)]
     s = np.zeros(26)
     s[:21] = np.diag([0.8, 1.2, 1.2, 0.4, 1.3, 0.08])[np.tril_indices(6)]
     s[21:] = np.log(0.07)
@@ -171,8 +184,8 @@ def calibrate(beams: np.ndarray, frequencies: np.ndarray) -> tuple[np.ndarray, n
         factor = np.linalg.cholesky(covariance)
 
         def residuals(p: np.ndarray, factor: np.ndarray = factor) -> np.ndarray:
-            apart = (measured - predict(p, beams)[0])[..., None]
-            return np.linalg.solve(factor, apart).ravel()
+            log_differences = (log_frequencies - predict(p, beams)[0])[..., None]
+            return np.linalg.solve(factor, log_differences).ravel()
 
         p = least_squares(
             residuals, p, loss="soft_l1", x_scale=[0.1] * 8 + [1e-3] * 6, max_nfev=15
@@ -180,10 +193,12 @@ def calibrate(beams: np.ndarray, frequencies: np.ndarray) -> tuple[np.ndarray, n
         logs, drops = predict(p, beams)
 
         def cost(
-            s: np.ndarray, drops: np.ndarray = drops, left: np.ndarray = measured - logs
+            s: np.ndarray,
+            drops: np.ndarray = drops,
+            log_residuals: np.ndarray = log_frequencies - logs,
         ) -> float:
-            found = log_likelihood(*whiten(covariances(s, drops), left))
-            return float(0.5 * np.sum((s[21:] - np.log(0.07)) ** 2) - found.sum())
+            likelihoods = log_likelihood(*whiten(covariances(s, drops), log_residuals))
+            return float(0.5 * np.sum((s[21:] - np.log(0.07)) ** 2) - likelihoods.sum())
 
         s = minimize(cost, s, method="L-BFGS-B", options={"maxiter": 60}).x
     return p, s
@@ -199,8 +214,10 @@ class Finder:
         """Calibrate by beams (n, 3) whose frequencies (n, 6) are known."""
         self.p, self.s = calibrate(beams, frequencies)
         grid = np.stack(np.meshgrid(DEPTHS, PLACES, PLACES, indexing="ij"), axis=-1)
-        self.kept = (grid[..., 1] < grid[..., 2]) & (grid[..., 1] + grid[..., 2] < LENGTH + 1e-9)
-        self.cells = grid[self.kept]
+        self.grid_mask = (grid[..., 1] < grid[..., 2]) & (
+            grid[..., 1] + grid[..., 2] < LENGTH + 1e-9
+        )
+        self.cells = grid[self.grid_mask]
         self.logs, drops = predict(self.p, self.cells)
         factor = np.linalg.cholesky(covariances(self.s, drops))
         self.inverse = np.linalg.inv(factor)
@@ -208,43 +225,45 @@ class Finder:
 
     def find(self, frequencies: np.ndarray) -> dict:
         """Return the estimate, the region's boxes and cells, and what speaks for a claim."""
-        measured = np.log(frequencies)
-        rows = (self.inverse @ (measured - self.logs)[..., None])[..., 0]
+        log_frequencies = np.log(frequencies)
+        rows = (self.inverse @ (log_frequencies - self.logs)[..., None])[..., 0]
         chi_square = np.sum(rows**2, axis=1)
         height = log_likelihood(chi_square, self.half_log)
-        plain = covariances(self.s, np.zeros((1, 6, 2)))
-        whole = log_likelihood(*whiten(plain, (measured - self.p[8:])[None]))[0]
+        plain_covariance = covariances(self.s, np.zeros((1, 6, 2)))
+        plain_likelihood = log_likelihood(
+            *whiten(plain_covariance, (log_frequencies - self.p[8:])[None])
+        )[0]
         mass = np.exp(height - height.max())
-        factor = np.log(mass.mean()) + height.max() - whole
+        factor = np.log(mass.mean()) + height.max() - plain_likelihood
         mass /= mass.sum()
         order = np.argsort(-mass)
         region = order[: np.searchsorted(np.cumsum(mass[order]), LEVEL) + 1]
-        held = np.zeros(self.kept.shape, dtype=bool)
-        held[tuple(np.argwhere(self.kept)[region].T)] = True
-        numbers, _ = label(held, np.ones((3, 3, 3)))
-        boxes, covered = [], np.zeros_like(held)
+        region_cells = np.zeros(self.grid_mask.shape, dtype=bool)
+        region_cells[tuple(np.argwhere(self.grid_mask)[region].T)] = True
+        numbers, _ = label(region_cells, np.ones((3, 3, 3)))
+        boxes, box_cells = [], np.zeros_like(region_cells)
         for box in find_objects(numbers):
-            covered[box] = True
+            box_cells[box] = True
             axes = zip((DEPTHS, 1e3 * PLACES, 1e3 * PLACES), box, HALF_CELL, strict=True)
             ends = [(axis[part][0] - half, axis[part][-1] + half) for axis, part, half in axes]
             boxes.append(np.transpose(ends))
-        share = np.mean(covered[self.kept])
-        claimed = (
+        share = np.mean(box_cells[self.grid_mask])
+        is_claimed = (
             factor > MIN_LOG_BAYES_FACTOR
             and chi_square.min() < MAX_CHI_SQUARE
             and share < MAX_SHARE
         )
         return {
             "estimate": self.cells[order[0]] * [1.0, 1e3, 1e3], "boxes": boxes, "share": share,
-            "log Bayes factor": factor, "chi^2": chi_square.min(), "claimed": claimed,
+            "log Bayes factor": factor, "chi^2": chi_square.min(), "claimed": is_claimed,
         }  # fmt: skip
 
 
-def is_held(boxes: list[np.ndarray], depth: float, first: float, second: float) -> bool:
+def is_held(boxes: list[np.ndarray], depth: float, first_place: float, second_place: float) -> bool:
     """Return True if a box holds the notches, or their mirror image."""
-    if first + second > 1000.0:
-        first, second = 1000.0 - second, 1000.0 - first
-    truth = np.array([depth, first, second])
+    if first_place + second_place > 1000.0:
+        first_place, second_place = 1000.0 - second_place, 1000.0 - first_place
+    truth = np.array([depth, first_place, second_place])
     return any(bool(np.all((box[0] <= truth) & (truth <= box[1]))) for box in boxes)
 
 
@@ -260,39 +279,42 @@ def training_beams(path: str) -> np.ndarray:
     )
 
 
-def main(training: str, parameters: str) -> None:
+def main(training_path: str, parameters_path: str) -> None:
     """Print the cross-validation, and the table of the page."""
-    beams = training_beams(training)
+    beams = training_beams(training_path)
     beams[:, 1:3] /= 1e3
     group = np.random.default_rng(0).permutation(len(beams)) % 5
     count = defaultdict(lambda: np.zeros(4, dtype=int))
     for number in range(5):
         finder = Finder(beams[group != number, :3], beams[group != number, 3:])
         for beam in beams[group == number]:
-            found = finder.find(beam[3:])
-            held = is_held(found["boxes"], beam[0], *(1e3 * beam[1:3]))
-            one = np.array([1, held, found["claimed"], held and found["claimed"]])
+            answer = finder.find(beam[3:])
+            holds_truth = is_held(answer["boxes"], beam[0], *(1e3 * beam[1:3]))
+            counts = np.array(
+                [1, holds_truth, answer["claimed"], holds_truth and answer["claimed"]]
+            )
             for key in (beam[0], "all"):
-                count[key] += one
-            if found["claimed"] and not held:
-                print("missed:", beam[:3], found["estimate"], flush=True)
+                count[key] += counts
+            if answer["claimed"] and not holds_truth:
+                print("missed:", beam[:3], answer["estimate"], flush=True)
     print("depth, beams, held, claimed, claimed and held")
     for key, row in count.items():
         print(key, *row)
     finder = Finder(beams[:, :3], beams[:, 3:])
     print("p", finder.p.round(4).tolist())
-    for line in Path(parameters).read_text().splitlines():
+    for line in Path(parameters_path).read_text().splitlines():
         words = line.split()
         if len(words) == 7 and words[0][0] == "B" and words[0][1:].isdigit():
-            found = finder.find(np.array(words[1:], dtype=float))
-            d, first, second = found["estimate"]
-            told = "; ".join(
-                " x ".join(f"{low:g}-{high:g}" for low, high in box.T) for box in found["boxes"]
+            answer = finder.find(np.array(words[1:], dtype=float))
+            d, first_place, second_place = answer["estimate"]
+            box_texts = "; ".join(
+                " x ".join(f"{box_start:g}-{box_end:g}" for box_start, box_end in box.T)
+                for box in answer["boxes"]
             )
             print(
-                f"| {words[0]} | {'claim' if found['claimed'] else 'no claim'} | {d:.1f} "
-                f"| {first:.0f} | {second:.0f} | {told} | {found['share']:.2%} "
-                f"| {found['log Bayes factor']:.1f} | {found['chi^2']:.1f} |"
+                f"| {words[0]} | {'claim' if answer['claimed'] else 'no claim'} | {d:.1f} "
+                f"| {first_place:.0f} | {second_place:.0f} | {box_texts} | {answer['share']:.2%} "
+                f"| {answer['log Bayes factor']:.1f} | {answer['chi^2']:.1f} |"
             )
 
 

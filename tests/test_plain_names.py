@@ -49,32 +49,32 @@ def is_weak(name: str) -> bool:
 
 def targets(node: ast.AST) -> Iterator[ast.expr]:
     """Yield what a statement or a loop assigns to, without tuples and stars around it."""
-    pending = [*getattr(node, "targets", []), getattr(node, "target", None)]
-    pending.append(getattr(node, "optional_vars", None))
-    while pending:
-        target = pending.pop()
-        pending += getattr(target, "elts", [])
+    open_targets = [*getattr(node, "targets", []), getattr(node, "target", None)]
+    open_targets.append(getattr(node, "optional_vars", None))
+    while open_targets:
+        target = open_targets.pop()
+        open_targets += getattr(target, "elts", [])
         if isinstance(target, ast.Starred):
-            pending.append(target.value)
+            open_targets.append(target.value)
         if isinstance(target, (ast.Name, ast.Attribute)):
             yield target
 
 
 def inner_nodes(function: ast.AST) -> Iterator[ast.AST]:
     """Yield the nodes of a function without those of functions and classes in it."""
-    pending = list(ast.iter_child_nodes(function))
-    while pending:
-        node = pending.pop()
+    open_nodes = list(ast.iter_child_nodes(function))
+    while open_nodes:
+        node = open_nodes.pop()
         if not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             yield node
-            pending += ast.iter_child_nodes(node)
+            open_nodes += ast.iter_child_nodes(node)
 
 
 def parameters(function: ast.FunctionDef | ast.Lambda) -> set[str]:
     """Return the names of a function's parameters."""
     arguments = function.args
-    every = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
-    return {argument.arg for argument in every} - {"self", "cls", "_"}
+    all_arguments = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
+    return {argument.arg for argument in all_arguments} - {"self", "cls", "_"}
 
 
 def names(tree: ast.Module) -> Iterator[tuple[str, set[str]]]:
@@ -83,18 +83,22 @@ def names(tree: ast.Module) -> Iterator[tuple[str, set[str]]]:
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
             yield "parameters", parameters(node)
         if isinstance(node, ast.FunctionDef):
-            assigned = [name for inner in inner_nodes(node) for name in targets(inner)]
-            local = {name.id for name in assigned if isinstance(name, ast.Name)}
+            targets_of_node = [
+                name for inner_node in inner_nodes(node) for name in targets(inner_node)
+            ]
+            local = {name.id for name in targets_of_node if isinstance(name, ast.Name)}
             yield "locals", local - parameters(node) - {"_"}
             if not node.name.startswith("__"):
                 yield "functions", {node.name.strip("_")}
         if isinstance(node, ast.ClassDef):
             makers = [s for s in node.body if getattr(s, "name", "") == "__init__"]
             statements = [s for maker in makers for s in ast.walk(maker)]
-            assigned = [name for statement in statements for name in targets(statement)]
-            own = {name.attr for name in assigned if ast.unparse(name).startswith("self.")}
-            declared = {s.target.id for s in node.body if isinstance(s, ast.AnnAssign)}
-            yield "fields", {field.strip("_") for field in own | declared}
+            targets_of_node = [name for statement in statements for name in targets(statement)]
+            assigned_fields = {
+                name.attr for name in targets_of_node if ast.unparse(name).startswith("self.")
+            }
+            declared_fields = {s.target.id for s in node.body if isinstance(s, ast.AnnAssign)}
+            yield "fields", {field.strip("_") for field in assigned_fields | declared_fields}
     module = {name.id for node in tree.body for name in targets(node) if isinstance(name, ast.Name)}
     yield "constants", {name.strip("_") for name in module if name.isupper()}
 

@@ -225,10 +225,12 @@ def _run(given: argparse.Namespace) -> Exit:
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
     inputs = None if launched or prepared else read_inputs(given)
     of_scene = launched or not ("scene" in given and inputs is None)
-    kept = (
+    has_structure_file = (
         inputs and not vars(given).get("fresh", True) and (inputs.folder / STRUCTURE_FILE).exists()
     )
-    meshes = given.command not in ("new", "clean") and not (prepared or kept) and of_scene
+    meshes = (
+        given.command not in ("new", "clean") and not (prepared or has_structure_file) and of_scene
+    )
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     with one_process_settings():

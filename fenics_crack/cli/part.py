@@ -50,10 +50,12 @@ class _Surface:
 
     def end(self, axis: int, *, high: bool) -> int:
         """Return the place of the largest face whose point is at an end of the part."""
-        along = self.points[:, axis]
+        heights = self.points[:, axis]
         tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
-        is_there = along > along.max() - tolerance if high else along < along.min() + tolerance
-        return int(is_there.argmax())
+        at_end = (
+            heights > heights.max() - tolerance if high else heights < heights.min() + tolerance
+        )
+        return int(at_end.argmax())
 
 
 def _surface_of(part: Path, unit: str | None) -> _Surface:
@@ -78,15 +80,21 @@ def _crack_start(surface: _Surface, axis: int) -> tuple[np.ndarray, np.ndarray, 
     """Propose a crack above the clamp, on the largest face along an axis: its point [m], the
     normal of the face there, and the depth of the part behind it [m]."""
     along_axis = np.eye(3)[axis]
-    low, high = surface.triangles[..., axis].min(), surface.triangles[..., axis].max()
+    start_height, end_height = (
+        surface.triangles[..., axis].min(),
+        surface.triangles[..., axis].max(),
+    )
     slopes = [np.abs(surface.normals[surface.owners == face][:, axis]).max()
               for face in surface.faces]  # fmt: skip
     place = int((np.array(slopes) < 0.7).argmax())
     belongs = surface.owners == surface.faces[place]
     target = surface.points[place] * (1.0 - along_axis)
-    target[axis] = low + ROOT * (high - low)
-    nearest = np.linalg.norm(surface.middles[belongs] - target, axis=1).argmin()
-    start, normal = surface.middles[belongs][nearest], surface.normals[belongs][nearest]
+    target[axis] = start_height + ROOT * (end_height - start_height)
+    nearest_triangle = np.linalg.norm(surface.middles[belongs] - target, axis=1).argmin()
+    start, normal = (
+        surface.middles[belongs][nearest_triangle],
+        surface.normals[belongs][nearest_triangle],
+    )
     return start, normal, ray_length(start, -normal, surface.triangles)
 
 
@@ -104,11 +112,11 @@ def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
     axis = int(extents.argmax())
     clamp, tip = (surface.points[surface.end(axis, high=high)] for high in (False, True))
     start, normal, depth = _crack_start(surface, axis)
-    shown = surface.faces[:MOST_FACES]
+    shown_faces = surface.faces[:MOST_FACES]
     picture = scene.with_name(f"{scene.stem}_faces.png")
-    draw_faces(surface.triangles, surface.owners, shown, surface.points, path=picture)
+    draw_faces(surface.triangles, surface.owners, shown_faces, surface.points, path=picture)
     lines = [f"clamp = [{_vector(clamp)}]", f"tip = [{_vector(tip)}]"]
-    for number, (face, point) in enumerate(zip(shown, surface.points, strict=False), 1):
+    for number, (face, point) in enumerate(zip(shown_faces, surface.points, strict=False), 1):
         area = 1e6 * surface.area(face)
         lines.append(f"# face_{number} = [{_vector(point)}]  # {area:.4g} mm^2")
     words = {

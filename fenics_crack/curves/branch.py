@@ -1,10 +1,12 @@
-"""Branches that leave another curve at a bifurcation: where they begin, and where they come back.
+"""Branches that leave a curve at a bifurcation, and their junction with the curve.
 
-They are entered along the null vector of [J, F_p] across the old one; at a period doubling along
-that of J of the equations of twice the period.
+At a branch point the new tangent is a null vector of [J, F_p], orthogonal to the old tangent. At a
+period doubling the new tangent is a null vector of J, from the equations with twice the period.
 
-Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
-Stability Analysis, chapters 4, 5 and 7.
+References
+----------
+Keller, in Applications of Bifurcation Theory, 1977.
+Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 7.
 """
 
 from __future__ import annotations
@@ -42,37 +44,45 @@ from fenics_crack.numerics.path import (
 )
 
 
-class Joined(Event):
-    """Junction of a branch of twice the period with the one that it left: that crosses, the
-    parameter turns back, and the motion repeats itself after half its period."""
+class ParentJunction(Event):
+    """Junction of a branch with its parent branch, which has half the period.
+
+    At the junction the parent branch crosses or the parameter turns back, and the motion repeats
+    itself after half its period.
+    """
 
     is_terminal, description = True, "joined the branch that it left"
 
     def __init__(self, system: CurveSystem) -> None:
-        self._system, self._signs = system, (Fold(), BranchPoint())
+        self._system, self._crossing_events = system, (Fold(), BranchPoint())
 
-    def detect(self, points: PathSegment) -> np.ndarray:
-        return np.asarray(np.any([one.detect(points) for one in self._signs], axis=0))
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(
+            np.any([event.detect(segment) for event in self._crossing_events], axis=0)
+        )
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        for one in self._signs:
-            found = one.locate(system, ends, rtol)
-            if found is not None:
-                off = self._system.half_off(found.unknown, found.parameter)
-                if off <= math.sqrt(ARRIVAL_DISTANCE):
-                    return found
+        for event in self._crossing_events:
+            point = event.locate(system, ends, rtol)
+            if point is not None:
+                half_period_change = self._system.half_period_change(point.unknown, point.parameter)
+                if half_period_change <= math.sqrt(ARRIVAL_DISTANCE):
+                    return point
         return None
 
 
-def neighbours(
-    system: Waves | Orbits, curve: ResponseCurve, first: int, last: int
+def chord_ends(
+    system: Waves | Orbits, curve: ResponseCurve, first_index: int, last_index: int
 ) -> tuple[PathPoint, PathPoint]:
-    """Return two points of a curve, with the chord from one to the other for a tangent."""
-    values, points = curve.values[[first, last]].tolist(), curve.points[[first, last]]
-    before, after = map(system.unknown, points, values)
-    parameter, parameter_after = map(system.parameter, values)
-    chord = Tangent(after - before, parameter_after - parameter, *norm_at(system, after))
-    return PathPoint(before, parameter, 0, chord), PathPoint(after, parameter_after, 0, chord)
+    """Return two points of a curve; the tangent of both is the chord between them."""
+    end_values = curve.values[[first_index, last_index]].tolist()
+    end_states = curve.points[[first_index, last_index]]
+    first_unknown, last_unknown = map(system.unknown, end_states, end_values)
+    first_parameter, last_parameter = map(system.parameter, end_values)
+    chord_vector = last_unknown - first_unknown, last_parameter - first_parameter
+    chord = Tangent(*chord_vector, *norm_at(system, last_unknown))
+    first_point = PathPoint(first_unknown, first_parameter, 0, chord)
+    return first_point, PathPoint(last_unknown, last_parameter, 0, chord)
 
 
 def branch_start(
@@ -81,9 +91,18 @@ def branch_start(
     longest_step: float,
     curve: ResponseCurve | None = None,
 ) -> PathPoint:
-    """The first point on the branch that begins at a bifurcation; its tangent is the way to it.
+    """Return the first point of the branch that begins at a bifurcation.
 
-    Where the old branch is known it goes on as its points on both sides do.
+    The point's tangent is the chord from the bifurcation to the point.
+
+    Parameters
+    ----------
+    system : Waves or Orbits
+    bifurcation : Bifurcation
+    longest_step : float
+        Longest step along the branch.
+    curve : ResponseCurve, optional
+        Parent branch; the points next to the bifurcation give the old tangent.
 
     Raises
     ------
@@ -92,49 +111,69 @@ def branch_start(
     """
     kind, [state] = bifurcation.kind, bifurcation.point.points
     unknown = system.unknown(state, bifurcation.value)
-    parameter, doubled = system.parameter(bifurcation.value), kind == "period_doubling"
-    old = None
+    parameter, is_doubling = system.parameter(bifurcation.value), kind == "period_doubling"
+    old_tangent = None
     if curve is not None:
-        place, last = curve.nearest(bifurcation), len(curve) - 1
-        around = neighbours(system, curve, max(place - 1, 0), min(place + 1, last))
-        old = around[0].tangent
-    away = _away(system, unknown, parameter, doubled, old)
-    start = PathPoint(unknown, parameter, 0, away)
-    sharp = max(PathOptions.rtol, system.rounding(parameter))
-    # Distances from the bifurcation, in longest steps, tried in turn.
-    for step in (share * longest_step for share in (0.1, 0.03, 0.3, 0.01, 1.0)):
+        nearest_index, last_index = curve.nearest(bifurcation), len(curve) - 1
+        neighbours = chord_ends(
+            system, curve, max(nearest_index - 1, 0), min(nearest_index + 1, last_index)
+        )
+        old_tangent = neighbours[0].tangent
+    branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, old_tangent)
+    origin = PathPoint(unknown, parameter, 0, branch_tangent)
+    tolerance = max(PathOptions.rtol, system.rounding(parameter))
+    # Distances from the bifurcation to try, relative to the longest step.
+    for step in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
-            found = predict_and_correct(system, start, step, sharp, reach=longest_step)
-            if found is None or MIN_DIRECTION_COSINE * chord_length(system, start, found) > step:
+            point = predict_and_correct(system, origin, step, tolerance, reach=longest_step)
+            if point is None or MIN_DIRECTION_COSINE * chord_length(system, origin, point) > step:
                 continue
-            # Of the way by +1 and by -1 half a period changes twice the step.
-            new = not doubled or system.half_off(found.unknown, found.parameter) > step
-            if new and 0.0 <= found.parameter <= 1.0:
-                change, rise = found.unknown - unknown, found.parameter - parameter
-                return replace(found, tangent=replace(away, x=change, p=rise))
-    branch = f"branch from {kind} at {system.name} = {system.value(parameter):g}"
-    raise ConvergenceError(f"{branch}: no point of another branch was found next to it")
+            # On a doubled branch (multiplier -1), half a period changes x by twice the step.
+            is_new = (
+                not is_doubling or system.half_period_change(point.unknown, point.parameter) > step
+            )
+            if is_new and 0.0 <= point.parameter <= 1.0:
+                unknown_change = point.unknown - unknown
+                parameter_change = point.parameter - parameter
+                chord = replace(branch_tangent, x=unknown_change, p=parameter_change)
+                return replace(point, tangent=chord)
+    branch_words = f"branch from {kind} at {system.name} = {system.value(parameter):g}"
+    raise ConvergenceError(f"{branch_words}: no point of another branch was found next to it")
 
 
-def _away(
+def _branch_tangent(
     system: Waves | Orbits,
     unknown: np.ndarray,
     parameter: float,
-    doubled: bool,
-    old: Tangent | None,
+    is_doubling: bool,
+    old_tangent: Tangent | None,
 ) -> Tangent:
-    """Unit direction of the branch at a bifurcation: at a period doubling in the null space of J of
-    the equations of twice the period, else in that of [J, F_p], across the old branch."""
-    at = system.linearise(unknown, parameter)
-    old = old or tangent_of(system, unknown, at)
-    size = math.sqrt(old.weight)  # the parameter in the units of the unknowns
-    if doubled:
-        vector = np.append(scipy.linalg.svd(at.jacobian)[2][-1], 0.0)
+    """Return the unit tangent to the branch at a bifurcation.
+
+    At a period doubling the tangent lies in the null space of J. Otherwise it lies in the null
+    space of [J, F_p], orthogonal to the old tangent.
+    """
+    linearisation = system.linearise(unknown, parameter)
+    old_tangent = old_tangent or tangent_of(system, unknown, linearisation)
+    parameter_scale = math.sqrt(old_tangent.weight)  # gives p the units of x
+    if is_doubling:
+        tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
-        derivative = at.by_parameter.reshape(-1, 1)
-        null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
-        mix = null @ np.append(old.x.ravel(), old.p / size)
-        vector = mix[1] * null[0] - mix[0] * null[1]
-    slope = float(vector[-1]) * size
-    length = math.sqrt(old.weight * float(vector[:-1] @ vector[:-1]) + slope**2)
-    return Tangent(vector[:-1].reshape(old.x.shape) / length, slope / length, old.weight)
+        parameter_derivative = linearisation.by_parameter.reshape(-1, 1)
+        null_vectors = scipy.linalg.svd(
+            np.hstack([linearisation.jacobian, parameter_derivative * parameter_scale])
+        )[2][-2:]
+        old_components = null_vectors @ np.append(
+            old_tangent.x.ravel(), old_tangent.p / parameter_scale
+        )
+        tangent_vector = old_components[1] * null_vectors[0] - old_components[0] * null_vectors[1]
+    parameter_component = float(tangent_vector[-1]) * parameter_scale
+    tangent_length = math.sqrt(
+        old_tangent.weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
+        + parameter_component**2
+    )
+    return Tangent(
+        tangent_vector[:-1].reshape(old_tangent.x.shape) / tangent_length,
+        parameter_component / tangent_length,
+        old_tangent.weight,
+    )

@@ -1,16 +1,18 @@
 """Response curves: solutions followed over a parameter, through resonances, folds and branches.
 
-Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) of a system
-(:mod:`curve_system`): of the condensed equations of harmonic balance (:mod:`waves`), or of exact
-periodic orbits (:mod:`orbits`). Only the small or reduced structure is touched at a point, in
-closed form: a curve costs the same on any mesh.
+Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) follows a system
+(:mod:`curve_system`): the condensed equations of harmonic balance (:mod:`waves`), or exact periodic
+orbits (:mod:`orbits`). A point takes the small or reduced structure alone, in closed form. A curve
+therefore costs the same on any mesh.
 
-Along a curve of harmonic balance folds are located by root finding, branch points by steps that
-shrink towards them, by the sign of det J, so only where J is formed
-(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`); verdicts come after it
-(:mod:`verdicts`). Of orbits Newton's method forms the monodromy matrix of each point for its
-tangent: multipliers, steps that resolve them, and all bifurcations (:mod:`orbit_events`) cost its
-eigenvalues.
+With harmonic balance, root finding locates folds. The sign of det J shows branch points,
+and shrinking steps locate them. If J is not formed
+(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`), branch points go unnoticed. Verdicts
+follow after the curve (:mod:`verdicts`).
+
+Along orbits, Newton's method forms the monodromy matrix at each point for the tangent.
+Multipliers, steps that resolve them, and all bifurcations (:mod:`orbit_events`) then cost only the
+matrix's eigenvalues.
 """
 
 from __future__ import annotations
@@ -34,13 +36,13 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import counted, in_unit
-from fenics_crack.curves.branch import Joined, branch_start
+from fenics_crack.curves.branch import ParentJunction, branch_start
 from fenics_crack.curves.curve import (
     MIN_HARMONICS,
     Bifurcation,
     CurvePoint,
     ResponseCurve,
-    leading,
+    leading_multiplier,
     parameter_axis,
 )
 from fenics_crack.curves.curve_system import CurveSystem
@@ -67,7 +69,7 @@ from fenics_crack.numerics.path import (
 
 
 class StepOptions(TypedDict, total=False):
-    """Options of the :class:`Steps` of a curve, by their names."""
+    """Keyword arguments of :class:`StepLimits`."""
 
     longest_step: float
     most_points: int
@@ -75,8 +77,8 @@ class StepOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
-class Steps:
-    """Length and number of steps of a curve, as in :class:`Continuation`."""
+class StepLimits:
+    """Step limits for a curve, as in :class:`Continuation`."""
 
     longest_step: float = 0.05
     most_points: int = 50_000
@@ -91,59 +93,78 @@ class Steps:
 
 
 class GrowingCurve:
-    """A curve of any system that grows from a first point: iterate over it, or :meth:`run` it.
+    """Curve along any system that grows from a first point: iterate over it, or :meth:`run` it.
 
     Parameters
     ----------
     system : CurveSystem
-        Its equations, followed from there to p = 1; a branch goes to p = 0, too.
-    here : PathPoint
-        The first point, with the direction.
-    steps : Steps
+        Equations, followed from the first point to p = 1; a branch may also end at p = 0.
+    start_point : PathPoint
+        First point, with the direction.
+    step_limits : StepLimits
     tolerance : float, optional
-        Of curves of exact orbits.
-    branch : bool
-        True if it has left another curve.
+        Tolerance for exact orbits.
+    is_branch : bool
+        True if the curve leaves another curve.
 
     Attributes
     ----------
     system : CurveSystem
     points : list of CurvePoint
-        All so far.
+        Points so far.
+    most_points : int
+        Maximum number of points.
     complete, returned, status
-        As of :class:`Continuation`.
+        As in :class:`Continuation`.
     """
 
     def __init__(
-        self, system: CurveSystem, here: PathPoint, steps: Steps,
-        tolerance: float | None = None, branch: bool = False,
+        self, system: CurveSystem, start_point: PathPoint, step_limits: StepLimits,
+        tolerance: float | None = None, is_branch: bool = False,
     ) -> None:  # fmt: skip
-        self.system, self._steps = system, steps
-        self._tolerance, self._branch = tolerance, branch
-        self.most_points = steps.most_points
-        self._origin = self._here = here
-        self.points = [self._point(here.parameter, here.unknown, here.iterations, here.observed)]
-        self._special: list[tuple[str, CurvePoint]] = []
+        self.system, self._step_limits = system, step_limits
+        self._tolerance, self._is_branch = tolerance, is_branch
+        self.most_points = step_limits.most_points
+        self._start_point = self._last_point = start_point
+        self.points = [self._convert_point(start_point)]
+        self._special_points: list[tuple[str, CurvePoint]] = []
         self.complete, self.returned, self.status = False, False, "not begun"
 
-    def _point(
-        self, parameter: float, unknown: np.ndarray, iterations: int, seen: np.ndarray | None
+    def _convert_point(self, point: PathPoint) -> CurvePoint:
+        """Return a path point as a point of the curve."""
+        return self._curve_point(
+            point.parameter, point.unknown, point.iterations, point.control_values
+        )
+
+    def _curve_point(
+        self,
+        parameter: float,
+        unknown: np.ndarray,
+        iterations: int,
+        multipliers_and_counts: np.ndarray | None,
     ) -> CurvePoint:
-        """A point of the path as one of the curve."""
+        """Return a point of the curve from a path point's numbers.
+
+        ``control_values`` are leading multipliers and counts (:mod:`orbit_events`).
+        """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
-        multipliers = None if seen is None else seen[:-3]  # (orbit_events)
+        multipliers = None if multipliers_and_counts is None else multipliers_and_counts[:-3]
         return CurvePoint(value, omega, unknown, iterations, multipliers)
 
     # --- what there is so far ---------------------------------------------------------------------
 
     @property
-    def followed(self) -> ResponseCurve:
-        """All points so far, without verdicts that are requested."""
+    def unjudged_curve(self) -> ResponseCurve:
+        """Points so far, without the verdicts of harmonic balance."""
         system, points = self.system, self.points
-        problem, exact = system.problem, self._tolerance is not None
-        multipliers = [leading(one.multipliers) for one in points if one.multipliers is not None]
-        found = ResponseCurve(
+        problem, is_exact = system.problem, self._tolerance is not None
+        multipliers = [
+            leading_multiplier(point.multipliers)
+            for point in points
+            if point.multipliers is not None
+        ]
+        curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
             parameter=system.name,
@@ -157,72 +178,83 @@ class GrowingCurve:
             points=np.array([system.state(point.unknown, point.value) for point in points]),
             tolerance=self._tolerance,
             samples=problem.samples,
-            static_above=None if exact else problem.static_cutoff,
-            multipliers=np.array(multipliers) if exact else None,
-            branch=self._branch,
+            static_above=None if is_exact else problem.static_cutoff,
+            multipliers=np.array(multipliers) if is_exact else None,
+            branch=self._is_branch,
         )
-        special = []
-        for kind, at in self._special:
-            state = system.state(at.unknown, at.value)
-            special.append(found.bifurcation(kind, at.value, at.omega, state, at.multipliers))
-        return replace(found, bifurcations=tuple(special))
+        bifurcations = []
+        for kind, special_point in self._special_points:
+            state = system.state(special_point.unknown, special_point.value)
+            bifurcations.append(
+                curve.bifurcation(
+                    kind, special_point.value, special_point.omega, state, special_point.multipliers
+                )
+            )
+        return replace(curve, bifurcations=tuple(bifurcations))
 
     @property
     def curve(self) -> ResponseCurve:
-        """All points so far, with verdicts."""
-        return self.followed
+        """Points so far, with verdicts."""
+        return self.unjudged_curve
 
     def progress(self) -> float:
-        """Return the fraction of the way from start to end that is done, 0 to 1."""
-        return min(1.0, max(0.0, self._here.parameter))
+        """Return the completed fraction of the way from start to end, 0 to 1."""
+        return min(1.0, max(0.0, self._last_point.parameter))
 
-    def how_far(self) -> str:
-        """The same in words, with the range and how many points there are."""
-        ends = self.system.start, self.system.end
-        return f"{self.progress():.0%} of the way between {self.where(*ends)}"
+    def describe_progress(self) -> str:
+        """Describe the progress: completed percentage, range and number of points."""
+        end_values = self.system.start, self.system.end
+        return f"{self.progress():.0%} of the way between {self.describe_values(*end_values)}"
 
-    def where(self, *values: float) -> str:
-        """Values of the parameter in its unit, by default the last one so far, and how many points
-        there are."""
-        axis, count = parameter_axis(self.system.name, True), counted(len(self.points), "point")
-        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {count}"
+    def describe_values(self, *values: float) -> str:
+        """Describe parameter values and the number of points.
+
+        The values are printed in their unit; default: the value at the last point.
+        """
+        axis = parameter_axis(self.system.name, True)
+        point_count = counted(len(self.points), "point")
+        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count}"
 
     # --- how it goes on ---------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[CurvePoint]:
-        """Yield the last point so far, at first the first one, and all that follow."""
+        """Yield the last point so far, then all points that follow."""
         yield self.points[-1]
-        for part in self._parts():
-            for one in part.split_points():
-                yield self._record(one)
+        for segment in self._segments():
+            for point_segment in segment.split_points():
+                yield self._record(point_segment)
 
     def run(self) -> None:
-        """Follow to the end: as iterating over all points does, but faster, since those between
-        which nothing happens are recorded many at once."""
-        for part in self._parts():
-            self._record(part)
+        """Follow the curve to its end.
 
-    def _parts(self) -> Iterator[PathSegment]:
-        """The path behind the last point, to where the curve ends."""
+        This is faster than iteration, since whole segments without events are recorded together.
+        """
+        for segment in self._segments():
+            self._record(segment)
+
+    def _segments(self) -> Iterator[PathSegment]:
+        """Yield the rest of the path, from the last point to the end of the curve."""
         if self.complete:
             return
-        system, here, longest = self.system, self._here, self._steps.longest_step
+        system = self.system
+        last_point = self._last_point
+        longest_step = self._step_limits.longest_step
         self.status = "under way"
         events: list[Event] = [kind() for kind in system.events]
-        events += [Target(1.0), ClosedLoop(self._origin, system)]
-        if self._branch:
+        events += [Target(1.0), ClosedLoop(self._start_point, system)]
+        if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
-                events.insert(0, Joined(system))
+                events.insert(0, ParentJunction(system))
         options = PathOptions(
-            initial_step=0.2 * longest,
-            max_step=longest,
-            min_step=max(ARRIVAL_DISTANCE, system.rounding(here.parameter)),
+            initial_step=0.2 * longest_step,
+            max_step=longest_step,
+            min_step=max(ARRIVAL_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
-            points_per_call=max(1, min(PathOptions.points_per_call, system.at_once)),
-            span=(-self._steps.turning_back, np.inf),
+            points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
+            span=(-self._step_limits.turning_back, np.inf),
         )
-        path = Path(system, here, options, events, system.control(longest))
+        path = Path(system, last_point, options, events, system.make_step_control(longest_step))
         yield from path
         assert path.end_reason is not None
         self.complete = path.event is not None
@@ -233,25 +265,29 @@ class GrowingCurve:
             path.event, ClosedLoop
         )
 
-    def _record(self, points: PathSegment) -> CurvePoint:
-        """Take up points, and what lies before the last of them; return that one."""
-        special = [
-            (event.kind, self._point(at.parameter, at.unknown, at.iterations, at.observed))
-            for event, at in points.located_events
+    def _record(self, segment: PathSegment) -> CurvePoint:
+        """Append a segment's points and special points; return its last point."""
+        special_points = [
+            (event.kind, self._convert_point(point))
+            for event, point in segment.located_events
             if event.kind
         ]
-        self._special += special
-        seen = points.observed if "observed" in vars(points) else [None] * len(points)
-        columns = points.parameters.tolist(), points.unknowns, points.iterations.tolist(), seen
-        self.points += map(self._point, *columns)
-        self._here = points[-1]
-        met = tuple((kind, at.value) for kind, at in special)
-        self.points[-1] = replace(self.points[-1], bifurcations=met)
+        self._special_points += special_points
+        multipliers_and_counts = (
+            segment.control_values if "control_values" in vars(segment) else [None] * len(segment)
+        )
+        parameters, iterations = segment.parameters.tolist(), segment.iterations.tolist()
+        self.points += map(
+            self._curve_point, parameters, segment.unknowns, iterations, multipliers_and_counts
+        )
+        self._last_point = segment[-1]
+        kinds_and_values = tuple((kind, point.value) for kind, point in special_points)
+        self.points[-1] = replace(self.points[-1], bifurcations=kinds_and_values)
         return self.points[-1]
 
 
 class Continuation(GrowingCurve):
-    """A curve that grows point by point: iterate over it, and take its ``curve`` at any time.
+    """Curve that grows point by point: iterate over it, and take its ``curve`` at any time.
 
         for point in Continuation(Problem(plate, 1000.0, law), "omega", 1000.0, 3000.0):
             ...
@@ -259,49 +295,48 @@ class Continuation(GrowingCurve):
     Parameters
     ----------
     problem : Problem
-        Problem solved at the first point. A structure with many dofs is reduced first, to crack
-        faces without mass (``reduce_structure(structure, method="massless")``); ``omega`` counts
-        where it is not the parameter. Modes that are quasi-static are so for all of the curve:
-        those above ``static_above``, by default 2 H times the highest base frequency, with the
-        first point's H.
+        Problem at the first point. A structure with many dofs is reduced first, to crack faces
+        without mass (``reduce_structure(structure, method="massless")``). ``omega`` counts unless
+        it is the parameter. All points have the same quasi-static modes: those above
+        ``static_above``, by default 2 H times the highest base frequency, with the first point's H.
     parameter : str
-        "omega": load frequency [rad/s]; "load", "stiffness", "damping": factor of the structure's
-        load, of the contact stiffness, of the structure's damping, 1 being as given, and so
-        "friction": of its coefficient; "clearance": added to that of every pair [m]; "speed": of
-        the rotor [rad/s], which ``omega`` follows.
+        "omega": load frequency [rad/s]. "load", "stiffness", "damping", "friction": factor of the
+        load, the contact stiffness, the structure's damping, or the coefficient of friction.
+        "clearance": clearance added to every pair [m]. "speed": rotor speed [rad/s], which
+        ``omega`` follows.
     start, end : float
-        Its values; the end may be below the start.
+        Values of the parameter; the end may be below the start.
     exact : bool
-        Follow exact periodic orbits; the problem's harmonics play no part then.
+        Follow exact periodic orbits. The problem's harmonics are then ignored.
     initial : PeriodicSolution, PeriodicOrbit or Bifurcation, optional
-        Where to start. A solution: near the first point; of exact orbits also the orbit at
-        ``start``. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
+        A solution near the first point. For exact orbits, also the orbit at ``start``. A
+        bifurcation starts the branch that begins there; ``start`` and ``end`` then bound the
         parameter on either side (:func:`follow_branch`).
     branch_of : ResponseCurve, optional
-        The curve of the bifurcation.
+        Curve of the bifurcation.
     tolerance : float, optional
-        Without ``samples``. Choose H, between the problem's ``harmonics`` and 100, so that the
-        estimated truncation error of the first point is below this. Of exact orbits the
-        ``tolerance`` of the curve; default: that of ``branch_of``, or 0.01.
+        Requires ``samples`` to be None. Choose H, between the problem's ``harmonics`` and 100, for
+        a truncation error below the tolerance at the first point. For exact orbits: the curve's
+        ``tolerance``; default: that of ``branch_of``, or 0.01.
     stability : bool
-        Assess ``curve`` each time that it is taken (:func:`judge_curve`); exact orbits always have
-        their stability.
+        Assess ``curve`` on each access (:func:`judge_curve`). Exact orbits always have their
+        stability.
     longest_step : float
-        Longest step, relative to the range of the parameter and to the size of the solution; at
-        most 1; default: 0.05.
+        Longest step, relative to the parameter range and to the solution's size; at most 1;
+        default: 0.05.
     most_points : int
-        Give up after so many; default: 50,000.
+        Maximum number of points; default: 50,000.
     turning_back : float
-        Maximum return of the curve past its start, relative to the range of the parameter, but
-        not to a frequency or a damping of zero; a closed curve can only be recognised where it may.
-        Default: 0.1.
+        Maximum return past the start, relative to the parameter range; default: 0.1. The curve
+        never returns to a frequency, damping or speed of zero. Only within this return can a closed
+        curve be recognised.
 
     Attributes
     ----------
     complete : bool
-        True if the end was reached, or the curve closed.
+        True if the curve reached the end, or closed.
     returned : bool
-        True if the curve came back to its start, or went past it, instead of reaching the end.
+        True if the curve closed or went past its start, instead of reaching the end.
     status : str
         Reason for the end.
 
@@ -329,7 +364,7 @@ class Continuation(GrowingCurve):
     ) -> None:
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
-        how = Steps(**steps)
+        step_limits = StepLimits(**steps)
         fitting_argument("problem", problem, "Problem", ("Problem",))
         fitting_argument("stability", stability, "bool", ())
         if exact and tolerance is None:
@@ -341,97 +376,116 @@ class Continuation(GrowingCurve):
             if tolerance is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
         check_range(problem, parameter, start, end)
-        if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
-            back = min(how.turning_back, 0.9 * start / (end - start))
-            how = replace(how, turning_back=back)
+        if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # may not reach 0
+            max_return = min(step_limits.turning_back, 0.9 * start / (end - start))
+            step_limits = replace(step_limits, turning_back=max_return)
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_HARMONICS))
         if parameter in ("omega", "speed"):
             problem = WAVES[parameter].vary(problem, start)
         if not is_small(problem.structure):
-            reduced = reduce_structure(problem.structure, method="massless")
-            problem = replace(problem, structure=reduced)
-            if isinstance(initial, PeriodicSolution) and not exact:  # its gaps are all that is used
-                initial = replace(initial, structure=reduced)
-        self._judged = stability and not exact
-        if self._judged and is_rigid(problem.contact):
+            reduced_structure = reduce_structure(problem.structure, method="massless")
+            problem = replace(problem, structure=reduced_structure)
+            if isinstance(initial, PeriodicSolution) and not exact:  # only its gaps are used
+                initial = replace(initial, structure=reduced_structure)
+        self._needs_verdicts = stability and not exact
+        if self._needs_verdicts and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
-        at_start = WAVES[parameter].vary(problem, start)
-        branch = isinstance(initial, Bifurcation)
-        if not (exact or branch):
+        start_problem = WAVES[parameter].vary(problem, start)
+        is_branch = isinstance(initial, Bifurcation)
+        if not (exact or is_branch):
             if initial is not None:
-                check_initial(at_start, initial)  # type: ignore[arg-type]
+                check_initial(start_problem, initial)  # type: ignore[arg-type]
             if tolerance is not None:
-                initial = solve_beside(at_start, initial, tolerance)  # type: ignore[arg-type]
+                initial = solve_beside(start_problem, initial, tolerance)  # type: ignore[arg-type]
                 problem = problem.with_harmonics(initial.harmonics)
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            begun = branch_start(system, initial, how.longest_step, branch_of)
-            here = first_point(
-                system, begun.unknown, begun.parameter, begun.iterations, begun.tangent
+            point = branch_start(system, initial, step_limits.longest_step, branch_of)
+            start_point = first_point(
+                system, point.unknown, point.parameter, point.iterations, point.tangent
             )
         elif exact:
-            orbit = initial if isinstance(initial, PeriodicOrbit) else _orbit_at(at_start, initial)
-            here = first_point(system, system.unknown(orbit.state, start), 0.0, orbit.iterations)
+            orbit = _find_start_orbit(start_problem, initial)
+            start_point = first_point(
+                system, system.unknown(orbit.state, start), 0.0, orbit.iterations
+            )
         else:
-            found = Solver(system.at(start)).solve(initial)  # type: ignore[arg-type]
-            here = first_point(system, found.slow_gap_coefficients, 0.0, found.iterations)
-        super().__init__(system, here, how, tolerance if exact else None, branch)
+            solution = Solver(system.problem_at(start)).solve(initial)  # type: ignore[arg-type]
+            start_point = first_point(
+                system, solution.slow_gap_coefficients, 0.0, solution.iterations
+            )
+        super().__init__(system, start_point, step_limits, tolerance if exact else None, is_branch)
 
     @property
     def curve(self) -> ResponseCurve:
-        """All points so far; assessed with ``stability=True``."""
-        return judge_curve(self.followed) if self._judged else self.followed
+        """Points so far; assessed with ``stability=True``."""
+        return judge_curve(self.unjudged_curve) if self._needs_verdicts else self.unjudged_curve
 
 
 def first_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
-    towards: Tangent | None = None,
+    direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
-    """A solution as the first point of a curve, with its direction, towards growing p or roughly
-    known, and what a step control uses."""
-    at = system.linearise(unknown, parameter)
-    tangent, seen = tangent_of(system, unknown, at, towards), observe_point(system, at)
-    record = None if seen is None else at.record.ravel()
-    return PathPoint(unknown, parameter, iterations, tangent, record=record, observed=seen)
+    """Return a solution as the first point of a curve.
+
+    The direction follows growing p, or ``direction`` if given. The point has what a step control
+    requires.
+    """
+    linearisation = system.linearise(unknown, parameter)
+    tangent = tangent_of(system, unknown, linearisation, direction)
+    step_control_values = observe_point(system, linearisation)
+    record = None if step_control_values is None else linearisation.record.ravel()
+    return PathPoint(
+        unknown, parameter, iterations, tangent, record=record, control_values=step_control_values
+    )
 
 
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
-    """True if exact orbits can be followed along a parameter: a small structure has a flow, of so
-    few modes that the monodromy matrix is formed, and the load is not too slow."""
+    """Return True if exact orbits can be followed along a parameter.
+
+    The structure must be small and have a flow with few enough modes to form the monodromy matrix.
+    The load must not be too slow.
+    """
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
-    ends = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
-    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in ends)
+    end_frequencies = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
+    return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
-    """Raise InputError unless a curve can go from one value of a parameter to another."""
+    """Raise InputError unless a curve can go from one parameter value to another."""
     structure = problem.structure
     check_choice("parameter", parameter, WAVES)
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     names = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for name, value in zip(names, (start, end), strict=True):
-        WAVES[parameter].check(structure, name, value)
+        WAVES[parameter].check_value(structure, name, value)
     if start == end:
         raise InputError(names[1], end, f"different from {names[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):
-        allowed = "both of one sign: without clearance nothing is left of the motion at 0"
-        raise InputError("start, end", (start, end), allowed)
+        requirement = "both of one sign: without clearance nothing is left of the motion at 0"
+        raise InputError("start, end", (start, end), requirement)
 
 
-def _orbit_at(problem: Problem, initial: PeriodicSolution | None) -> PeriodicOrbit:
-    """The orbit at the start of a curve."""
+def _find_start_orbit(
+    problem: Problem, initial: PeriodicSolution | PeriodicOrbit | None
+) -> PeriodicOrbit:
+    """Return the orbit at the start of a curve: the given one, or the result of a search."""
+    if isinstance(initial, PeriodicOrbit):
+        return initial
     if initial is not None:
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        missing = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
-        way = "with harmonics in place of a tolerance the curve of harmonic balance is followed"
-        raise ConvergenceError(f"{missing}; {way}")
+        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+        advice_words = (
+            "with harmonics in place of a tolerance the curve of harmonic balance is followed"
+        )
+        raise ConvergenceError(f"{failure_words}; {advice_words}")
     return search.orbit

@@ -1,4 +1,4 @@
-"""Response curves: solutions along a parameter, and where they bifurcate."""
+"""Response curves: solutions along a parameter, and their bifurcations."""
 
 from __future__ import annotations
 
@@ -55,15 +55,18 @@ PARAMETERS = {
     "speed": "rotor speed [rad/s]",
     "resonance": "load at resonance, as a multiple of the scene's [-]",
 }
-"""Parameters of a curve, by their names in :attr:`ResponseCurve.parameter`."""
+"""Parameters of a curve, with their units, by name (:attr:`ResponseCurve.parameter`)."""
 
 MIN_HARMONICS = SearchOptions.harmonics[0]
-"""Minimum harmonics of the load's frequency in a solution of exact orbits."""
-CURVE_INSTANTS = 256
-"""Instants of the period at which points of a curve are evaluated."""
-RESOLUTION = 0.1
-"""Width of a window that may be missed, over the longest step: steps are judged by an interpolation
-between their ends, which is not right where orbits graze, or several multipliers meet in one."""
+"""Minimum harmonics of the load frequency in a solution of exact orbits."""
+INSTANTS_PER_PERIOD = 256
+"""Instants per period at which points of a curve are evaluated."""
+RESOLUTION_PER_STEP = 0.1
+"""Width of a window that a curve may miss, relative to the longest step.
+
+The step control interpolates between the ends of a step. The interpolation is wrong if orbits
+graze, or if several multipliers collide in one step.
+"""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -74,32 +77,32 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     return 1.0, name, unit
 
 
-def leading(multipliers: np.ndarray) -> complex:
-    """Return the multiplier that a curve keeps, of those with the largest modulus first."""
-    first = complex(multipliers[0])
-    return complex(first.real, abs(first.imag))
+def leading_multiplier(multipliers: np.ndarray) -> complex:
+    """Return the first multiplier, or its conjugate with positive imaginary part."""
+    largest_multiplier = complex(multipliers[0])
+    return complex(largest_multiplier.real, abs(largest_multiplier.imag))
 
 
 def kind_in_words(kind: str) -> str:
-    """The kind of a bifurcation as it is printed."""
+    """Return the printed name of a kind of bifurcation."""
     return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
 
 
 @dataclass(frozen=True, repr=False)
 class Bifurcation(Described):
-    """A special point of a curve.
+    """Special point of a curve.
 
     Attributes
     ----------
     kind : str
-        "fold": the curve turns back; "branch_point": another branch crosses; "period_doubling": a
-        multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
-        anywhere else. Of harmonic balance the last two are found with ``stability=True``, and only
-        under laws without exact orbits.
+        "fold": the curve turns back. "branch_point": another branch crosses. "period_doubling": a
+        multiplier leaves the unit circle through -1. "neimark_sacker": a complex pair leaves the
+        circle. A curve of harmonic balance has the last two only with ``stability=True``, under
+        laws without exact orbits.
     point : ResponseCurve
-        The curve that has no other point.
+        Curve with this point alone.
     multipliers : (m,) complex or None
-        Leading Floquet multipliers of an exact orbit, largest modulus first; else None.
+        Leading Floquet multipliers if the point is an exact orbit, largest modulus first.
     """
 
     kind: str
@@ -125,16 +128,16 @@ class Bifurcation(Described):
 
     @cached_property
     def solution(self) -> PeriodicSolution:
-        """The solution there, with its displacement and error report."""
+        """Solution at the bifurcation, with displacement and error report."""
         return self.point.solution(0, search=False)
 
     @cached_property
     def orbit(self) -> PeriodicOrbit:
-        """The exact orbit there; InputError on a curve of harmonic balance."""
+        """Exact orbit at the bifurcation; InputError on a curve of harmonic balance."""
         return self.point.orbit(0)
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind, value of the curve's parameter, and load frequency."""
+        """Return kind, value of the curve's parameter, and load frequency."""
         return with_frequency({"kind": self.kind, "value": self.value, "omega": self.omega})
 
     def _title(self) -> str:
@@ -143,19 +146,21 @@ class Bifurcation(Described):
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """A point of a curve as it comes.
+    """Point that a growing curve yields.
 
     Attributes
     ----------
-    value, omega : float
-        Of the parameter, and load frequency [rad/s].
+    value : float
+        Value of the parameter.
+    omega : float
+        Load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
-        Gap coefficients, or the slow gap's (``ResponseCurve.points``); of exact orbits
-        (2 n_modes,) in units of their own.
+        Gap coefficients, or slow-gap coefficients (``ResponseCurve.points``). For exact orbits,
+        (2 n_modes,) in scaled units.
     iterations : int
         Newton iterations.
     multipliers : (8,) complex or None
-        The leading ones of exact orbits, largest modulus first.
+        Leading multipliers if the point is an exact orbit, largest modulus first.
     bifurcations : sequence of (str, float)
         Kinds and parameters of the special points since the point before.
     """
@@ -170,23 +175,22 @@ class CurvePoint:
 
 @dataclass(frozen=True, repr=False, kw_only=True)
 class ResponseCurve(ObservedMotion, Tabular):
-    """Solutions along a curve, in the order in which it was followed: of harmonic balance, or exact
-    periodic orbits.
+    """Solutions along a curve, in order: of harmonic balance, or exact periodic orbits.
 
     Attributes
     ----------
     structure, contact : Structure, ContactLaw
-        Whose solutions they are, small or reduced, and the law of all pairs: as given, not as the
-        parameter varies them.
+        Small or reduced structure, and the law of all pairs, as given: the parameter does not vary
+        these fields.
     parameter : str
         "omega", "load", "stiffness", "damping", "clearance", "friction", "speed", or "resonance".
     values : (n,)
-        Of the parameter: load frequencies [rad/s], factors, clearances added [m], or speeds of the
-        rotor [rad/s].
+        Parameter values: load frequencies [rad/s], factors, added clearances [m], or rotor
+        speeds [rad/s].
     omega : (n,) [rad/s]
         Load frequencies.
     iterations : (n,) int
-        Newton iterations of each point.
+        Newton iterations at each point.
     bifurcations : tuple of Bifurcation
         Special points, in order along the curve.
     complete : bool
@@ -196,24 +200,25 @@ class ResponseCurve(ObservedMotion, Tabular):
     subharmonic : int
         The response has this many times the load's period.
     points : (n, 2H+1, n_pairs) [m], or (n, 2 n_modes)
-        Of harmonic balance the gap coefficients, or those of the slow gap s = g + R_inf lambda
-        where pairs are seen through R_inf; with friction (n, 2H+1, 2 n_pairs), tangential gaps
-        behind the normal ones. Of exact orbits modal displacements and velocities at phase zero, in
-        the modes of the structure as the parameter varies it.
+        Harmonic balance: gap coefficients, or those for the slow gap s = g + R_inf lambda if the
+        structure has a residual flexibility R_inf. With friction (n, 2H+1, 2 n_pairs), normal gaps
+        first. Exact orbits: modal displacements and velocities at phase zero, in the modes of the
+        varied structure.
     tolerance : float or None
-        Error to which :meth:`solution` keeps the Fourier coefficients of exact orbits; None: the
-        points solve the truncated equations of harmonic balance.
+        Error to which :meth:`solution` keeps an exact orbit's Fourier coefficients; None for points
+        that solve the truncated harmonic-balance equations.
     samples : int or None
-        As given when it was followed.
+        Number of samples given to the curve.
     static_above : float or None
-        Of harmonic balance with a residual flexibility R_inf, the same for all points: the
-        frequency [rad/s] above which modes are quasi-static (:class:`fenics_crack.Problem`).
+        Harmonic balance with R_inf: frequency [rad/s] above which modes are quasi-static, the same
+        for all points (:class:`fenics_crack.Problem`).
     multipliers : (n,) complex or None
-        Floquet multiplier of largest modulus at each point, of a pair the one with positive
-        imaginary part, of an irregular motion the growth of a small disturbance; nan where it does
-        not decide the stability (:func:`judge_curve`); None: not assessed.
+        Floquet multiplier with the largest modulus at each point; its imaginary part is not
+        negative. For irregular motion, the growth factor by which a small disturbance is
+        multiplied. nan if the multiplier does not decide the stability (:func:`judge_curve`). None:
+        not assessed.
     irregular : (n,) bool or None
-        True where no orbit was found and the exact motion is irregular; None: nowhere.
+        True if no orbit was found and the exact motion is irregular; None: no such point.
     branch : bool
         True if :func:`follow_branch` has followed it.
     """
@@ -244,20 +249,20 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def exact(self) -> bool:
-        """True if its points are exact orbits."""
+        """True if the points are exact orbits."""
         return self.tolerance is not None
 
     @property
     def harmonics(self) -> int:
-        """H; of exact orbits the fewest of a solution."""
+        """H; for exact orbits, the minimum H of a solution."""
         if not self.exact:
             return self.points.shape[1] // 2
-        least = least_harmonics(self.structure, self.subharmonic)
-        return max(MIN_HARMONICS * self.subharmonic, least)
+        min_harmonics = least_harmonics(self.structure, self.subharmonic)
+        return max(MIN_HARMONICS * self.subharmonic, min_harmonics)
 
     @property
     def method(self) -> str:
-        """Method by which the points were found, in words: "H = 5", "exact orbits"."""
+        """Method of the points, in words: "H = 5", "exact orbits"."""
         return "exact orbits" if self.exact else f"H = {self.harmonics}"
 
     @cached_property
@@ -273,50 +278,54 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def system(self) -> Waves | Orbits:
-        """The equations along the parameter: from its value at the first point to the one farthest
-        from there."""
-        farthest = int(np.argmax(np.abs(self.values - self.values[0])))
-        ends = float(self.values[0]), float(self.values[farthest])
-        return system_along(self.exact, self.problem, self.parameter, *ends)
+        """Equations from the first parameter value to the farthest one."""
+        farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
+        end_values = float(self.values[0]), float(self.values[farthest_index])
+        return system_along(self.exact, self.problem, self.parameter, *end_values)
 
     # --- its points -------------------------------------------------------------------------------
 
     def problem_at(self, value: float) -> Problem:
-        """Return the problem at a value of the parameter."""
+        """Return the problem at a parameter value."""
         return WAVES[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
-        """Return the problem solved at a point, of the structure as the parameter varies it."""
+        """Return the problem solved at a point, with the varied structure."""
         problem, omega = self.problem_at(float(self.values[index])), float(self.omega[index])
         return problem if problem.omega == omega else replace(problem, omega=omega)
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
-        """The solution at a point, with its displacement and error report; without ``search`` for
-        its exact orbit the report is what one Newton step predicts. Of an exact orbit its Fourier
-        series, as long as the tolerance requires; nothing is searched for."""
+        """Return the solution at a point, with displacement and error report.
+
+        Without ``search`` for the exact orbit, one Newton step predicts the error. If the points
+        are exact orbits, the solution is the orbit's Fourier series to the tolerance, without a
+        search.
+        """
         if self.tolerance is not None:
             return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
-        problem, at = self._balanced(index)
-        known = Assessment(problem.wave(at), flow=self._flow)
-        return solution_of(problem, at, status="point of a curve", search=search, known=known)
+        problem, point = self._harmonic_balance_point(index)
+        assessment = Assessment(problem.wave(point), flow=self._common_flow)
+        return solution_of(
+            problem, point, status="point of a curve", search=search, assessment=assessment
+        )
 
-    def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
-        """The problem at a point of harmonic balance, and its equations there."""
-        problem, along = self.problem_of(index), self.system
-        if isinstance(along, ResonanceWaves) or not isinstance(along, Waves):
+    def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
+        """Return the problem and the equations at a harmonic-balance point."""
+        problem, waves = self.problem_of(index), self.system
+        if isinstance(waves, ResonanceWaves) or not isinstance(waves, Waves):
             system = problem.system(problem.compliance())
         else:
-            system = along.system(float(self.values[index]))
+            system = waves.system(float(self.values[index]))
         return problem, system.linearise(self.points[index])
 
     @cached_property
-    def _flow(self) -> ContactFlow | None:
-        """The exact flow of all points where the parameter leaves the structure and its load."""
-        fixed = self.parameter == "omega"
-        return flow_of(self.structure, self.contact) if fixed else None
+    def _common_flow(self) -> ContactFlow | None:
+        """Exact flow that all points share; None except over the frequency, or without a flow."""
+        is_over_frequency = self.parameter == "omega"
+        return flow_of(self.structure, self.contact) if is_over_frequency else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
-        """The exact orbit at a point; InputError on a curve of harmonic balance."""
+        """Return the exact orbit at a point; InputError for a harmonic-balance curve."""
         if not isinstance(self.system, Orbits):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
@@ -324,55 +333,76 @@ class ResponseCurve(ObservedMotion, Tabular):
         return orbit_from(flow, omega, self.points[index], self.subharmonic, iterations)
 
     def assessment(self, index: int) -> Assessment:
-        """Return the assessment of a point of harmonic balance by the exact flow; no error is
-        estimated."""
+        """Assess a harmonic-balance point by the exact flow.
+
+        No error is estimated.
+        """
         return next(self.assessments([index]))
 
     def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
-        """The same of some points; over the frequency their motions are computed at once."""
-        if self._flow is None or not isinstance(self.system, Waves):
-            for problem, at in map(self._balanced, places):
-                yield Assessment(problem.wave(at))
+        """Yield the assessments of points.
+
+        Over the frequency, the motions of many points are computed together.
+        """
+        if self._common_flow is None or not isinstance(self.system, Waves):
+            for problem, point in map(self._harmonic_balance_point, places):
+                yield Assessment(problem.wave(point))
             return
-        along = self.system
-        first, some = along.system(along.start), max(1, along.at_once)
-        for part in (places[at : at + some] for at in range(0, len(places), some)):
-            slow, omega = self.points[part], self.omega[part]
-            forces = np.stack([first.integrals.force(one) for one in slow], axis=1)
-            moved = along.compliance(along.start).displacements(omega / self.subharmonic, forces)
-            for place, unknown in enumerate(slow):
-                force = np.ascontiguousarray(forces[:, place])
-                wave = along.problem.wave_of(moved[:, place], first.gap(unknown, force), force)
-                yield Assessment(replace(wave, omega=float(omega[place])), flow=self._flow)
+        waves = self.system
+        system, compliance = waves.system(waves.start), waves.compliance(waves.start)
+        points_per_chunk = max(1, waves.points_per_call)
+        for chunk_indices in (
+            places[first_position : first_position + points_per_chunk]
+            for first_position in range(0, len(places), points_per_chunk)
+        ):
+            unknowns, omega = self.points[chunk_indices], self.omega[chunk_indices]
+            forces = np.stack([system.integrals.force(unknown) for unknown in unknowns], axis=1)
+            displacements = compliance.displacements(omega / self.subharmonic, forces)
+            for index, unknown in enumerate(unknowns):
+                force = np.ascontiguousarray(forces[:, index])
+                gap, displacement = system.gap(unknown, force), displacements[:, index]
+                wave = replace(
+                    waves.problem.wave_of(displacement, gap, force), omega=float(omega[index])
+                )
+                yield Assessment(wave, flow=self._common_flow)
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
-        """Closing of the pairs: (n, 2H+1, n_pairs) [m]; of exact orbits by their exact integrals,
-        with 40 harmonics of their period."""
-        count, places = self.structure.n_pairs, range(len(self))
+        """Fourier coefficients of the gaps: (n, 2H+1, n_pairs) [m].
+
+        For exact orbits, H is 40 and the integrals are exact.
+        """
+        n_pairs, indices = self.structure.n_pairs, range(len(self))
         if self.exact:
-            found = [self.orbit(place).coefficients(OBSERVED_HARMONICS).gap for place in places]
-            return np.array(found)[..., :count]
+            coefficients = [
+                self.orbit(index).coefficients(OBSERVED_HARMONICS).gap for index in indices
+            ]
+            return np.array(coefficients)[..., :n_pairs]
         if self.static_above is None:
-            return self.points[..., :count]
-        return np.array([known.wave.gap_coefficients for known in self.assessments(places)])
+            return self.points[..., :n_pairs]
+        return np.array(
+            [assessment.wave.gap_coefficients for assessment in self.assessments(indices)]
+        )
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        places = range(len(self))
+        indices = range(len(self))
         motions: Iterator[PeriodicOrbit | PeriodicSolution]
         if self.exact:
-            motions = map(self.orbit, places)
+            motions = map(self.orbit, indices)
         else:
-            every = self.assessments(places)
-            motions = (PeriodicSolution(**vars(one.wave), assessment=one) for one in every)
+            assessments = self.assessments(indices)
+            motions = (
+                PeriodicSolution(**vars(assessment.wave), assessment=assessment)
+                for assessment in assessments
+            )
         for motion in motions:
-            yield from motion.records(rows, CURVE_INSTANTS)
+            yield from motion.records(rows, INSTANTS_PER_PERIOD)
 
     # --- stability --------------------------------------------------------------------------------
 
     @property
     def stable(self) -> np.ndarray:
-        """True where the largest multiplier is surely within the unit circle: (n,) bool.
+        """True if the largest multiplier is inside the unit circle beyond rounding: (n,) bool.
 
         Raises
         ------
@@ -388,23 +418,27 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def undecided(self) -> np.ndarray | None:
-        """Points of undecided stability, for a :meth:`reason`: (n,) bool; None: not assessed."""
+        """True at points of undecided stability (:meth:`reason`): (n,) bool; None: not assessed."""
         if self.multipliers is None:
             return None
         return np.asarray(~(np.abs(np.abs(self.multipliers) - 1.0) > MULTIPLIER_TOLERANCE))
 
     @property
     def verdicts(self) -> np.ndarray:
-        """Stable, unstable, irregular or undecided, at each point: (n,) str; raises as
-        :attr:`stable`."""
-        decided = np.where(self.stable, "stable", "unstable")
+        """Verdict at each point, "stable", "unstable", "irregular" or "undecided": (n,) str.
+
+        Raises AttributeError like :attr:`stable`.
+        """
+        verdicts = np.where(self.stable, "stable", "unstable")
         if self.irregular is not None:
-            decided = np.where(self.irregular, "irregular", decided)
-        return np.where(self.undecided, "undecided", decided)
+            verdicts = np.where(self.irregular, "irregular", verdicts)
+        return np.where(self.undecided, "undecided", verdicts)
 
     def reason(self, index: int) -> str:
-        """Why the stability is undecided at a point, as :func:`fenics_crack.floquet` says of the
-        point's solution by itself; "" where it is decided."""
+        """Return the reason for undecided stability at a point; "" for a decided one.
+
+        The reason is that of :func:`fenics_crack.floquet` for the point's solution.
+        """
         if self.undecided is None or not self.undecided[index]:
             return ""
         if self.exact:
@@ -415,75 +449,93 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def resolution(self) -> float:
-        """Width, in the unit of ``values``, of the unstable or doubled windows that a curve of
-        exact orbits may miss between its points: a tenth of the longest step taken."""
-        return RESOLUTION * float(np.abs(np.diff(self.values)).max(initial=0.0))
+        """Largest window, in the unit of ``values``, that a curve of exact orbits may miss.
+
+        In such a window orbits are unstable or have a doubled period. The width is a tenth of the
+        longest step.
+        """
+        return RESOLUTION_PER_STEP * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     # --- parts of it ------------------------------------------------------------------------------
 
     def part(self, places: Sequence[int] | slice) -> Self:
-        """The points at some places, without the bifurcations."""
-        columns = {name: column[places] for name, column in _arrays_of(self).items()}
+        """Return a curve with some points alone, without bifurcations."""
+        columns = {name: column[places] for name, column in _array_fields(self).items()}
         return replace(self, **columns, bifurcations=())
 
     def bifurcation(
         self, kind: str, value: float, omega: float, point: np.ndarray,
         multipliers: np.ndarray | None = None,
     ) -> Bifurcation:  # fmt: skip
-        """A special point of this curve, by its value of the parameter and its load frequency."""
-        columns = {"values": value, "omega": omega, "iterations": 0, "points": point}
-        rows = {name: np.array([entry]) for name, entry in columns.items()}
-        first = None if multipliers is None else np.array([leading(multipliers)])
-        alone = replace(self, **rows, multipliers=first, irregular=None, bifurcations=())
-        return Bifurcation(kind, alone, multipliers)
+        """Return a special point of this curve, from its parameter and load frequency."""
+        point_fields = {"values": value, "omega": omega, "iterations": 0, "points": point}
+        arrays = {name: np.array([entry]) for name, entry in point_fields.items()}
+        leading_multipliers = (
+            None if multipliers is None else np.array([leading_multiplier(multipliers)])
+        )
+        point_curve = replace(
+            self, **arrays, multipliers=leading_multipliers, irregular=None, bifurcations=()
+        )
+        return Bifurcation(kind, point_curve, multipliers)
 
     @cached_property
     def at_bifurcations(self) -> Self:
-        """The first point, the bifurcations and the last point, to be measured: a curve of their
-        own, with multipliers if it has exact orbits."""
-        whole = self if self.exact else replace(self, multipliers=None, irregular=None)
-        special = [one.point for one in self.bifurcations]
-        points: list[ResponseCurve] = [whole.part([0]), *special, whole.part([-1])]
-        columns = [_arrays_of(one) for one in points]
-        joined = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
-        return replace(whole, **joined, bifurcations=())
+        """Curve from the first point, the bifurcations and the last point, for evaluation.
+
+        It has multipliers if the points are exact orbits.
+        """
+        curve = self if self.exact else replace(self, multipliers=None, irregular=None)
+        bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]
+        curves: list[ResponseCurve] = [curve.part([0]), *bifurcation_curves, curve.part([-1])]
+        array_fields = [_array_fields(part_curve) for part_curve in curves]
+        joined_columns = {
+            name: np.concatenate([arrays[name] for arrays in array_fields])
+            for name in array_fields[0]
+        }
+        return replace(curve, **joined_columns, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
-        """The number of the point nearest to a bifurcation."""
-        there = bifurcation.point.points
-        off = np.linalg.norm((self.points - there).reshape(len(self), -1), axis=1)
-        off /= float(np.linalg.norm(there)) or 1.0
-        wide = float(np.ptp(self.values)) or 1.0
-        return int(np.argmin(np.hypot(off, (self.values - bifurcation.value) / wide)))
+        """Return the index of the point nearest to a bifurcation."""
+        bifurcation_point = bifurcation.point.points
+        distances = np.linalg.norm((self.points - bifurcation_point).reshape(len(self), -1), axis=1)
+        distances /= float(np.linalg.norm(bifurcation_point)) or 1.0
+        value_range = float(np.ptp(self.values)) or 1.0
+        return int(np.argmin(np.hypot(distances, (self.values - bifurcation.value) / value_range)))
 
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
-        """Coefficients of the displacement of a dof, or of the watched one, at every point:
-        (n, 2H+1) [m]."""
+        """Return a dof's displacement coefficients at every point: (n, 2H+1) [m].
+
+        None stands for the watched dof.
+        """
         return self.observe([dof])[0][0].coefficients
 
     def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> Top:
-        """Find where the largest response of a dof, or of the watched one, is and how large;
-        :meth:`peak` examines it, too."""
+        """Find the place and height of the largest response at a dof.
+
+        None stands for the watched dof. :meth:`peak` examines the response, too.
+        """
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
-        value, height, _ = top_and_damping(self.values, amplitude, index)
-        return Top(index, value, height, index in (0, len(self) - 1))
+        peak_value, peak_amplitude, _ = top_and_damping(self.values, amplitude, index)
+        return Top(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
-        """The largest response of a dof, or of the watched one: where, how large, how sure, whether
-        stable, and the damping by its width."""
+        """Return the largest response at a dof, with error, verdict and damping.
+
+        None stands for the watched dof.
+        """
         top = self.top(dof)
         omega, solution, damping = float(self.omega[top.index]), self.solution(top.index), math.nan
         if self.parameter in ("omega", "speed"):
-            waves, structure = self.coefficients_at(dof), self.structure
-            damping = damping_by_width(self.values, waves, self.subharmonic, top.index)
+            coefficients, structure = self.coefficients_at(dof), self.structure
+            damping = damping_by_width(self.values, coefficients, self.subharmonic, top.index)
             if isinstance(structure, RunUpStructure):
-                # Natural frequencies follow the load's, and it takes longer to pass them.
-                there = structure.at_speed(float(self.values[top.index]))
-                damping *= 1.0 - there.stiffening(omega)
+                # Natural frequencies follow the speed, so the peak is wider over the speed.
+                peak_structure = structure.at_speed(float(self.values[top.index]))
+                damping *= 1.0 - peak_structure.stiffening(omega)
             omega *= top.value / float(self.values[top.index])
         if self.multipliers is None:
             verdict = floquet(solution.structure, solution).verdict
@@ -494,61 +546,70 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:
-        """Estimated error of the displacement at the load at every point, relative to its root mean
-        square, as ``displacement`` of :class:`fenics_crack.ErrorReport`: (n,).
+        """Estimated error of the displacement at the load at every point: (n,).
 
-        At points spread evenly along the curve, and at those on both sides of where a warning
-        begins to be due, what one Newton step on the exact flow predicts, where there is one, of
-        harmonics and modes left out, of exact orbits of modes; elsewhere it is interpolated.
+        The error is relative to the root mean square, like ``displacement`` of
+        :class:`fenics_crack.ErrorReport`. It is estimated at points spread evenly along the curve,
+        and next to places where a warning becomes due; elsewhere it is interpolated.
+
+        If there is an exact flow, one Newton step predicts the effect of the truncated harmonics
+        and modes, and for exact orbits that of the modes alone.
         """
-        known: dict[int, float] = {}
-        asked = set(np.linspace(0, len(self) - 1, 40).astype(int).tolist())  # as a picture shows
-        while asked:
-            for place in asked:
-                known[place] = self._displacement_error(place)
-            asked = {
-                (first + last) // 2
-                for first, last in pairwise(sorted(known))
-                if last - first > 1 and (known[first] > LARGE_ERROR) != (known[last] > LARGE_ERROR)
+        error_by_index: dict[int, float] = {}
+        # As many points as a picture shows.
+        open_indices = set(np.linspace(0, len(self) - 1, 40).astype(int).tolist())
+        while open_indices:
+            for index in open_indices:
+                error_by_index[index] = self._displacement_error(index)
+            open_indices = {
+                (start_index + end_index) // 2
+                for start_index, end_index in pairwise(sorted(error_by_index))
+                if end_index - start_index > 1
+                and (error_by_index[start_index] > LARGE_ERROR)
+                != (error_by_index[end_index] > LARGE_ERROR)
             }
-        places = sorted(known)
-        return np.interp(np.arange(len(self)), places, [known[place] for place in places])
+        indices = sorted(error_by_index)
+        return np.interp(
+            np.arange(len(self)), indices, [error_by_index[index] for index in indices]
+        )
 
     def _displacement_error(self, index: int) -> float:
-        """The same at a point."""
+        """Return the estimated error of the displacement at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
             wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
-            more = wave.assessment.more_modes
-            if more is not None:
-                return UNKNOWN if more.errors is None else more.errors[1]
+            more_modes = wave.assessment.more_modes
+            if more_modes is not None:
+                return UNKNOWN if more_modes.errors is None else more_modes.errors[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every point: multipliers where the curve has them, and the indicators
-        of the watched dof (collective)."""
-        found = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
-        found["iterations"] = self.iterations.tolist()
+        """Return columns with one row per point (collective).
+
+        They include the indicators of the watched dof, and multipliers if the curve was assessed.
+        """
+        columns = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
+        columns["iterations"] = self.iterations.tolist()
         if self.multipliers is not None:
-            found["multiplier"] = np.abs(self.multipliers).tolist()
-            found["verdict"] = self.verdicts.tolist()
-        return with_frequency(found | self.indicators().to_dict())
+            columns["multiplier"] = np.abs(self.multipliers).tolist()
+            columns["verdict"] = self.verdicts.tolist()
+        return with_frequency(columns | self.indicators().to_dict())
 
     def _title(self) -> str:
-        parts = [
+        title_parts = [
             f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
             counted(len(self), "point"),
             self.method,
             counted(len(self.bifurcations), "bifurcation"),
         ]
         if self.multipliers is not None:
-            parts.append(f"{np.mean(self.stable):.0%} stable")
-        return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
+            title_parts.append(f"{np.mean(self.stable):.0%} stable")
+        return ", ".join([*title_parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
-def _arrays_of(curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """The columns of a curve by the names of its fields."""
-    known = {one.name: getattr(curve, one.name) for one in fields(curve)}
-    return {name: column for name, column in known.items() if isinstance(column, np.ndarray)}
+def _array_fields(curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Return the array fields of a curve by name."""
+    field_values = {entry.name: getattr(curve, entry.name) for entry in fields(curve)}
+    return {name: column for name, column in field_values.items() if isinstance(column, np.ndarray)}

@@ -1,9 +1,9 @@
-"""Interface of the equations that a curve follows along a parameter v, and paths along p:
+"""Interface of equations along a parameter v of a curve, which paths follow along p:
 
-    v = v_start + p (v_end - v_start), or v_start (v_end / v_start)^p where v is logarithmic.
+    v = v_start + p (v_end - v_start),    or    v_start (v_end / v_start)^p for a logarithmic v.
 
-There are two of the parameters of a curve: harmonic balance (:mod:`waves`) and periodic orbits of
-the exact flow (:mod:`orbits`).
+Harmonic balance (:mod:`waves`), periodic orbits of the exact flow (:mod:`orbits`) and phase
+resonances (:mod:`resonance`) implement it.
 """
 
 from __future__ import annotations
@@ -21,20 +21,23 @@ from fenics_crack.numerics.path import BranchPoint, Event, Fold, StepControl
 
 
 class CurveSystem(ABC):
-    """Equations along a parameter from its value ``start`` at p = 0 to ``end`` at p = 1.
+    """Equations along a parameter v, from ``start`` at p = 0 to ``end`` at p = 1.
 
     Attributes
     ----------
     name : str
-        The parameter (:attr:`fenics_crack.ResponseCurve.parameter`).
+        Name of v (:attr:`fenics_crack.ResponseCurve.parameter`).
     problem : Problem
-        What they solve; its structure, small or reduced, and its law are varied by the parameter.
+        Problem to solve, with a small or reduced structure. The parameter varies its structure or
+        law.
+    start, end : float
+        v at p = 0 and p = 1.
     shape : tuple of int
-        Of the unknowns.
+        Shape of the unknowns.
     logarithmic : bool
         True if p is proportional to ln v.
     events : sequence of type of Event
-        Special points of its curves.
+        Special points to detect.
     """
 
     name: str
@@ -46,53 +49,53 @@ class CurveSystem(ABC):
     events: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
 
     def value(self, parameter: float) -> float:
-        """v of p."""
+        """Return v at p."""
         if self.logarithmic:
             return float(self.start * (self.end / self.start) ** parameter)
         return self.start + parameter * (self.end - self.start)
 
     def parameter(self, value: float) -> float:
-        """p of v."""
+        """Return p at v."""
         if self.logarithmic:
             return math.log(value / self.start) / math.log(self.end / self.start)
         return (value - self.start) / (self.end - self.start)
 
-    def rate(self, value: float) -> float:
-        """dv/dp."""
+    def value_rate(self, value: float) -> float:
+        """Return dv/dp at v."""
         if self.logarithmic:
             return value * math.log(self.end / self.start)
         return self.end - self.start
 
     @abstractmethod
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        """Load frequency of a solution [rad/s]."""
+        """Return a solution's load frequency [rad/s]."""
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """What a curve keeps of a solution."""
+        """Return what a curve stores for a solution."""
         return unknown
 
     @abstractmethod
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """The equations at a point."""
+        """Return the equations at a point."""
 
     @abstractmethod
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x| near a point of a curve."""
 
-    def half_off(self, unknown: np.ndarray, parameter: float) -> float:
-        """Change of a motion over half its period, relative to its size."""
+    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+        """Return a motion's change over half its period, relative to its size."""
         raise NotImplementedError
 
     @property
-    def size(self) -> int:
+    def n_unknowns(self) -> int:
         """Number of unknowns."""
         return math.prod(self.shape)
 
     @property
-    def at_once(self) -> int:
-        """Points that are followed in one call of the kernel."""
-        return MAX_UNKNOWNS_PER_CALL // self.size
+    def points_per_call(self) -> int:
+        """Maximum number of points per kernel call."""
+        return MAX_UNKNOWNS_PER_CALL // self.n_unknowns
 
-    def control(self, longest_step: float) -> StepControl | None:
-        """What may shorten steps."""
+    def make_step_control(self, longest_step: float) -> StepControl | None:
+        """Return a control that may reject steps; None if steps need no control."""
         return None

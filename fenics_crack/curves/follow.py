@@ -1,4 +1,4 @@
-"""A whole curve in one call: over the frequency, over another parameter, or along a branch."""
+"""Whole curves in one call: over the frequency, over another parameter, or along a branch."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 
-ATTEMPTS = 4
-"""Places, from the end on, from which another curve is sought that leads to the start."""
-BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-"""Progress bar of a curve; its remaining time does not follow from its progress."""
+MAX_CURVE_SEARCHES = 4
+"""Maximum number of searches for another curve that leads to the start. The first search begins at
+the end of the range, the others between the end and the start."""
+PROGRESS_BAR_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
+"""Format of a curve's progress bar, without a remaining time: the progress does not predict it."""
 
 
 class CurveOptions(StepOptions, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics, samples, subharmonic, initial
-        As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
+        As in :func:`.solve_harmonic_balance`; ``initial`` is a solution near the start.
     tolerance
-        In place of ``harmonics`` and ``samples``: follow exact orbits, whose solutions are kept
-        to this error. Where their flow is not known, as for smooth laws, or they
-        would take too long, with more than 120 modes or under a very slow load: harmonic balance
-        with as many harmonics as the truncation error of the first point requires.
+        Replaces ``harmonics`` and ``samples``: follow exact orbits, and keep their solutions to
+        this error. Harmonic balance replaces them if there is no exact flow, as for smooth laws, or
+        if orbits would take too long, with more than 120 modes or a very slow load. The truncation
+        error at the first point then sets the harmonics.
     stability, longest_step, most_points, turning_back
         As in :class:`.Continuation`; exact orbits always have their stability.
     """
@@ -67,10 +68,9 @@ def continue_frequency(
 ) -> ResponseCurve:
     """Follow the response from one load frequency to another, through resonances and folds.
 
-    Where the first solution found lies on a closed loop, or on a curve that turns back past its
-    start, another one is looked for by following the curve from its end, or from between, which its
-    status says; what came back is the result only where that fails too, or would take long, or
-    where ``initial`` is given.
+    The first solution may lie on a closed loop, or on a curve that turns back past its start.
+    Another curve is then sought from the end of the range, or from between; the status says so. The
+    first curve is returned if that fails or would take long, or if ``initial`` is given.
 
     Parameters
     ----------
@@ -80,28 +80,28 @@ def continue_frequency(
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law of all pairs; :class:`UnilateralConstraint` where crack faces have no mass, or where
-        modes above the harmonics move every pair by itself.
+        Law of all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
+        above the harmonics that move every pair by itself.
     progress : bool
         Show a progress bar.
     throw : bool
-        Raise if the end is not reached; else return what was found, ``complete`` being False.
-        Ctrl-C always returns what was found.
+        Raise if the end is not reached; otherwise return the points so far, with ``complete``
+        False. Ctrl-C always returns the points so far.
     **options
-        As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
+        As in :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
         stability, longest_step, most_points, turning_back.
 
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
+        Curve from the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached; what was found until then is its ``found``.
+        No first point, or the end was not reached; the points so far are in the error's ``found``.
 
     Examples
     --------
@@ -136,23 +136,23 @@ def continue_parameter(
     omega : float
         Load frequency [rad/s].
     parameter : "load", "stiffness", "damping", "clearance", "friction" or "speed"
-        As in :class:`Continuation`. With "speed" the structure is one of
-        :func:`fenics_crack.run_up_structure`; the load's frequency stays in the ratio to the speed
-        that ``omega`` has to the structure's own: that is the engine order.
+        As in :class:`Continuation`. "speed" requires a structure of
+        :func:`fenics_crack.run_up_structure`. The load frequency then keeps its ratio to the speed,
+        the engine order: ``omega`` over the structure's own speed.
     start, end : float
-        Its values.
+        Values of the parameter.
 
     Returns
     -------
     ResponseCurve
-        From the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
+        Curve from the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached; what was found until then is its ``found``.
+        No first point, or the end was not reached; the points so far are in the error's ``found``.
 
     Examples
     --------
@@ -160,10 +160,10 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
-    given: dict[str, Any] = dict(options)
+    curve_options: dict[str, Any] = dict(options)
     keys = ("harmonics", "samples", "subharmonic", "initial")
-    harmonics, samples, subharmonic, initial = (given.pop(key, None) for key in keys)
-    tolerance = given.get("tolerance")
+    harmonics, samples, subharmonic, initial = (curve_options.pop(key, None) for key in keys)
+    tolerance = curve_options.get("tolerance")
     if tolerance is not None and harmonics is not None:
         raise InputError("tolerance", tolerance, "left out where harmonics are given")
     if tolerance is not None and not is_small(structure):
@@ -173,53 +173,65 @@ def continue_parameter(
     if harmonics is None:
         harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
-    exact = tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
+    is_exact = (
+        tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
+    )
 
-    def grow(origin: float, goal: float, near: Any = initial) -> GrowingCurve:
-        return Continuation(problem, parameter, origin, goal, exact=exact, initial=near, **given)
+    def grow(curve_start: float, curve_end: float, first_guess: Any = initial) -> GrowingCurve:
+        ends, guess = (curve_start, curve_end), first_guess
+        return Continuation(
+            problem, parameter, *ends, exact=is_exact, initial=guess, **curve_options
+        )
 
-    def again(begun: GrowingCurve | None = None) -> GrowingCurve | None:
-        return _again(grow, start, end, begun) if initial is None else None
+    def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
+        return _find_other_curve(grow, start, end, returned_curve) if initial is None else None
 
     try:
-        growing = grow(start, end)
+        growing_curve = grow(start, end)
     except ConvergenceError:
-        other = None if tolerance is None else again()
-        if other is None:
+        other_curve = None if tolerance is None else follow_other_curve()
+        if other_curve is None:
             raise
-        growing = other
-    return run_to_end(growing, progress, throw, again)
+        growing_curve = other_curve
+    return run_to_end(growing_curve, progress, throw, follow_other_curve)
 
 
-def _again(
-    grow: Callable[..., GrowingCurve], start: float, end: float, begun: GrowingCurve | None
+def _find_other_curve(
+    grow: Callable[..., GrowingCurve], start: float, end: float, first_curve: GrowingCurve | None
 ) -> GrowingCurve | None:
-    """Follow another curve from the start, in as many points as one before has or is soon to have.
+    """Follow another curve from the start; None if the searches fail.
 
-    Its solution at the start is met by following one from the end, or from between. It is needed
-    where the first solution lies on a curve that comes back to the start, such as a closed loop of
-    the truncated equations, or where there is none.
+    A search follows a curve from the end of the range, or from between, to the start. The solution
+    at the start then begins the other curve. This helps if the first curve returned to its start,
+    as a closed loop of the truncated equations does, or if there is no first solution.
+
+    ``first_curve`` is the curve that returned. All searches together may take as many points as it
+    has, or a limit by the number of unknowns if that is more.
     """
-    spent, known = 0, 0 if begun is None else len(begun.points)
-    places = ATTEMPTS if begun is not None else 1  # where there is no orbit a search takes long
-    for origin in np.linspace(end, start, ATTEMPTS, endpoint=False)[:places].tolist():
-        there: PeriodicSolution | PeriodicOrbit | None = None
-        for first, last in ((origin, start), (start, end)):
+    n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
+    # If there is no orbit at the start, each search takes long.
+    n_searches = MAX_CURVE_SEARCHES if first_curve is not None else 1
+    search_values = np.linspace(end, start, MAX_CURVE_SEARCHES, endpoint=False)[:n_searches]
+    for search_value in search_values.tolist():
+        start_solution: PeriodicSolution | PeriodicOrbit | None = None
+        for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
-                found = grow(first, last, there)
-                left = max(known, 2 * ATTEMPTS * MAX_UNKNOWNS_PER_CALL // found.system.size) - spent
-                found.most_points = max(1, min(left, found.most_points))
-                found.run()
+                growing_curve = grow(stage_start, stage_end, start_solution)
+                max_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
+                max_points = max(n_first_points, max_unknowns // growing_curve.system.n_unknowns)
+                n_left_points = max(1, max_points - n_spent_points)
+                growing_curve.most_points = min(n_left_points, growing_curve.most_points)
+                growing_curve.run()
             except ConvergenceError:
                 break
-            spent += len(found.points)
-            if not found.complete or found.returned:
+            n_spent_points += len(growing_curve.points)
+            if not growing_curve.complete or growing_curve.returned:
                 break
-            curve = found.followed
-            there = curve.orbit(-1) if curve.exact else curve.solution(-1)
+            curve = growing_curve.unjudged_curve
+            start_solution = curve.orbit(-1) if curve.exact else curve.solution(-1)
         else:
-            found.status += ", not by the first solution found at its start"
-            return found
+            growing_curve.status += ", not by the first solution found at its start"
+            return growing_curve
     return None
 
 
@@ -235,14 +247,14 @@ def follow_branch(
 ) -> ResponseCurve:
     """Follow the branch that begins at a period doubling, or crosses at a branch point.
 
-    The doubled branch has twice the period, and of harmonic balance twice as many harmonics. It is
-    followed in one direction, until the parameter leaves the range or the branch joins the old one
-    again; the other direction of a doubled branch is the same orbits half a period later.
+    A doubled branch has twice the period, and with harmonic balance twice the harmonics. The branch
+    is followed in one direction until the parameter leaves the range, or to a junction with its
+    parent. The other direction of a doubled branch has the same orbits half a period later.
 
     Parameters
     ----------
     curve : ResponseCurve
-        The old branch.
+        Parent branch.
     bifurcation : Bifurcation
         One of its bifurcations, of kind "period_doubling" or "branch_point".
     start, end : float, optional
@@ -254,23 +266,23 @@ def follow_branch(
     Returns
     -------
     ResponseCurve
-        Of twice the period from a period doubling, else of the same.
+        Branch with twice the period after a period doubling, otherwise with the same period.
 
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
-        No branch was found, or its end was not reached; what was found is its ``found``.
+        No branch was found, or its end was not reached; its points are in the error's ``found``.
 
     Examples
     --------
     >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
-    kinds = ("period_doubling", "branch_point")
-    if bifurcation.kind not in kinds:
-        allowed = "a Bifurcation of kind " + " or ".join(kinds)
-        raise InputError("bifurcation", bifurcation.kind, allowed)
+    branching_kinds = ("period_doubling", "branch_point")
+    if bifurcation.kind not in branching_kinds:
+        requirement = "a Bifurcation of kind " + " or ".join(branching_kinds)
+        raise InputError("bifurcation", bifurcation.kind, requirement)
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):
         if key in options:
@@ -279,60 +291,77 @@ def follow_branch(
     end = float(curve.values.max()) if end is None else end
     if not min(start, end) < bifurcation.value < max(start, end):
         raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
-    doubled = 2 if bifurcation.kind == "period_doubling" else 1
+    period_factor = 2 if bifurcation.kind == "period_doubling" else 1
     problem = replace(
         curve.problem,
-        harmonics=doubled * curve.problem.harmonics,
-        samples=curve.problem.samples and doubled * curve.problem.samples,
-        subharmonic=doubled * curve.subharmonic,
+        harmonics=period_factor * curve.problem.harmonics,
+        samples=curve.problem.samples and period_factor * curve.problem.samples,
+        subharmonic=period_factor * curve.subharmonic,
     )
-    growing = Continuation(
+    growing_curve = Continuation(
         problem, curve.parameter, start, end,
         exact=curve.exact, initial=bifurcation, branch_of=curve, **options,  # type: ignore[misc]
     )  # fmt: skip
-    return run_to_end(growing, progress, throw)
+    return run_to_end(growing_curve, progress, throw)
 
 
 def run_to_end(
-    growing: GrowingCurve,
+    growing_curve: GrowingCurve,
     progress: bool,
     throw: bool,
-    again: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
+    find_other_curve: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
-    """Follow to the end, where the curve comes back to its start from another solution there; the
-    curve, assessed if requested, but not after Ctrl-C."""
+    """Follow a curve to its end, or another curve if the first one returns to the start.
+
+    Parameters
+    ----------
+    growing_curve : GrowingCurve
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise ConvergenceError if the end is not reached.
+    find_other_curve : callable, optional
+        Returns another curve from the start, or None.
+
+    Returns
+    -------
+    ResponseCurve
+        Curve, assessed if requested; not assessed after Ctrl-C.
+    """
     try:
         try:
-            _follow(growing, progress)
-            if again is not None and growing.returned:
-                other = again(growing)
-                if other is None and not growing.complete:
-                    growing.status += " (no other curve was met from its end on)"
-                growing = other or growing
+            _run_with_progress(growing_curve, progress)
+            if find_other_curve is not None and growing_curve.returned:
+                other_curve = find_other_curve(growing_curve)
+                if other_curve is None and not growing_curve.complete:
+                    growing_curve.status += " (no other curve was met from its end on)"
+                growing_curve = other_curve or growing_curve
         except ConvergenceError as error:
-            growing.status = str(error)
-        curve = growing.curve
-    except KeyboardInterrupt:  # which ends the verdicts, too
-        throw, growing.status = False, INTERRUPTED
-        curve = growing.followed
+            growing_curve.status = str(error)
+        curve = growing_curve.curve
+    except KeyboardInterrupt:  # may also interrupt the verdicts
+        throw, growing_curve.status = False, INTERRUPTED
+        curve = growing_curve.unjudged_curve
     if throw and not curve.complete:
-        begun = f"curve in {curve.parameter} from {curve.values[0]:g}"
-        end = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
-        raise ConvergenceError(f"{begun}: {end}; they are the error's .found", found=curve)
+        curve_words = f"curve in {curve.parameter} from {curve.values[0]:g}"
+        end_words = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
+        raise ConvergenceError(
+            f"{curve_words}: {end_words}; they are the error's .found", found=curve
+        )
     return curve
 
 
-def _follow(growing: GrowingCurve, progress: bool) -> None:
-    """Follow to the end with a bar, or signs of life."""
-    if not progress or growing.system.problem.structure.whole.comm.rank != 0:
+def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
+    """Follow a curve to its end with a progress bar, or with progress messages."""
+    if not progress or growing_curve.system.problem.structure.whole.comm.rank != 0:
         begin("curve")
-        with reaching(growing.how_far):
-            growing.run()
+        with reaching(growing_curve.describe_progress):
+            growing_curve.run()
         return
     begin("")
     from tqdm import tqdm
 
-    with tqdm(total=100, desc="curve", unit="%", bar_format=BAR) as bar:
-        for _ in growing:
-            bar.set_postfix_str(growing.where(), refresh=False)
-            bar.update(max(0, int(100.0 * growing.progress()) - bar.n))
+    with tqdm(total=100, desc="curve", unit="%", bar_format=PROGRESS_BAR_FORMAT) as bar:
+        for _ in growing_curve:
+            bar.set_postfix_str(growing_curve.describe_values(), refresh=False)
+            bar.update(max(0, int(100.0 * growing_curve.progress()) - bar.n))

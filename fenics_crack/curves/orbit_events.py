@@ -1,34 +1,51 @@
-"""Bifurcations of periodic orbits along a path, and steps that resolve their Floquet multipliers.
+"""Bifurcations of periodic orbits along a path, and step control by Floquet multipliers.
 
-Of the leading multipliers mu of each point,
+Every point of the path carries its leading multipliers mu and three counts:
 
-    r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
+    r    real multipliers above 1
+    d    real multipliers below -1
+    c    complex pairs outside the unit circle
 
-Between two points lies a fold where the parameter turns back, a period doubling where d changes, a
-Neimark-Sacker point where c does; two real multipliers outside the circle that meet and become a
-pair are none. Where multipliers cross the unit circle is located by the Illinois
-method (:func:`fenics_crack.numerics.path.find_zero`) on
+Between two neighbouring points there is a period doubling if d changes, and a Neimark-Sacker
+bifurcation if c changes. (Folds are found where the parameter turns back.) Two real multipliers
+that meet outside the circle and become a complex pair are no bifurcation. The Illinois method
+(:func:`fenics_crack.numerics.path.find_zero`) locates a bifurcation by a change of sign:
 
-    the product of all 1 + mu,    |mu_k| - 1 of the k-th pair.
+    period doubling     product of all 1 + mu
+    Neimark-Sacker      |mu_k| - 1 of the k-th pair
 
-Where no orbit between the two has it within 1e-6 of the circle it jumps, which is no bifurcation.
+If no orbit between the two points has a multiplier within 1e-6 of the circle, the multiplier jumps
+across the circle. That is no bifurcation.
 
-With light damping all |mu| = exp(-d) are next to the circle, and along the curve the angles of mu
-turn: what leaves the circle between two points are two that meet, a pair at -1 or 1 or two pairs
-anywhere, and part again. In the eigenvectors of the first point, M there is diag(mu) and M of the
-second one B. Of M interpolated linearly between them two multipliers j and k have, at the share s,
-the difference g (1 - s) - s b with g = |mu_j - mu_k| and b = |B_jj - B_kk|, and the coupling
-s^2 c^2 with c^2 = 4 |B_jk B_kj|, all relative to |mu_j mu_k|: where B_jk B_kj / (B_jj - B_kk)^2 < 0
-(opposite signatures in Krein's sense) they part in ln |mu| by up to
+Collisions of multipliers
+-------------------------
+With light damping, |mu| = exp(-a) lies just inside the circle for every multiplier. Along the path
+the multipliers rotate. One leaves the circle only if two of them collide, and returns when they
+separate again. Both may happen between two points, so collisions are predicted from both ends.
 
-    max over s of sqrt(s^2 c^2 - (s (g + b) - g)^2),    at s = g (g + b) / ((g + b)^2 - c^2).
+Let the basis be the eigenvectors of the monodromy matrix at the first point. In this basis the
+matrix is diag(mu) at the first point and B at the second point; between them it is interpolated
+linearly. At the fraction s of the step, two multipliers j and k have
 
-One leaves the unit circle where this is above 2 sqrt(d_j d_k). Others stay on the circle as they
-pass each other, and those do not meet whose order along it is the same in both matrices: where the
-angle of mu_j / mu_k and that of B_jj / B_kk, by the shorter way from there, have one sign.
+    difference  g (1 - s) - s b,    g = |mu_j - mu_k|,    b = |B_jj - B_kk|
+    coupling    s^2 c^2,            c^2 = 4 |B_jk B_kj|
 
-Sources: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7; Yakubovich and
-Starzhinskii, Linear Differential Equations with Periodic Coefficients, 1975, chapter 3.
+relative to sqrt(|mu_j mu_k|) and to |mu_j mu_k|.
+
+If B_jk B_kj / (B_jj - B_kk)^2 < 0 (opposite Krein signatures), the collision separates them in
+ln |mu| by at most
+
+    max over s <= 1 of sqrt(s^2 c^2 - (s (g + b) - g)^2),   at s = g (g + b) / ((g + b)^2 - c^2).
+
+One of them leaves the circle if this exceeds 2 sqrt(a_j a_k). Two multipliers do not collide if
+both matrices have them in the same order along the circle. The angles of mu_j / mu_k and B_jj /
+B_kk, continued from the first by the shorter way, then have one sign.
+
+References
+----------
+Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
+Yakubovich and Starzhinskii, Linear Differential Equations with Periodic Coefficients, 1975,
+chapter 3.
 """
 
 from __future__ import annotations
@@ -43,81 +60,126 @@ from fenics_crack.numerics.equations import ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import Event, PathSegment, SegmentEnds, StepControl, find_zero
 
-LEAST = 0.01
-"""Change of ln |mu| that is always allowed, and shortest step to resolve it, relative to the
-longest."""
+MIN_LOG_CHANGE = 0.01
+"""Change of ln |mu| over a step that is always accepted."""
 
-MEETING_STEP = 0.02
-"""Shortest step to resolve where multipliers meet, relative to the longest: 0.1 % of the range with
-the default one."""
+MIN_STEP_RATIO = 0.01
+"""Shortest step that resolves a change of multipliers, relative to the longest step."""
 
-
-def leading_multipliers(values: np.ndarray) -> np.ndarray:
-    """The leading ones of multipliers (n, N), largest modulus first, and their r, d and c:
-    (n, k + 3) complex, k = 8, or N where that is less. Those within 1e-6 of the circle are not
-    outside."""
-    size = np.abs(values)
-    order = np.argsort(-size, axis=1, kind="stable")[:, :8]
-    rows = np.arange(len(order))[:, None]
-    values, large = values[rows, order], size[rows, order] > 1.0 + MULTIPLIER_TOLERANCE
-    found = np.empty((len(order), order.shape[1] + 3), dtype=complex)
-    found[:, :-3] = values
-    real = values.imag == 0.0
-    found[:, -3] = (large & real & (values.real > 0.0)).sum(axis=1)
-    found[:, -2] = (large & real).sum(axis=1) - found[:, -3]
-    found[:, -1] = (large & (values.imag > 0.0)).sum(axis=1)
-    return found
+MIN_COLLISION_STEP_RATIO = 0.02
+"""Shortest step that resolves a collision of multipliers, relative to the longest step. With the
+default longest step this is 0.1 % of the range."""
 
 
-def changes(observed: np.ndarray) -> np.ndarray:
-    """Changes of r, d and c behind each point but the last, (n-1, 3), without those by two real
-    multipliers that become a pair, or a pair that becomes two."""
-    found = np.diff(observed[:, -3:].real, axis=0)
-    some = np.flatnonzero(found[:, 2])
-    if not len(some):
-        return found
-    real, pairs = found[some, :2], found[some, 2]
-    meet = (np.abs(real).max(axis=1) == 2.0) & (real.sum(axis=1) == -2.0 * pairs)
-    found[some[meet]] = 0.0
-    return found
+def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
+    """Return the leading multipliers of each point, and their counts r, d and c.
+
+    A multiplier within 1e-6 of the unit circle does not count as outside.
+
+    Parameters
+    ----------
+    multipliers : (n_points, n) complex
+
+    Returns
+    -------
+    (n_points, k + 3) complex
+        The k = min(n, 8) multipliers of largest modulus, in descending order, then r, d and c.
+    """
+    modulus = np.abs(multipliers)
+    leading_order = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
+    rows = np.arange(len(leading_order))[:, None]
+    multipliers = multipliers[rows, leading_order]
+    is_outside = modulus[rows, leading_order] > 1.0 + MULTIPLIER_TOLERANCE
+    multipliers_and_counts = np.empty(
+        (len(leading_order), leading_order.shape[1] + 3), dtype=complex
+    )
+    multipliers_and_counts[:, :-3] = multipliers
+    is_real = multipliers.imag == 0.0
+    multipliers_and_counts[:, -3] = (is_outside & is_real & (multipliers.real > 0.0)).sum(axis=1)
+    multipliers_and_counts[:, -2] = (is_outside & is_real).sum(axis=1) - multipliers_and_counts[
+        :, -3
+    ]
+    multipliers_and_counts[:, -1] = (is_outside & (multipliers.imag > 0.0)).sum(axis=1)
+    return multipliers_and_counts
 
 
-def parting(monodromy: np.ndarray) -> np.ndarray:
-    """How far two multipliers part where they meet between neighbours, relative to the distance at
-    which one leaves the unit circle: (n-1,) of matrices (n, N, N)."""
-    n_points, size = monodromy.shape[:2]
+def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
+    """Return the changes of r, d and c from each point to the next: (n_points - 1, 3).
+
+    Two real multipliers that become a complex pair, or the reverse, change no count.
+    """
+    count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
+    step_indices = np.flatnonzero(count_change[:, 2])
+    if not len(step_indices):
+        return count_change
+    real_change, pair_change = count_change[step_indices, :2], count_change[step_indices, 2]
+    is_merger = (np.abs(real_change).max(axis=1) == 2.0) & (
+        real_change.sum(axis=1) == -2.0 * pair_change
+    )
+    count_change[step_indices[is_merger]] = 0.0
+    return count_change
+
+
+def collision_severity(monodromy: np.ndarray) -> np.ndarray:
+    """Return how far colliding multipliers separate between neighbouring points.
+
+    Parameters
+    ----------
+    monodromy : (n_points, n, n)
+
+    Returns
+    -------
+    (n_points - 1,)
+        Largest separation in ln |mu|, relative to the separation at which one leaves the unit
+        circle.
+    """
+    n_points, n_states = monodromy.shape[:2]
     severity = np.empty(n_points - 1)
     matrices = np.ascontiguousarray(monodromy)
-    kernel.partings(n_points, size, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity))
+    kernel.collision_severities(
+        n_points, n_states, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity)
+    )
     return severity
 
 
 class MultiplierControl(StepControl):
-    """Reject steps over which multipliers change too much.
+    """Reject steps over which the Floquet multipliers change too much.
 
-    A leading multiplier may move at most half its distance to the unit circle, be mispredicted by
-    as much (linear extrapolation of sorted ln |mu|), and two may part by at most half of what is
-    allowed (:func:`parting`), down to a floor. Of r, d and c one may change, by 1.
+    A step is rejected if
+
+    - a leading multiplier moves by more than half its distance to the unit circle,
+    - linear extrapolation of the sorted ln |mu| misses by more than half that distance,
+    - a collision has a severity above 0.5 (:func:`collision_severity`),
+    - two counts change, or a count changes by more than 1.
+
+    The first three hold down to a shortest step.
     """
 
     def __init__(self, longest_step: float) -> None:
-        self._longest, self._floor = longest_step, LEAST * longest_step
+        self._min_step = MIN_STEP_RATIO * longest_step
+        self._min_collision_step = MIN_COLLISION_STEP_RATIO * longest_step
 
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
-        logs = np.log(np.maximum(np.abs(segment.observed[:, :-3]), MULTIPLIER_TOLERANCE))
-        change, lengths = np.diff(logs, axis=0), segment.lengths[1:]
-        allowed = np.maximum(0.5 * np.abs(logs[:-1]), LEAST)
-        far = np.any(np.abs(change) > allowed, axis=1)
-        if len(change) > 1:
-            ratio = (lengths[1:] / lengths[:-1])[:, None]
-            off = np.abs(change[1:] - ratio * change[:-1])
-            far[1:] |= np.any(off > allowed[1:], axis=1)
-        size = math.isqrt(segment.records.shape[1])
-        apart = parting(segment.records[first_index:].reshape(-1, size, size)) > 0.5
-        far, lengths = far[first_index:], lengths[first_index:]
-        far = (far & (lengths > self._floor)) | (apart & (lengths > MEETING_STEP * self._longest))
-        several = np.abs(changes(segment.observed[first_index:])).sum(axis=1) > 1
-        return np.asarray(far | several)
+        log_modulus = np.log(
+            np.maximum(np.abs(segment.control_values[:, :-3]), MULTIPLIER_TOLERANCE)
+        )
+        log_change, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
+        max_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), MIN_LOG_CHANGE)
+        is_coarse = np.any(np.abs(log_change) > max_change, axis=1)
+        if len(log_change) > 1:
+            length_ratio = (lengths[1:] / lengths[:-1])[:, None]
+            prediction_error = np.abs(log_change[1:] - length_ratio * log_change[:-1])
+            is_coarse[1:] |= np.any(prediction_error > max_change[1:], axis=1)
+        n_states = math.isqrt(segment.records.shape[1])
+        matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
+        has_collision = collision_severity(matrices) > 0.5
+        is_coarse, lengths = is_coarse[first_index:], lengths[first_index:]
+        is_coarse &= lengths > self._min_step
+        is_coarse |= has_collision & (lengths > self._min_collision_step)
+        has_several_events = (
+            np.abs(count_changes(segment.control_values[first_index:])).sum(axis=1) > 1
+        )
+        return np.asarray(is_coarse | has_several_events)
 
 
 class PeriodDoubling(Event):
@@ -125,52 +187,63 @@ class PeriodDoubling(Event):
 
     kind = "period_doubling"
 
-    def detect(self, points: PathSegment) -> np.ndarray:
-        return np.asarray(changes(points.observed)[:, 1] != 0.0)
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(count_changes(segment.control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        found = find_zero(system, ends, lambda one: about_minus_one(multipliers(one)), rtol)[0]
-        return found if np.abs(1.0 + multipliers(found)).min() <= MULTIPLIER_TOLERANCE else None
+        point = find_zero(
+            system,
+            ends,
+            lambda candidate: period_doubling_function(multipliers_of(candidate)),
+            rtol,
+        )[0]
+        return point if np.abs(1.0 + multipliers_of(point)).min() <= MULTIPLIER_TOLERANCE else None
 
 
 class NeimarkSacker(Event):
-    """A pair of multipliers crosses the unit circle: |mu_k| - 1 of the k-th pair vanishes."""
+    """A complex pair crosses the unit circle: |mu_k| - 1 of the k-th pair changes its sign."""
 
     kind = "neimark_sacker"
 
-    def detect(self, points: PathSegment) -> np.ndarray:
-        return np.asarray(changes(points.observed)[:, 2] != 0.0)
+    def detect(self, segment: PathSegment) -> np.ndarray:
+        return np.asarray(count_changes(segment.control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        assert ends[0].observed is not None and ends[1].observed is not None
-        number = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
-        sides = [beyond_circle(multipliers(one), number) for one in ends]
-        # What was within 1e-6 of the circle may have been beyond it all the time.
-        shift = 0.0 if sides[0] * sides[1] < 0.0 else MULTIPLIER_TOLERANCE
+        assert ends[0].control_values is not None and ends[1].control_values is not None
+        pair_index = int(max(ends[0].control_values[-1].real, ends[1].control_values[-1].real)) - 1
+        end_excesses = [pair_modulus_excess(multipliers_of(end), pair_index) for end in ends]
+        # A pair within the tolerance of the circle may have been outside all along.
+        offset = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
-        def value(point: PathPoint) -> float:
-            found = beyond_circle(multipliers(point), number) - shift
-            return found if abs(found) > ROOT_TOLERANCE else 0.0
+        def crossing_function(point: PathPoint) -> float:
+            excess = pair_modulus_excess(multipliers_of(point), pair_index) - offset
+            return excess if abs(excess) > ROOT_TOLERANCE else 0.0
 
-        found, left = find_zero(system, ends, value, rtol)
-        return found if abs(left) <= MULTIPLIER_TOLERANCE else None
-
-
-def multipliers(point: PathPoint) -> np.ndarray:
-    """Leading multipliers of a point of a path: (k,) complex."""
-    assert point.observed is not None
-    return point.observed[:-3]
+        zero_point, residual = find_zero(system, ends, crossing_function, rtol)
+        return zero_point if abs(residual) <= MULTIPLIER_TOLERANCE else None
 
 
-def about_minus_one(values: np.ndarray) -> float:
-    """A function of multipliers with the sign and the zeros of the product of all 1 + mu, at most
-    1; 0 where it is small enough."""
-    factors = np.where(values.imag == 0.0, 1.0 + values.real, np.abs(1.0 + values))
-    found = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
-    return found if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
+def multipliers_of(point: PathPoint) -> np.ndarray:
+    """Return the leading multipliers at a point of a path: (k,) complex."""
+    assert point.control_values is not None
+    return point.control_values[:-3]
 
 
-def beyond_circle(values: np.ndarray, number: int) -> float:
-    """|mu| - 1 of one of the pairs of multipliers, 0 the largest; -1 where there are fewer."""
-    sizes = np.sort(np.abs(values[values.imag > 0.0]))[::-1]
-    return float(sizes[number] - 1.0) if len(sizes) > number else -1.0
+def period_doubling_function(multipliers: np.ndarray) -> float:
+    """Return a number with the sign and the zeros of the product of all 1 + mu.
+
+    Every factor is scaled to a modulus of at most 1. The result is 0 if a factor is smaller than
+    ``ROOT_TOLERANCE``.
+    """
+    factors = np.where(multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers))
+    product = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
+    return product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
+
+
+def pair_modulus_excess(multipliers: np.ndarray, pair_index: int) -> float:
+    """Return |mu| - 1 of a complex pair; -1 if there are fewer pairs.
+
+    Pairs are numbered from 0 in descending order of |mu|.
+    """
+    pair_modulus = np.sort(np.abs(multipliers[multipliers.imag > 0.0]))[::-1]
+    return float(pair_modulus[pair_index] - 1.0) if len(pair_modulus) > pair_index else -1.0

@@ -1,22 +1,28 @@
 """Periodic orbits of exact flows along one parameter of a curve:
 
-    F(x, p) = scale (z(T; x, v) - z(0)) = 0,
+    F(x, p) = scale (z(T; x, v) - z(0)) = 0.
 
-z = (q, q') the state at phase zero of the load, x = scale z(0) - x_0 - p x_1, T = 2 pi m / omega,
-and v one of the parameters of :mod:`waves`. x_0 and x_0 + x_1 are where the mean of the load holds
-the structure at the start and at the end: steps are parts of what moves, lest a resonance beside a
-large preload is stepped over. dF/dx = M - I with the monodromy matrix M in the unknowns.
+z = (q, q') is the state at phase zero of the load, and T = 2 pi m / omega. v is a parameter of
+:mod:`waves`. The unknowns are
 
-Over the load's frequency, its factor, the damping and the clearance the kernel has the equations:
-all points of a path share one flow. Over the contact stiffness and a rotor's speed a flow is made
-for each point. dF/dp is exact but over the speed: forces are continuous, and it is the motion's own
-variation, over damping and stiffness
+    x = scale z(0) - x_0 - p x_1.
 
-    dq'' + C dq' + Lambda dq + P_A S P_A^T dq = -C' q' + P_A S D' lambda_A,
+x_0 and x_0 + x_1 are the rest states under the mean load at the start and at the end. Steps are
+thus relative to the motion; otherwise, a large preload could hide a resonance. dF/dx = M - I, with
+the monodromy matrix M in the unknowns.
 
-' the derivative by p, S = (D_AA)^-1 of the compliance D of the closed pairs A. Over the speed, with
-which modes change, it is a forward difference: another flow a point; so it is with friction over
-damping, stiffness and the coefficient of friction.
+Over the load's frequency, its factor, the damping and the clearance, the kernel has the equations,
+and all points of a path share one flow. Over the contact stiffness, the friction and a rotor's
+speed, and with friction over the damping, each point has its own flow.
+
+dF/dp is exact, except over the speed. Forces are continuous, so dF/dp is the variation of the
+motion. Over damping and stiffness
+
+    dq'' + C dq' + Lambda dq + P_A S P_A^T dq = -C' q' + P_A S D' lambda_A.
+
+Here ' in C' and D' is the derivative by p, and S = (D_AA)^-1 with the compliance D of the closed
+pairs A. Over the speed the modes change, and dF/dp is a forward difference with one more flow per
+point. The same holds with friction over damping, stiffness and the coefficient of friction.
 """
 
 from __future__ import annotations
@@ -44,144 +50,168 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
 
 FORWARD_STEP = math.sqrt(MACHINE_EPSILON)
-"""Step of p for a forward difference: its truncation error is then as small as its rounding."""
+"""Step in p for forward differences. Truncation and rounding error are then about equal."""
 
 
 class Orbits(CurveSystem):
-    """The equations of periodic orbits along a parameter.
+    """Equations of periodic orbits along a parameter.
 
-    ``along`` are its equations of harmonic balance. The problem's ``subharmonic`` is m. Raises
-    InputError where there is no exact flow.
+    The problem's ``subharmonic`` is m. ``waves_class`` has the equations of harmonic balance along
+    the same parameter. Without an exact flow, InputError is raised.
     """
 
     events = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.along = WAVES[parameter]
-        self.logarithmic, self.subharmonic = self.along.logarithmic, problem.subharmonic
-        self._first = self._flow_at(start)
-        self._last: tuple[float, ContactFlow] = start, self._first
-        self.shape = (self._first.size,)
+        self.waves_class = WAVES[parameter]
+        self.logarithmic, self.subharmonic = self.waves_class.logarithmic, problem.subharmonic
+        self._start_flow = self._make_flow(start)
+        self._last_flow: tuple[float, ContactFlow] = start, self._start_flow
+        self.shape = (self._start_flow.size,)
 
-    def at(self, value: float) -> Problem:
-        """The problem where the parameter has a value."""
-        return self.along.vary(self.problem, value)
+    def problem_at(self, value: float) -> Problem:
+        """Return the problem at a parameter value."""
+        return self.waves_class.vary(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
-        return self.along.frequency(self.problem, value)
+        return self.waves_class.load_frequency(self.problem, value)
 
-    def _flow_at(self, value: float) -> ContactFlow:
-        problem = self.at(value)
+    def _make_flow(self, value: float) -> ContactFlow:
+        """Make the flow at a parameter value."""
+        problem = self.problem_at(value)
         return exact_flow(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
-        """The flow where the parameter has a value; the last one is kept."""
+        """Return the flow at a parameter value; the last flow is kept."""
         if self.name == "omega" or value == self.start:
-            return self._first
-        if self._last[0] != value:
-            self._last = value, self._flow_at(value)
-        return self._last[1]
+            return self._start_flow
+        if self._last_flow[0] != value:
+            self._last_flow = value, self._make_flow(value)
+        return self._last_flow[1]
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """dx/dz: 1 of modal displacements, 1 / w of velocities, w the modes' frequencies, at least
-        that of the response."""
-        return self._first.amplitude_weights(self.omega(self.start) / self.subharmonic)
+        """dx/dz: 1 for modal displacements, 1 / w for modal velocities.
+
+        w is the mode's frequency, but at least the response's frequency.
+        """
+        return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
 
     @property
     def records(self) -> int:
-        """How many numbers M has."""
-        return self.size**2
+        """Number of entries in M."""
+        return self.n_unknowns**2
 
     @property
-    def at_once(self) -> int:
-        # Monodromy matrices of 8192 numbers together: those behind a rejected step are lost, and
-        # of large ones few pay for the time between calls.
+    def points_per_call(self) -> int:
+        # Monodromy matrices with 8192 entries together: matrices after a rejected step are lost,
+        # and a few large matrices outweigh the time between calls.
         return 2**13 // self.records
 
-    def control(self, longest_step: float) -> MultiplierControl:
+    def make_step_control(self, longest_step: float) -> MultiplierControl:
         return MultiplierControl(longest_step)
 
     @cached_property
-    def _rest(self) -> np.ndarray:
-        """x_0 and x_1."""
-        first, last = (self._scaled(self.flow(v).rest_state, v) for v in (self.start, self.end))
-        return np.array([first, last - first])
+    def _scaled_rest_and_change(self) -> np.ndarray:
+        """x_0 and x_1: (2, n_unknowns)."""
+        start_rest, end_rest = (
+            self._scale_state(self.flow(value).rest_state, value)
+            for value in (self.start, self.end)
+        )
+        return np.array([start_rest, end_rest - start_rest])
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """z of x where the parameter has a value."""
-        state = (unknown + self._offset(value)) / self.scale
-        return np.asarray(state if self.name != "speed" else state @ self._modes(value).T)
+        """Return z for x at a parameter value."""
+        state = (unknown + self._scaled_rest_state(value)) / self.scale
+        if self.name == "speed":
+            state = state @ self._state_transformation(value).T
+        return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """x of z where the parameter has a value."""
-        return self._scaled(state, value) - self._offset(value)
+        """Return x for z at a parameter value."""
+        return self._scale_state(state, value) - self._scaled_rest_state(value)
 
-    def _scaled(self, state: np.ndarray, value: float) -> np.ndarray:
-        """x + x_0 + p x_1."""
+    def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
+        """Return x + x_0 + p x_1 for z."""
         if self.name == "speed":
-            state = np.linalg.solve(self._modes(value), state)
+            state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
 
-    def _offset(self, value: float) -> np.ndarray:
-        """x_0 + p x_1."""
-        return np.asarray(self._rest[0] + self.parameter(value) * self._rest[1])
+    def _scaled_rest_state(self, value: float) -> np.ndarray:
+        """Return x_0 + p x_1."""
+        rest_start, rest_change = self._scaled_rest_and_change
+        return np.asarray(rest_start + self.parameter(value) * rest_change)
 
-    def _modes(self, value: float) -> np.ndarray:
-        """States of the first flow to those where the speed has a value."""
-        change = self.flow(value).modes.inverse @ self._first.modes.shapes
-        places = np.eye(self._first.size - 2 * self._first.n_modes)
-        return scipy.linalg.block_diag(change, change, places)
+    def _state_transformation(self, value: float) -> np.ndarray:
+        """Return the matrix from states in the start's modes to states in the modes at a speed."""
+        modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
+        friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
+        return scipy.linalg.block_diag(modal_change, modal_change, friction_identity)
 
-    def _motion(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> Motion:
-        """Over a part of the period."""
+    def _advance_motion(
+        self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
+    ) -> Motion:
+        """Return the motion over a fraction of the period."""
         value = self.value(parameter)
         omega, state = self.omega(value), self.state(unknown, value)
         period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow(value).advance(state, omega, part * period)
+        return self.flow(value).advance(state, omega, period_fraction * period)
 
-    def moved(self, unknown: np.ndarray, parameter: float, part: float = 1.0) -> np.ndarray:
-        """x after a part of the period."""
-        state = self._motion(unknown, parameter, part).state
+    def advance_unknown(
+        self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
+    ) -> np.ndarray:
+        """Return x after a fraction of the period."""
+        state = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(state, self.value(parameter))
 
-    def half_off(self, unknown: np.ndarray, parameter: float) -> float:
-        """Change of an orbit over half its period, relative to its size."""
-        change = self.moved(unknown, parameter, 0.5) - unknown
+    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+        """Return an orbit's change over half its period, relative to its size."""
+        change = self.advance_unknown(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(change) / (np.linalg.norm(unknown) or 1.0))
 
     # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
     def compiled(self) -> ShootingEquations | None:
-        """The same equations in the kernel; None where it does not have them."""
-        damped = self.name == "damping"
-        # With friction where pairs stick depends on the damping, too.
-        if self.name in ("stiffness", "speed", "friction") or (damped and self._first.friction):
+        """Same equations in the kernel; None if the kernel lacks them."""
+        is_over_damping = self.name == "damping"
+        # With friction, the places where pairs stick depend on the damping, too.
+        if self.name in ("stiffness", "speed", "friction") or (
+            is_over_damping and self._start_flow.friction
+        ):
             return None
-        omega = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        flow = first = self._first
-        along: dict[str, Any] = {"rest": self._rest} if self._rest.any() else {}
+        omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
+        flow = start_flow = self._start_flow
+        kernel_fields: dict[str, Any] = (
+            {"rest_states": self._scaled_rest_and_change}
+            if self._scaled_rest_and_change.any()
+            else {}
+        )
         if self.name != "omega":
-            last = self.flow(self.end)
-            # Its own: it changes.
-            flow = self._flow_at(max(self.start, self.end) if damped else self.start)
-            if damped:
-                rate, damping = last.modes.damping - first.modes.damping, first.modes.damping
-                along |= {"damping": as_doubles(damping), "damping_by": as_doubles(rate)}
-                along["rates"] = damping.size
+            end_flow = self.flow(self.end)
+            # The kernel changes this flow, so it is not shared.
+            flow = self._make_flow(max(self.start, self.end) if is_over_damping else self.start)
+            if is_over_damping:
+                damping_change = end_flow.modes.damping - start_flow.modes.damping
+                damping = start_flow.modes.damping
+                kernel_fields |= {"damping": as_doubles(damping), "n_damping": damping.size}
+                kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
-                along |= {"force": flow.modal_load, "force_by": last.modal_load - first.modal_load}
-                along |= {"gap": flow.load_gap, "gap_by": last.load_gap - first.load_gap}
-        return ShootingEquations(flow, self.scale, omega, self.subharmonic, **along)
+                load_change = end_flow.modal_load - start_flow.modal_load
+                gap_change = end_flow.load_gap - start_flow.load_gap
+                kernel_fields |= {"force": flow.modal_load, "force_rate": load_change}
+                kernel_fields |= {"gap": flow.load_gap, "gap_rate": gap_change}
+        return ShootingEquations(
+            flow, self.scale, omega_and_change, self.subharmonic, **kernel_fields
+        )
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error of |F| / |x|."""
         return ROUNDING
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at a point.
+        """Return the equations at a point.
 
         Raises
         ------
@@ -191,8 +221,8 @@ class Orbits(CurveSystem):
         if self.compiled is not None:
             return self.compiled.linearise(unknown, parameter)
         try:
-            motion = self._motion(unknown, parameter)
-        except InputError as error:  # Newton's method has left what the parameter may be
+            motion = self._advance_motion(unknown, parameter)
+        except InputError as error:  # Newton's method left the allowed parameters
             raise ConvergenceError(str(error)) from None
         value = self.value(parameter)
         residual = self.unknown(motion.state, value) - unknown
@@ -200,31 +230,34 @@ class Orbits(CurveSystem):
         def monodromy() -> np.ndarray:
             tangent = motion.track.tangent
             if self.name == "speed":
-                modes = self._modes(value)
-                tangent = np.linalg.solve(modes, tangent @ modes)
+                transformation = self._state_transformation(value)
+                tangent = np.linalg.solve(transformation, tangent @ transformation)
             return np.asarray(self.scale[:, None] * tangent / self.scale)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed" or self._first.friction:
+            if self.name == "speed" or self._start_flow.friction:
                 step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
-                return (self.moved(unknown, parameter + step) - unknown - residual) / step
+                return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
-            softness = -self.rate(value) / value * motion.track.flow.softness
-            change = self.scale * motion.track.derivative_by_softness(state, softness)
-            return np.asarray(change + monodromy() @ self._rest[1] - self._rest[1])
+            softness_rate = -self.value_rate(value) / value * motion.track.flow.softness
+            unknown_change = self.scale * motion.track.derivative_by_softness(state, softness_rate)
+            rest_change = self._scaled_rest_and_change[1]
+            return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
         events, pieces = motion.events, motion.pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:
-        """Leading multipliers of points from their M, and r, d and c (:mod:`orbit_events`)."""
-        return leading_multipliers(np.linalg.eigvals(records.reshape(-1, self.size, self.size)))
+        """Return leading multipliers and counts for M at each point (:mod:`orbit_events`)."""
+        return leading_multipliers(
+            np.linalg.eigvals(records.reshape(-1, self.n_unknowns, self.n_unknowns))
+        )
 
 
 def system_along(
     exact: bool, problem: Problem, parameter: str, start: float, end: float
 ) -> Waves | Orbits:
-    """The equations of exact orbits, or of harmonic balance, along a parameter."""
+    """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
     if exact:
         return Orbits(problem, parameter, start, end)
     return WAVES[parameter](problem, start, end)

@@ -1,20 +1,21 @@
-"""The largest response of a curve, and the damping that its width stands for.
+"""Largest response of a curve, and the damping ratio from its half-power width.
 
-Of a linear mode with the ratio xi of critical damping the response is above 1/sqrt(2) of its peak,
-half of its power, between f_1 and f_2 with
+A linear mode with the damping ratio xi has a response above 1/sqrt(2) of its peak, half the power,
+between the frequencies f_1 and f_2 with
 
     xi = (f_2 - f_1) / (2 f),
 
-f being the frequency of the peak, and 1/A^2 of its amplitude A is a parabola in f^2: the top and
-the width are those of a cubic spline through the 1/A^2 of the points. A crack that breathes without
-clearance keeps this, as its response is proportional to the load.
+where f is the peak's frequency. Its inverse square amplitude 1/A^2 is a parabola in f^2. The peak
+and the width therefore come from a cubic spline through 1/A^2 at the points of the curve. For a
+breathing crack without clearance this holds, too: the response is proportional to the load.
 
-Over the speed W of a rotor, w_n itself follows the load's frequency p W: the width in W is that of
-a ratio of xi / (1 - s), s = d ln w_n / d ln W, and xi is reported.
+Over the speed W of a rotor the natural frequency w_n changes with the load frequency p W. The width
+in W then yields xi / (1 - s) with s = d ln w_n / d ln W; xi is reported.
 
-The width is that of the load's own harmonic. Where a higher one resonates, as the second at half
-the natural frequency, the load's own goes on beside it without a width, and no width is a damping:
-that of the whole motion is too large by what goes on, or, as contact feeds it, too small.
+The width is that of the first harmonic of the load. If a higher harmonic resonates, for example the
+second at half the natural frequency, the first harmonic has no half-power width. No damping is then
+reported: the width of the whole motion would be too large by its first harmonic, or too small
+because contact feeds the higher harmonic.
 """
 
 from __future__ import annotations
@@ -27,15 +28,15 @@ import numpy as np
 
 from fenics_crack.basics.tables import Described, hertz_of, quantity, with_frequency
 
-AT_END = "still rising at the end of the range"
+RISING_AT_END = "still rising at the end of the range"
 """Description of a largest response that is no peak."""
 
 
 @dataclass(frozen=True)
 class Top:
-    """The largest response of a curve at one dof, between its points.
+    """Largest response of a curve at one dof, interpolated between its points.
 
-    Its attributes are those of :class:`Peak`.
+    The attributes are described in :class:`Peak`.
     """
 
     index: int
@@ -46,15 +47,18 @@ class Top:
 
 @dataclass(frozen=True, repr=False)
 class Peak(Described, Top):
-    """The largest response of a curve at one dof.
+    """Largest response of a curve at one dof.
 
     Attributes
     ----------
     index : int
-        Number of the nearest point of the curve, for ``curve.solution(index)``.
-    value, amplitude, at_end
-        Of the curve's parameter; half the peak-to-peak displacement [m]; True at an end of the
-        curve: no peak, as the response is still rising there.
+        Index of the nearest point of the curve, for ``curve.solution(index)``.
+    value : float
+        Value of the curve's parameter.
+    amplitude : float
+        Half the peak-to-peak displacement [m].
+    at_end : bool
+        True at an end of the curve: the response is still rising, and there is no peak.
     omega : float
         Load frequency [rad/s].
     error : float
@@ -62,12 +66,12 @@ class Peak(Described, Top):
     verdict : str
         Stability of the vibration.
     damping : float
-        Ratio of critical damping by the half-power bandwidth of the load's own harmonic; nan where
-        that does not fall to 1/sqrt(2) on both sides, as where a higher one resonates, or the curve
-        is none over the frequency.
+        Damping ratio by the half-power width of the load's own harmonic. nan if this harmonic does
+        not fall to 1/sqrt(2) on both sides, as if a higher one resonates, or if the curve is over
+        neither the frequency nor the speed.
     omega_error : float
-        Estimated error of the frequency, relative to it; nan where it is not known, or the
-        response is still rising.
+        Estimated error of the frequency, relative to it; nan if unknown, or if the response is
+        still rising.
     without : str
         Causes missing in the errors: "error due to the mesh not included" for a curve alone
         (:class:`ErrorReport`); empty for :func:`fenics_crack.curve`, whose scene has a mesh.
@@ -83,66 +87,100 @@ class Peak(Described, Top):
     frequency = hertz_of()
 
     def to_dict(self) -> dict[str, Any]:
-        """The attributes, and the frequency [Hz]."""
+        """Return the attributes and the frequency [Hz]."""
         return with_frequency(dict(vars(self)))
 
     def _title(self) -> str:
-        width = f"damping {self.damping:.3g}"
+        damping_words = f"damping {self.damping:.3g}"
         if self.at_end:
-            width = AT_END
+            damping_words = RISING_AT_END
         elif math.isnan(self.damping):
-            width = "the load's own harmonic has no half-power width"
-        error = f"error {self.error:.2g}"
+            damping_words = "the load's own harmonic has no half-power width"
+        error_words = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):
-            error += f", of the frequency {self.omega_error:.2g}"
-        error += f" ({self.without})" if self.without else ""
-        place = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
-        size = quantity(self.amplitude, "m")
-        return f"{size} at {place}, {error}, {self.verdict}, {width}"
+            error_words += f", of the frequency {self.omega_error:.2g}"
+        error_words += f" ({self.without})" if self.without else ""
+        frequency_words = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
+        amplitude_words = quantity(self.amplitude, "m")
+        peak_words = f"{amplitude_words} at {frequency_words}"
+        return f"{peak_words}, {error_words}, {self.verdict}, {damping_words}"
 
 
 def top_and_damping(
-    value: np.ndarray, amplitude: np.ndarray, peak: int
+    values: np.ndarray, amplitudes: np.ndarray, peak_index: int
 ) -> tuple[float, float, float]:
-    """Return place and height of a curve's maximum, between its points in their order (n,), and the
-    damping by the half-power bandwidth; nan where one side of it is missing."""
-    from scipy.interpolate import CubicSpline  # takes longer to load than a curve to be drawn
+    """Return the maximum of a curve between its points, and the damping ratio.
 
-    point = float(value[peak]), float(amplitude[peak])
-    first, last = (_end_of_side(value, amplitude, peak, step) for step in (-1, 1))
-    inside = first < peak < last
-    if not inside or (value[peak + 1] - value[peak]) * (value[peak] - value[peak - 1]) <= 0.0:
-        return *point, math.nan
-    side = slice(first, last + 1)
-    at, height = value[side], np.maximum(amplitude[side] / point[1], np.finfo(float).eps)
-    forward = 1 if at[-1] > at[0] else -1
-    spline = CubicSpline(at[::forward], height[::forward] ** -2.0)
-    lowest = spline.derivative().roots(extrapolate=False)
-    beside = np.sort(value[[peak - 1, peak + 1]])
-    lowest = lowest[(lowest > beside[0]) & (lowest < beside[1])]
-    top = float(min(lowest, key=spline, default=point[0]))
-    if not spline(top) > 0.0:  # as beside a place where there is no vibration of this kind
-        return top, point[1], math.nan
-    ends = spline.solve(2.0 * spline(top), extrapolate=False)
-    width = ends[ends > top].min(initial=math.inf) - ends[ends < top].max(initial=-math.inf)
-    damping = float(width / (2.0 * top)) if math.isfinite(width) else math.nan
-    return top, point[1] * float(spline(top) ** -0.5), damping
+    Parameters
+    ----------
+    values, amplitudes : (n,)
+        Parameter and amplitude of the points, in order along the curve.
+    peak_index : int
+        Index of the largest amplitude.
+
+    Returns
+    -------
+    value, amplitude : float
+        Maximum of the interpolated amplitude.
+    damping : float
+        Damping ratio by the half-power width; nan if a side of the peak is missing.
+    """
+    from scipy.interpolate import CubicSpline  # loading takes longer than drawing a curve
+
+    peak_point = float(values[peak_index]), float(amplitudes[peak_index])
+    first_index, last_index = (
+        _half_power_index(values, amplitudes, peak_index, step) for step in (-1, 1)
+    )
+    if not first_index < peak_index < last_index:
+        return *peak_point, math.nan
+    neighbour_changes = np.diff(values[peak_index - 1 : peak_index + 2])
+    if neighbour_changes[0] * neighbour_changes[1] <= 0.0:
+        return *peak_point, math.nan
+    peak_slice = slice(first_index, last_index + 1)
+    side_values = values[peak_slice]
+    relative_amplitudes = np.maximum(amplitudes[peak_slice] / peak_point[1], np.finfo(float).eps)
+    slice_step = 1 if side_values[-1] > side_values[0] else -1
+    inverse_square = CubicSpline(
+        side_values[::slice_step], relative_amplitudes[::slice_step] ** -2.0
+    )
+    minima = inverse_square.derivative().roots(extrapolate=False)
+    neighbour_values = np.sort(values[[peak_index - 1, peak_index + 1]])
+    minima = minima[(minima > neighbour_values[0]) & (minima < neighbour_values[1])]
+    top_value = float(min(minima, key=inverse_square, default=peak_point[0]))
+    if not inverse_square(top_value) > 0.0:  # as next to a zero response
+        return top_value, peak_point[1], math.nan
+    half_power_values = inverse_square.solve(2.0 * inverse_square(top_value), extrapolate=False)
+    band_start = half_power_values[half_power_values < top_value].max(initial=-math.inf)
+    band_end = half_power_values[half_power_values > top_value].min(initial=math.inf)
+    width = band_end - band_start
+    damping = float(width / (2.0 * top_value)) if math.isfinite(width) else math.nan
+    return top_value, peak_point[1] * float(inverse_square(top_value) ** -0.5), damping
 
 
-def damping_by_width(value: np.ndarray, waves: np.ndarray, subharmonic: int, peak: int) -> float:
-    """Damping by the half-power bandwidth of the load's own harmonic next to a curve's largest
-    response, of coefficients (n, 2H+1); nan where that is missing."""
-    cosine, sine = waves[:, 2 * subharmonic - 1], waves[:, 2 * subharmonic]
-    return top_and_damping(value, np.hypot(cosine, sine), peak)[2]
+def damping_by_width(
+    values: np.ndarray, coefficients: np.ndarray, subharmonic: int, peak_index: int
+) -> float:
+    """Return the damping ratio by the half-power width of the load's own harmonic.
+
+    ``coefficients`` are (n, 2H+1), and ``peak_index`` is the point of the largest response. The
+    result is nan if a side of the peak is missing.
+    """
+    cosine, sine = coefficients[:, 2 * subharmonic - 1], coefficients[:, 2 * subharmonic]
+    return top_and_damping(values, np.hypot(cosine, sine), peak_index)[2]
 
 
-def _end_of_side(value: np.ndarray, amplitude: np.ndarray, peak: int, step: int) -> int:
-    """The first point beyond half the power on one side of a peak, or the last one before the curve
-    ends or turns back."""
-    place, way = peak, 0.0
-    while amplitude[place] >= amplitude[peak] / math.sqrt(2.0) and 0 <= place + step < len(value):
-        there = value[place + step] - value[place]
-        if there * way < 0.0 or there == 0.0:
+def _half_power_index(
+    values: np.ndarray, amplitudes: np.ndarray, peak_index: int, step: int
+) -> int:
+    """Return the first point below half the power on one side of a peak.
+
+    If the curve ends or turns back before, return the last point before. ``step`` is -1 or 1.
+    """
+    index, last_value_change = peak_index, 0.0
+    half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)
+    while amplitudes[index] >= half_power_amplitude and 0 <= index + step < len(values):
+        value_change = values[index + step] - values[index]
+        if value_change * last_value_change < 0.0 or value_change == 0.0:
             break
-        place, way = place + step, there
-    return place
+        index, last_value_change = index + step, value_change
+    return index

@@ -1,29 +1,34 @@
 """Stability of periodic solutions: Floquet multipliers, and a verdict.
 
-The multipliers mu are those of the exact orbit next to a solution, which is stable where they lie
-within the unit circle (:mod:`fenics_crack.motion.orbit`); :func:`shoot` finds that orbit alone.
-:mod:`fenics_crack.balance.assessment` decides whether it is accepted for the solution.
+The multipliers mu belong to the exact orbit next to a solution. The orbit is stable if all lie
+within the unit circle (:mod:`fenics_crack.motion.orbit`). The function :func:`shoot` finds the
+orbit alone, and :mod:`fenics_crack.balance.assessment` decides whether it is accepted for the
+solution.
 
-Where no orbit is found, the exact motion that begins with the solution is followed: "irregular"
-if a small disturbance of it grows (:func:`fenics_crack.motion.attractors.find_irregular_motion`).
+If no orbit is found, the exact motion that begins with the solution is followed. The verdict is
+"irregular" if a small disturbance grows
+(:func:`fenics_crack.motion.attractors.find_irregular_motion`).
 
-Laws that are not linear in contact have no exact flow. Their multipliers are those of the linear
-flow along the solution, which decide if its error is small; they are as uncertain as they differ
-along the solution with twice the harmonics.
+Laws that are not linear in contact have no exact flow. Their multipliers come from the linear flow
+along the solution, and decide if the solution's error is small. Their uncertainty is the difference
+from the multipliers with twice the harmonics.
 
-**The linear flow.** Small disturbances z = (q, q') of a solution with gap s(t) follow, in modal
-coordinates,
+Linear flow
+-----------
+Small disturbances z = (q, q') of a solution with gap s(t) follow, in modal coordinates,
 
     q'' + C q' + (W^2 + P kappa(t) P^T) q = 0,      kappa = d lambda / ds along s(t).
 
-A step of length h is half a kick, q' -= h/2 P kappa P^T q, a drift of the structure without
-contact, which is exact, and half a kick with the stiffness there. The error of the product M_N of N
-steps in a period has even powers of h alone, so that that of (4 M_2N - M_N) / 3 is of fourth order.
-N is doubled until this hardly changes, or is large.
+A step with length h has three parts: half a kick, q' -= h/2 P kappa P^T q, an exact drift without
+contact, and half a kick with the stiffness at the end. The product M_N of N steps per period
+has an error with even powers of h alone. The error of (4 M_2N - M_N) / 3 is thus of fourth order. N
+is doubled until this matrix hardly changes, or is large.
 
-Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
-chapter 7; Strang, SIAM Journal on Numerical Analysis 5 (1968) 506; Hairer, Lubich and Wanner,
-Geometric Numerical Integration, 2006, section II.4.
+References
+----------
+Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004, chapter 7.
+Strang, SIAM Journal on Numerical Analysis 5, 1968, 506.
+Hairer, Lubich and Wanner, Geometric Numerical Integration, 2006, section II.4.
 """
 
 from __future__ import annotations
@@ -68,83 +73,112 @@ def monodromy(
     contact: ContactLaw,
     gap: np.ndarray,
     base_omega: float,
-    static_above: float | None = None,
+    static_cutoff: float | None = None,
 ) -> np.ndarray:
-    """M over one period of a solution, from phase zero: (2 n_modes, 2 n_modes); of a small
-    structure.
+    """Return M for the linear flow over one period from phase zero: (2 n_modes, 2 n_modes).
 
-    ``gap`` are the coefficients of the solution, (2H+1, n_pairs) [m], of the slow gap where modes
-    beyond ``static_above`` [rad/s] are quasi-static. Raises ConvergenceError where M is not found,
-    InputError where the law's tangent is not the slope of its force along the solution.
+    Parameters
+    ----------
+    structure : Structure
+        Small structure.
+    contact : ContactLaw
+    gap : (2H+1, n_pairs) [m]
+        Gap coefficients; with ``static_cutoff``, coefficients of the slow gap.
+    base_omega : float [rad/s]
+    static_cutoff : float, optional [rad/s]
+        Frequency above which modes are quasi-static.
+
+    Raises
+    ------
+    ConvergenceError
+        The steps cannot resolve M.
+    InputError
+        The law's tangent is not the slope of its force along the solution.
     """
-    modes = all_modes(structure).with_static_modes(static_above)
-    seen = sample_period(gap, 4 * len(gap))
+    modes = all_modes(structure).with_static_modes(static_cutoff)
+    gap_samples = sample_period(gap, 4 * len(gap))
     if modes.residual is not None:
-        seen = seen - smooth_forces(contact, modes.residual, seen)[0] @ modes.residual
-    check_slope(contact, seen)
-    size = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
-    count = 1 << (4 * len(gap)).bit_length()
-    coarse = found = _product(modes, contact, gap, base_omega, count)
-    change = whole = np.inf
-    while count < 2**13 and not change <= MULTIPLIER_TOLERANCE * whole < np.inf:
-        count *= 2
-        fine = _product(modes, contact, gap, base_omega, count)
-        before, found, coarse = found, fine + (fine - coarse) / 3.0, fine
-        parts = (size[:, None] * one / size for one in (found - before, found))
-        change, whole = (float(np.linalg.norm(part)) for part in parts)
-    if not np.all(np.isfinite(found)):
+        forces = smooth_forces(contact, modes.residual, gap_samples)[0]
+        gap_samples = gap_samples - forces @ modes.residual
+    check_slope(contact, gap_samples)
+    state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
+    n_steps = 1 << (4 * len(gap)).bit_length()
+    last_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+    change_size = matrix_size = np.inf
+    while n_steps < 2**13 and not change_size <= MULTIPLIER_TOLERANCE * matrix_size < np.inf:
+        n_steps *= 2
+        product = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+        last_matrix = matrix
+        matrix = product + (product - last_product) / 3.0
+        last_product = product
+        scaled_matrices = (
+            state_scale[:, None] * part_matrix / state_scale
+            for part_matrix in (matrix - last_matrix, matrix)
+        )
+        change_size, matrix_size = (
+            float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_matrices
+        )
+    if not np.all(np.isfinite(matrix)):
         raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
-    return found
+    return matrix
 
 
-def _product(
-    modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, count: int
+def _multiply_steps(
+    modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, n_steps: int
 ) -> np.ndarray:
-    """M of so many steps, a power of two: of stretches of the period at once, then of these one
-    after the other."""
-    h, n, values = 2.0 * np.pi / base_omega / count, len(modes.squares), sample_period(gap, count)
+    """Return the product M_N of N steps, N a power of two.
+
+    Stretches of the period are multiplied side by side, then one after the other.
+    """
+    h = 2.0 * np.pi / base_omega / n_steps
+    n_modes = len(modes.squares)
+    gap_samples = sample_period(gap, n_steps)
     if modes.residual is None:
-        kicks = h * contact.tangent(values)[:, :, None]
+        kicks = h * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces(contact, modes.residual, values)[1]
-    stretches = 1
-    while stretches**2 < count and stretches * (2 * n) ** 2 < CACHE_BLOCK_SIZE:
-        stretches *= 2
-    along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
-    moved = modes.transition(h)[0]
-    state = np.tile(np.eye(2 * n), (stretches, 1, 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # of too few steps
-        for kick in along.swapaxes(0, 1):
-            state[:, n:] -= _kicked(modes, kick, state[:, :n])
-            state = _drifted(modes, moved, state)
-        product = state[0]
-        for one in state[1:]:
-            product = one @ product
-        half = np.zeros_like(product)
-        half[n:, :n] = 0.5 * _kicked(modes, kicks[0], np.eye(n))
-        product = product + product @ half
-        return product - half @ product
+        kicks = h * smooth_forces(contact, modes.residual, gap_samples)[1]
+    n_stretches = 1
+    while n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < CACHE_BLOCK_SIZE:
+        n_stretches *= 2
+    stretch_kicks = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
+    transition = modes.transition(h)[0]
+    states = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
+    with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
+        for kick in stretch_kicks.swapaxes(0, 1):
+            states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
+            states = _drift(modes, transition, states)
+        product = states[0]
+        for stretch_product in states[1:]:
+            product = stretch_product @ product
+        half_kick = np.zeros_like(product)
+        half_kick[n_modes:, :n_modes] = 0.5 * _velocity_change(modes, kicks[0], np.eye(n_modes))
+        product = product + product @ half_kick
+        return product - half_kick @ product
 
 
-def _kicked(modes: AllModes, kick: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """h P kappa P^T q."""
-    seen = modes.pairs.T @ moved
-    return np.asarray(modes.pairs @ (kick * seen if modes.residual is None else kick @ seen))
+def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """Return the velocity change by a kick, h P kappa P^T q."""
+    pair_displacement = modes.pairs.T @ displacement
+    is_diagonal = modes.residual is None
+    impulse = kick * pair_displacement if is_diagonal else kick @ pair_displacement
+    return np.asarray(modes.pairs @ impulse)
 
 
-def _drifted(modes: AllModes, moved: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """E z of the structure without contact, E as :meth:`AllModes.transition` gives it."""
+def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Return E z for the structure without contact, with E from :meth:`AllModes.transition`."""
     if modes.damping.ndim == 2:
-        return np.asarray(moved @ state)
-    n, e = moved.shape[1], moved[:, :, None]
-    q, rate = state[:, :n], state[:, n:]
-    return np.concatenate([e[0] * q + e[1] * rate, e[2] * q + e[3] * rate], axis=1)
+        return np.asarray(transition @ states)
+    n_modes, transition_blocks = transition.shape[1], transition[:, :, None]
+    displacement, velocity = states[:, :n_modes], states[:, n_modes:]
+    new_displacement = transition_blocks[0] * displacement + transition_blocks[1] * velocity
+    new_velocity = transition_blocks[2] * displacement + transition_blocks[3] * velocity
+    return np.concatenate([new_displacement, new_velocity], axis=1)
 
 
-def _assessed(
+def _assessment_of(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None
 ) -> Assessment:
-    """The assessment of a solution of a structure, by default with the solution's own law."""
+    """Return the assessment of a solution, with another law if given."""
     law = solution.contact if contact is None else contact
     check_law(structure, law, rigid=True)
     if solution.structure.n_dofs != structure.n_dofs:
@@ -162,24 +196,24 @@ def shoot(
 ) -> PeriodicOrbit:
     """Refine a harmonic-balance solution to a periodic orbit in time: z(T) = z(0).
 
-    Newton's method on the exact flow at the solution's frequency, damped where its steps would
-    grow.
+    Newton's method on the exact flow at the solution's frequency; steps are damped if the residual
+    would grow.
 
     Parameters
     ----------
     structure, contact
-        Default of the law: the solution's.
+        Default for the law: the solution's.
     solution : PeriodicSolution
-        Where the orbit is sought.
+        First guess for the orbit.
     settle : int
-        Follow the flow for so many periods of the response first: towards what attracts it.
+        Follow the flow for so many response periods first, towards an attractor.
     tolerance : float
-        ``|z(T) - z(0)| / |z(0)|`` that is accepted.
+        Maximum ``|z(T) - z(0)| / |z(0)|``.
 
     Returns
     -------
     PeriodicOrbit
-        With its multipliers, gap and contact force.
+        Orbit with multipliers, gap and contact force.
 
     Raises
     ------
@@ -194,53 +228,55 @@ def shoot(
     >>> distance = orbit.multipliers
     """
     check_count("settle", settle, 0)
-    known, periods = _assessed(structure, solution, contact), solution.subharmonic
-    assert known.wave.contact is not None
-    flow = exact_flow(structure, known.wave.contact)
-    found = None if settle else known.orbit
-    if found is None:
-        orbits = FlowOrbits(flow, solution.omega, known.states[0], periods)
-        settled = orbits.start
+    assessment, n_load_periods = _assessment_of(structure, solution, contact), solution.subharmonic
+    assert assessment.wave.contact is not None
+    flow = exact_flow(structure, assessment.wave.contact)
+    orbit = None if settle else assessment.orbit
+    if orbit is None:
+        orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
+        settled_unknown = orbits.start
         for _ in range(settle):
-            settled = orbits.advance_period(settled, 1.0)
-        start = orbits.state(settled)
-        found = find_orbit(flow, solution.omega, start, subharmonic=periods)
-        if found is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            found = find_by_homotopy(
-                FlowOrbits(flow, solution.omega, start, periods), SearchOptions()
+            settled_unknown = orbits.advance_period(settled_unknown, 1.0)
+        start_state = orbits.state(settled_unknown)
+        orbit = find_orbit(flow, solution.omega, start_state, subharmonic=n_load_periods)
+        if orbit is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            orbit = find_by_homotopy(
+                FlowOrbits(flow, solution.omega, start_state, n_load_periods), SearchOptions()
             )
-    if found is not None and found.residual > tolerance:  # its last step was short, but M is large
-        again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
-        found = again or found
-    if found is None or not found.residual <= tolerance:
-        closest = "" if found is None else f"; closest {found.residual:.1e}"
-        raise ConvergenceError(f"shooting: no periodic orbit near the solution{closest}")
-    return found
+    if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
+        refined_orbit = find_orbit(
+            orbit.flow, orbit.omega, orbit.state, subharmonic=orbit.subharmonic
+        )
+        orbit = refined_orbit or orbit
+    if orbit is None or not orbit.residual <= tolerance:
+        residual_words = "" if orbit is None else f"; closest {orbit.residual:.1e}"
+        raise ConvergenceError(f"shooting: no periodic orbit near the solution{residual_words}")
+    return orbit
 
 
 def floquet(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
 ) -> Stability:
-    """Floquet multipliers of a solution, and whether it is stable.
+    """Return the Floquet multipliers of a solution, and the verdict on its stability.
 
-    The multipliers mu are the eigenvalues of the monodromy matrix dz(T)/dz(0), z being displacement
-    and velocity and T the period of the response: a small disturbance becomes mu times as large in
-    a period. Stable: ``|mu| < 1`` for all.
+    The multipliers mu are the eigenvalues of the monodromy matrix dz(T)/dz(0). z is displacement
+    and velocity, T the response's period. In each period a small disturbance is multiplied by mu.
+    The solution is stable if ``|mu| < 1`` for all.
 
     Parameters
     ----------
     structure : Structure
         The solution's; at most 600 dofs, else reduce it before solving.
     solution : PeriodicSolution
-        The orbit.
+        Solution to assess.
     contact : ContactLaw, optional
-        Its law; default: the solution's own.
+        Law; default: the solution's own.
 
     Returns
     -------
     Stability
-        The multipliers, largest first, the verdict, and the reason where no orbit decides it: with
-        the distance of the nearest orbit and its own stability, where one was found.
+        Multipliers in descending order of modulus, and the verdict. If no orbit decides, the
+        reason, with distance and stability of the nearest orbit if one was found.
 
     Raises
     ------
@@ -257,35 +293,36 @@ def floquet(
     >>> stability = fc.floquet(structure, solution)
     >>> verdict, reason = stability.verdict, stability.reason
     """
-    known = _assessed(structure, solution, contact)
-    law = known.wave.contact
-    if known.flow is None:
+    assessment = _assessment_of(structure, solution, contact)
+    law = assessment.wave.contact
+    if assessment.flow is None:
         assert law is not None
         if is_unilateral(law) or not is_small(structure):
-            exact_flow(structure, law)  # says what is missing
-        return _by_waves(structure, solution, law)
-    return stability_of(known)
+            exact_flow(structure, law)  # raises InputError with the reason
+        return _stability_by_linear_flow(structure, solution, law)
+    return stability_of(assessment)
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions that are seen in place of an unstable solution, in the long run.
+    """Find the motions that replace an unstable solution in the long run.
 
-    They begin next to the orbit, away from it by 1 % of what moves in the direction v in which
-    small disturbances grow, M v = mu v, and are followed by the exact flow. Where mu > 1 they part,
-    along v and -v, and may go to two orbits, such as those above and below the unstable one of a
-    resonance that leans over. Of an irregular solution it is the exact motion that begins with it.
+    Each motion begins next to the orbit, at a distance of 1 % of the motion, and the exact flow
+    follows it. Small disturbances grow in the direction v, M v = mu v. If mu > 1, the motions along
+    v and -v part. They may go to two orbits: above and below the unstable orbit of a leaning
+    resonance, for example. For an irregular solution the result is the exact motion that begins
+    with the solution.
 
     Parameters
     ----------
     structure : Structure
         The solution's.
     solution : PeriodicSolution
-        Whose verdict by :func:`floquet` is "unstable" or "irregular".
+        Solution with the verdict "unstable" or "irregular" (:func:`floquet`).
 
     Returns
     -------
     tuple of Attractor
-        One, or two where they differ.
+        One attractor, or two different ones.
 
     Raises
     ------
@@ -301,37 +338,47 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     >>> if fc.floquet(structure, solution).verdict == "unstable":
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
-    known = replace(solution, structure=structure).assessment
-    if known.irregular_motion is not None:
-        return (known.irregular_motion,)
-    followed = known.flow is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    verdict = stability_of(known).verdict if followed else "no exact flow"
-    orbit = known.orbit if followed else None
+    assessment = replace(solution, structure=structure).assessment
+    if assessment.irregular_motion is not None:
+        return (assessment.irregular_motion,)
+    has_monodromy = (
+        assessment.flow is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
+    )
+    verdict = stability_of(assessment).verdict if has_monodromy else "no exact flow"
+    orbit = assessment.orbit if has_monodromy else None
     if verdict != "unstable" or orbit is None:
-        allowed = f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
-        raise InputError("solution", verdict, allowed)
+        requirement = (
+            f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
+        )
+        raise InputError("solution", verdict, requirement)
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
-    values, vectors = np.linalg.eig(orbits.scale[:, None] * orbit.monodromy / orbits.scale)
-    leading = int(np.abs(values).argmax())
-    mu, change = values[leading], vectors[:, leading].real
+    multipliers, eigenvectors = np.linalg.eig(
+        orbits.scale[:, None] * orbit.monodromy / orbits.scale
+    )
+    leading_index = int(np.abs(multipliers).argmax())
+    mu, start_change = multipliers[leading_index], eigenvectors[:, leading_index].real
     states = orbit.sampled.whole_states
-    moved = motion_size(orbits.scale * states) / np.sqrt(len(states))
-    change *= 0.01 * moved / np.linalg.norm(change)
-    found: list[Attractor] = []
-    for start in (orbits.start + change, orbits.start - change)[: 2 if mu == abs(mu) else 1]:
-        one = find_attractor(orbits, start)
+    rms_motion = motion_size(orbits.scale * states) / np.sqrt(len(states))
+    start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
+    motions: list[Attractor] = []
+    start_unknowns = orbits.start + start_change, orbits.start - start_change
+    for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
+        motion = find_attractor(orbits, start_unknown)
         if not any(
-            one.orbit and other.orbit and is_same_orbit(one.orbit, other.orbit) for other in found
+            motion.orbit
+            and earlier_motion.orbit
+            and is_same_orbit(motion.orbit, earlier_motion.orbit)
+            for earlier_motion in motions
         ):
-            found.append(one)
-    return tuple(found)
+            motions.append(motion)
+    return tuple(motions)
 
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
-    """Follow the exact motion from rest, for as long as the search of an orbit follows one, to see
-    whether it settles to another motion than a solution (collective).
+    """Follow the exact motion from rest, to compare with a solution (collective).
 
-    None where there is no exact flow, or more than 120 modes.
+    The motion is followed for as long as a search for an orbit follows one. The result is None
+    without an exact flow, or for more than 120 modes.
     """
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
@@ -340,51 +387,61 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     return find_attractor(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
 
 
-def stability_of(known: Assessment) -> Stability:
-    """Stability of a solution by its orbit."""
-    orbit, motion = known.orbit, known.irregular_motion
+def stability_of(assessment: Assessment) -> Stability:
+    """Return the stability of an assessed solution by its orbit."""
+    orbit, motion = assessment.orbit, assessment.irregular_motion
     if orbit is None:
-        assert known.flow is not None
-        values = np.full(known.flow.size, np.nan + 0j)
+        assert assessment.flow is not None
+        multipliers = np.full(assessment.flow.size, np.nan + 0j)
         if motion is not None:
-            values[0] = motion.growth
+            multipliers[0] = motion.growth
             return Stability(
-                values,
+                multipliers,
                 "irregular",
                 np.nan,
                 reason=f"no orbit was found, and the exact motion {motion.description}",
             )
-        if known.prediction is not None and known.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            values = eigenvalues(known.prediction.monodromy)
-        return Stability(values, "undecided", np.nan, reason=known.reason)
-    reason, largest = known.reason, abs(orbit.multipliers[0])
-    if not reason and abs(largest - 1.0) <= MULTIPLIER_TOLERANCE:
+        if assessment.prediction is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            multipliers = eigenvalues(assessment.prediction.monodromy)
+        return Stability(multipliers, "undecided", np.nan, reason=assessment.reason)
+    reason, largest_modulus = assessment.reason, abs(orbit.multipliers[0])
+    if not reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
-    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
-    return Stability(orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, known.distance, reason)
+    verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
+    return Stability(
+        orbit.multipliers, verdict, MULTIPLIER_TOLERANCE, True, assessment.distance, reason
+    )
 
 
-def _by_waves(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
-    """Assess by the multipliers of the flow along the solution; their difference from those with
-    twice the harmonics is the uncertainty."""
-    gap, above, off = solution.slow_gap_coefficients, solution.static_above, np.inf
+def _stability_by_linear_flow(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
+) -> Stability:
+    """Assess a solution by the multipliers of its linear flow.
+
+    The uncertainty is their difference from the multipliers with twice the harmonics.
+    """
+    gap, static_cutoff, uncertainty = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
-        values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
+        multipliers = eigenvalues(
+            monodromy(structure, contact, gap, solution.base_omega, static_cutoff)
+        )
         wave = replace(solution, structure=structure, contact=contact)
-        finer = with_twice_the_harmonics(wave) if gap.size else solution
-        if finer is not None:
-            slow = finer.slow_gap_coefficients
-            along = monodromy(structure, contact, slow, solution.base_omega, above)
-            off = float(abs(abs(eigenvalues(along)[0]) - abs(values[0])))
+        finer_solution = with_twice_the_harmonics(wave) if gap.size else solution
+        if finer_solution is not None:
+            finer_gap = finer_solution.slow_gap_coefficients
+            finer_matrix = monodromy(
+                structure, contact, finer_gap, solution.base_omega, static_cutoff
+            )
+            uncertainty = float(abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0])))
     except ConvergenceError as error:
-        unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
-        return Stability(unknown, "undecided", np.nan, reason=str(error))
-    largest, left_out, reason = abs(values[0]), solution.report.truncation, ""
-    if left_out >= UNKNOWN or not np.isfinite(off):
+        unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
+        return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
+    largest_modulus, truncation_error, reason = abs(multipliers[0]), solution.report.truncation, ""
+    if truncation_error >= UNKNOWN or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
-    elif left_out > LARGE_ERROR:
-        reason = f"the truncated harmonics change it by {percent(left_out)}; use more"
-    elif abs(largest - 1.0) <= max(MULTIPLIER_TOLERANCE, off):
+    elif truncation_error > LARGE_ERROR:
+        reason = f"the truncated harmonics change it by {percent(truncation_error)}; use more"
+    elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, uncertainty):
         reason = "its largest multiplier is 1 within its uncertainty"
-    verdict = "undecided" if reason else "stable" if largest < 1.0 else "unstable"
-    return Stability(values, verdict, off, reason=reason)
+    verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
+    return Stability(multipliers, verdict, uncertainty, reason=reason)

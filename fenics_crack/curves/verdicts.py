@@ -1,18 +1,19 @@
-"""Verdicts of the points of a harmonic-balance curve: by their nearest exact orbits, or by
-the flow linearised along them.
+"""Verdicts on a harmonic-balance curve, by exact orbits or by the linear flow.
 
-Each point is assessed as a single solution is (:mod:`fenics_crack.balance.assessment`); its folds
-and branch points are those of its own equations. Where none of its first, middle and last point has
-an orbit of its own, none is sought at the others: the curve costs what its harmonic balance costs.
-Of the points that are left open eight are followed, spread evenly. Where two neighbours of these
-are irregular, so are the points between them, if all of these are open.
+Each point is assessed like a single solution (:mod:`fenics_crack.balance.assessment`) by its
+nearest exact orbit. Folds and branch points are those of the truncated equations. If no orbit
+decides at the first, the middle and the last point, the other points are not assessed. Of the
+points without a verdict, up to eight are followed in time, evenly spread. If two neighbours of
+these are irregular, so are the points between them, provided that none of these has a verdict.
 
-With laws without an exact flow it is the linearised flow. Between two points lies
-a period doubling or a Neimark-Sacker point where the numbers of multipliers outside the unit circle
-say so (:mod:`orbit_events`); it is located on the path between them
+Laws without an exact flow are assessed by the linear flow along the solution. Between two points
+there is a period doubling or a Neimark-Sacker point if the numbers of multipliers outside the unit
+circle say so (:mod:`orbit_events`). It is located on the path between the points
 (:class:`fenics_crack.numerics.path.ZeroCrossing`).
 
-Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
+References
+----------
+Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ import numpy as np
 from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
-from fenics_crack.curves.branch import neighbours
-from fenics_crack.curves.curve import ResponseCurve, leading
+from fenics_crack.curves.branch import chord_ends
+from fenics_crack.curves.curve import ResponseCurve, leading_multiplier
 from fenics_crack.curves.orbit_events import (
-    about_minus_one,
-    beyond_circle,
-    changes,
+    count_changes,
     leading_multipliers,
+    pair_modulus_excess,
+    period_doubling_function,
 )
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
 from fenics_crack.curves.waves import Waves
@@ -44,27 +45,27 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import ZeroCrossing
 
 MAX_FOLLOWED_POINTS = 8
-"""Points of a curve whose exact motion is followed. Each takes 0.05 to 0.5 s."""
+"""Maximum number of points whose exact motion is followed, at 0.05 to 0.5 s each."""
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Assess the points of a curve over any parameter by their nearest exact orbits.
 
-    Laws that are not linear in contact have no exact orbits: their points are assessed as
-    :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
-    the linearised flow leave the unit circle.
+    Laws that are not linear in contact have no exact orbits. Each point is then assessed like a
+    solution in :func:`floquet`. Period doublings and Neimark-Sacker points are found from the
+    multipliers of the linear flow.
 
     Parameters
     ----------
     curve : ResponseCurve
-        Of harmonic balance, followed with or without ``stability=True``.
+        Harmonic-balance curve, followed with or without ``stability=True``.
 
     Returns
     -------
     ResponseCurve
-        The same points, with the multipliers of their orbits; "irregular", with the growth of a
-        small disturbance, where exact motions are; else "undecided" (and nan) where the predicted
-        error is above 0.1, or no orbit is accepted for its solution.
+        Same points, with the multipliers of their orbits. Points with an irregular exact motion are
+        "irregular", with the growth of a small disturbance. Points are "undecided" (nan) if the
+        predicted error is above 0.1, or if no orbit is accepted for the solution.
 
     Raises
     ------
@@ -77,15 +78,15 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     >>> verdicts = judged.verdicts
     """
     if not is_unilateral(curve.contact):
-        return judged_by_waves(curve)
+        return judge_by_linear_flow(curve)
     begin("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
-    first = {0, len(curve) // 2, len(curve) - 1}
-    for places in map(sorted, (first, {*range(len(curve))} - first)):
-        for place, known in zip(places, curve.assessments(places), strict=True):
-            # With a larger error an orbit is seldom its own.
-            if known.predicted_error <= MAX_ERROR and known.is_accepted:
-                multipliers[place] = _deciding(stability_of(known))
+    sampled_indices = {0, len(curve) // 2, len(curve) - 1}
+    for indices in map(sorted, (sampled_indices, {*range(len(curve))} - sampled_indices)):
+        for index, assessment in zip(indices, curve.assessments(indices), strict=True):
+            # With a larger error, the nearest orbit is seldom accepted.
+            if assessment.predicted_error <= MAX_ERROR and assessment.is_accepted:
+                multipliers[index] = _leading_multiplier_if_decided(stability_of(assessment))
         if np.isnan(multipliers).all():
             break
     growth = _growth_along(curve, np.isnan(multipliers))
@@ -94,68 +95,100 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 
 
 def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
-    """Measure the growth of disturbances at some of the open points (n,) bool of a curve.
+    """Measure the growth of disturbances at some points without a verdict.
+
+    ``is_open`` (n,) is True at points without a verdict.
 
     Returns
     -------
     (n,)
-        In a period; between two irregular points geometric means, elsewhere nan.
+        Growth per period. Between two irregular points, geometric interpolation; elsewhere nan.
     """
-    growth, places = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    steps = np.linspace(0, len(places) - 1, min(MAX_FOLLOWED_POINTS, len(places)))
-    indices = places[steps.astype(int)].tolist()
-    for place, assessment in zip(indices, curve.assessments(indices), strict=True):
+    growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
+    positions = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))
+    followed_indices = open_indices[positions.astype(int)].tolist()
+    for index, assessment in zip(
+        followed_indices, curve.assessments(followed_indices), strict=True
+    ):
         if motion := assessment.irregular_motion:
-            growth[place] = motion.growth
-    for start, end in pairwise(indices):
-        if is_open[start : end + 1].all() and growth[start] * growth[end] > 0.0:
-            growth[start : end + 1] = np.geomspace(growth[start], growth[end], end + 1 - start)
+            growth[index] = motion.growth
+    for start_index, end_index in pairwise(followed_indices):
+        stretch, end_growths = slice(start_index, end_index + 1), growth[[start_index, end_index]]
+        if is_open[stretch].all() and np.prod(end_growths) > 0.0:
+            growth[stretch] = np.geomspace(*end_growths, end_index + 1 - start_index)
     return growth
 
 
-def _deciding(stability: Stability) -> complex:
-    """The leading multiplier; nan where the stability is undecided."""
-    return math.nan if stability.verdict == "undecided" else leading(stability.multipliers)
+def _leading_multiplier_if_decided(stability: Stability) -> complex:
+    """Return the leading multiplier; nan if the stability is undecided."""
+    if stability.verdict == "undecided":
+        return math.nan
+    return leading_multiplier(stability.multipliers)
 
 
-def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
-    """The same curve with verdicts, and with bifurcations where multipliers of the flow
-    linearised along it leave the unit circle."""
+def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
+    """Return the curve with verdicts and bifurcations by the linear flow.
+
+    Bifurcations are where multipliers leave the unit circle.
+    """
     begin("stability of each point")
-    solutions = (curve.solution(place, search=False) for place in range(len(curve)))
-    found = [floquet(one.structure, one) for one in solutions]
-    special = [one for one in curve.bifurcations if one.kind in ("fold", "branch_point")]
-    values = np.array([one.multipliers for one in found])
-    rows = leading_multipliers(values)
-    crossed = changes(rows)[:, 1:] != 0.0
-    crossed &= np.isfinite(values[1:] + values[:-1]).all(axis=1)[:, None]
-    for place, which in np.argwhere(crossed).tolist():
-        kind, pairs = ("period_doubling", "neimark_sacker")[which], rows[place : place + 2, -1]
-        number = int(pairs.real.max()) - 1
-        test = partial(beyond_circle, number=number) if which else about_minus_one
-        special.append(curve.bifurcation(kind, *_located(curve, place, test)))
-    special.sort(key=curve.nearest)
-    multipliers = np.array([_deciding(one) for one in found], dtype=complex)
-    return replace(curve, bifurcations=tuple(special), multipliers=multipliers)
+    solutions = (curve.solution(index, search=False) for index in range(len(curve)))
+    stabilities = [floquet(solution.structure, solution) for solution in solutions]
+    bifurcations = [point for point in curve.bifurcations if point.kind in ("fold", "branch_point")]
+    multipliers = np.array([stability.multipliers for stability in stabilities])
+    multipliers_and_counts = leading_multipliers(multipliers)
+    has_crossing = count_changes(multipliers_and_counts)[:, 1:] != 0.0
+    has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
+    for index, kind_index in np.argwhere(has_crossing).tolist():
+        kind = ("period_doubling", "neimark_sacker")[kind_index]
+        pair_counts = multipliers_and_counts[index : index + 2, -1]
+        pair_index = int(pair_counts.real.max()) - 1
+        pair_test_function = partial(pair_modulus_excess, pair_index=pair_index)
+        test_function = pair_test_function if kind_index else period_doubling_function
+        bifurcation_location = _locate_bifurcation(curve, index, test_function)
+        bifurcations.append(curve.bifurcation(kind, *bifurcation_location))
+    bifurcations.sort(key=curve.nearest)
+    curve_multipliers = np.array(
+        [_leading_multiplier_if_decided(stability) for stability in stabilities], dtype=complex
+    )
+    return replace(curve, bifurcations=tuple(bifurcations), multipliers=curve_multipliers)
 
 
-def _located(
-    curve: ResponseCurve, place: int, test: Callable[[np.ndarray], float]
+def _locate_bifurcation(
+    curve: ResponseCurve, index: int, test_function: Callable[[np.ndarray], float]
 ) -> tuple[float, float, np.ndarray]:
-    """Value of the parameter, load frequency and unknown behind a point where a function of
-    multipliers is zero."""
+    """Locate a bifurcation between a point and the next one.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+    index : int
+        Index of the point before the bifurcation.
+    test_function : callable
+        Function of multipliers that is zero at the bifurcation.
+
+    Returns
+    -------
+    value, omega : float
+        Parameter value, and load frequency [rad/s].
+    unknown : (2H+1, n_pairs) [m]
+    """
     system = curve.system
     assert isinstance(system, Waves)
-    ends = neighbours(system, curve, place, place + 1)
-    first, last = (point_on_path(system, at.unknown, at.parameter, at.tangent) for at in ends)
+    ends = chord_ends(system, curve, index, index + 1)
+    first_end, last_end = (
+        point_on_path(system, point.unknown, point.parameter, point.tangent) for point in ends
+    )
 
-    def value(at: PathPoint) -> float:
-        problem = system.at(system.value(at.parameter))
-        above, omega = problem.static_cutoff, problem.base_omega
-        matrix = monodromy(problem.structure, problem.contact, at.unknown, omega, above)
-        return test(eigenvalues(matrix))
+    def evaluate_test(point: PathPoint) -> float:
+        problem = system.problem_at(system.value(point.parameter))
+        static_cutoff, omega = problem.static_cutoff, problem.base_omega
+        matrix = monodromy(problem.structure, problem.contact, point.unknown, omega, static_cutoff)
+        return test_function(eigenvalues(matrix))
 
-    found = ZeroCrossing(value).locate(system, (first, last), system.rounding(last.parameter))
-    assert found is not None
-    there = system.value(found.parameter)
-    return there, system.omega(there, found.unknown), found.unknown
+    bifurcation_point = ZeroCrossing(evaluate_test).locate(
+        system, (first_end, last_end), system.rounding(last_end.parameter)
+    )
+    assert bifurcation_point is not None
+    value, unknown = system.value(bifurcation_point.parameter), bifurcation_point.unknown
+    return value, system.omega(value, unknown), unknown

@@ -1,10 +1,10 @@
-"""The condensed equations of harmonic balance along one parameter of a curve:
+"""Condensed equations of harmonic balance along one parameter of a curve:
 
-    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,
+    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0.
 
-with the parameter v a load frequency, a factor of the load, of the damping or of the contact
-stiffness, a clearance, or the speed of a rotor that the load's frequency follows. Only the small or
-reduced structure is touched, in closed form.
+The parameter v is a load frequency, a factor for load, damping, contact stiffness or friction, a
+clearance, or a rotor speed that the load frequency follows. The equations take the small or reduced
+structure alone, in closed form.
 """
 
 from __future__ import annotations
@@ -34,151 +34,175 @@ from fenics_crack.numerics.fourier import stretch_period
 
 
 class Waves(CurveSystem):
-    """The condensed equations of a small or reduced structure along a parameter.
+    """Condensed equations of a small or reduced structure along a parameter.
 
-    ``other_integrals``: the law, or its residual flexibility, changes along it.
+    Attributes
+    ----------
+    has_varying_integrals : bool
+        True if the law, or the residual flexibility, changes along the parameter.
+    counts : (2H+1, 1) or None
+        Weights of the unknowns in angles between tangents.
     """
 
-    other_integrals = False
+    has_varying_integrals = False
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
-            problem = problem.with_common_cutoff(self._cutoff(problem, start, end))
+            problem = problem.with_common_cutoff(self._common_cutoff(problem, start, end))
         if problem.is_projected:
-            allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
-            raise InputError("contact", problem.contact, allowed)
+            requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
+            raise InputError("contact", problem.contact, requirement)
         self.problem, self.start, self.end = problem, start, end
         self._compliance = ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
-        self._last: tuple[float, ContactSystem] | None = None
-        first = self.system(start)
-        self.shape, self.matrix_free = first.shape, first.matrix_free
+        self._last_system: tuple[float, ContactSystem] | None = None
+        start_system = self.system(start)
+        self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
         self.counts: np.ndarray | None = None
-        """Weights of the unknowns in turns of a path. Of equations with so many
-        harmonics that J is not formed harmonic k counts 1 / k^2: where the phase of the motion
-        turns, that of harmonic k turns k times as far, and a tangent's high harmonics are not
-        small."""
+        """Weights of the unknowns in angles between tangents.
+
+        If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
+        the phase of harmonic k turns k times as far, and a tangent's high harmonics are not small.
+        """
         if self.matrix_free:
-            order = (np.arange(self.shape[0]) + 1) // 2
-            self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
+            harmonic_order = (np.arange(self.shape[0]) + 1) // 2
+            self.counts = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         """Raise InputError unless the parameter can have a value."""
         check_number(key, value, 0.0, above=True)
 
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Frequency above which modes are quasi-static, the same for all of the range [rad/s]."""
+    def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
+        """Return the frequency above which modes are quasi-static on the whole range [rad/s]."""
         return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
+        """Contact integrals of the problem."""
         return self.problem.integrals()
 
     @cached_property
-    def steepest_force(self) -> float:
-        """Largest slope of the contact forces where the law is stiffest, at one end [N/m]."""
-        laws = (self.at(value).contact for value in (self.start, self.end))
+    def max_force_slope(self) -> float:
+        """Largest slope of the contact forces, under the stiffer law of both ends [N/m]."""
+        laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).steepest_force(law) for law in laws)
 
     @classmethod
     @abstractmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        """A problem where the parameter has a value."""
+        """Return a problem with another parameter value."""
 
     @classmethod
-    def frequency(cls, problem: Problem, value: float) -> float:
-        """Load frequency of a problem where the parameter has a value [rad/s]."""
+    def load_frequency(cls, problem: Problem, value: float) -> float:
+        """Return the load frequency of a problem with another parameter value [rad/s]."""
         return problem.omega
 
-    def at(self, value: float) -> Problem:
-        """The problem where the parameter has a value."""
+    def problem_at(self, value: float) -> Problem:
+        """Return the problem at a parameter value."""
         return self.vary(self.problem, value)
 
-    def _make(self, value: float) -> ContactSystem:
-        if self.other_integrals:
-            return self.at(value).system(self.compliance(value))
+    def _make_system(self, value: float) -> ContactSystem:
+        """Make the equations at a parameter value."""
+        if self.has_varying_integrals:
+            return self.problem_at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        """dF/dv."""
-        assert isinstance(at.system.compliance, ModalCompliance)
-        return at.system.compliance.derivative(self.name, at.force)
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        """Return dF/dv at a point."""
+        assert isinstance(point.system.compliance, ModalCompliance)
+        return point.system.compliance.derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
-        """The equations where the parameter has a value; the last ones are kept."""
-        if self._last is None or self._last[0] != value:
-            self._last = value, self._make(value)
-        return self._last[1]
+        """Return the equations at a parameter value; the last ones are kept."""
+        if self._last_system is None or self._last_system[0] != value:
+            self._last_system = value, self._make_system(value)
+        return self._last_system[1]
 
     def compliance(self, value: float) -> ModalCompliance:
-        """Dynamic compliance where the parameter has a value."""
+        """Return the dynamic compliance at a parameter value."""
         return self._compliance
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        return self.frequency(self.problem, value)
+        return self.load_frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """The unknowns of what a curve keeps, also one of a shorter period."""
+        """Return the unknowns for a stored solution.
+
+        A solution with a shorter period is repeated.
+        """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
     # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
     def compiled(self) -> CompiledEquations | None:
-        """The same equations in the kernel; None where it does not have them."""
+        """Same equations in the kernel; None if the kernel lacks them."""
         system = self.system(self.start)
-        return self._compile(system) if system.integrals.exact else None
+        return self._compile_equations(system) if system.integrals.exact else None
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        """The kernel's equations, from the system at p = 0; by default it has none."""
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
+        """Return the kernel's equations, given the system at p = 0; by default None."""
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
-        rate = self.rate(value)
+        value_rate = self.value_rate(value)
         return self.system(value).with_derivative(
-            unknown, lambda point: rate * self._by_value(value, point)
+            unknown, lambda point: value_rate * self._residual_by_value(value, point)
         )
 
     @property
     def means(self) -> int:
-        """Number of unknowns, the first ones, that are mean values: a mean gap of each row."""
+        """Number of leading unknowns that are means over time, one per gap row."""
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x| near a point of a curve.
+        """Return the rounding error of |F| / |x| near a point.
 
-        The largest slope of R lambda counts: k R, or less where pairs are seen through a static
-        compliance.
+        It follows from the largest slope of R lambda: k R, or less with a static compliance.
         """
         if self.compiled is not None:
-            largest = self.compiled.largest_compliance(parameter)
+            largest_compliance = self.compiled.largest_compliance(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
-            largest = float(np.abs(dynamic_part).sum(axis=2).max())
-        return residual_rounding(4.0 * largest * self.steepest_force)
+            largest_compliance = float(np.abs(dynamic_part).sum(axis=2).max())
+        return residual_rounding(4.0 * largest_compliance * self.max_force_slope)
 
-    def half_off(self, unknown: np.ndarray, parameter: float) -> float:
-        """Change of a motion over half its period, relative to its size: twice what its odd
-        harmonics are."""
-        odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
-        return float(2.0 * np.linalg.norm(unknown[odd]) / (np.linalg.norm(unknown) or 1.0))
+    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+        """Return a motion's change over half its period, relative to its size.
 
-    def _with_modes(
-        self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]
+        The change is twice the odd harmonics.
+        """
+        is_odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
+        return float(2.0 * np.linalg.norm(unknown[is_odd]) / (np.linalg.norm(unknown) or 1.0))
+
+    def _compile_with_modes(
+        self,
+        start_system: ContactSystem,
+        omega_and_change: tuple[float, float],
+        damping_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
-        """The kernel's equations along base frequencies, or factors of the damping."""
-        modal = self._compliance.modal_part(omega, damping, self.problem.residual)
-        return None if modal is None else first.compile(self._compliance.gap_without_modes, modal)
+        """Return the kernel's equations along base frequencies, or along factors for the damping.
+
+        Each tuple has the value at p = 0 and the change to p = 1.
+        """
+        modal_part = self._compliance.modal_part(
+            omega_and_change, damping_and_change, self.problem.residual
+        )
+        return (
+            None
+            if modal_part is None
+            else start_system.compile(self._compliance.gap_without_modes, modal_part)
+        )
 
 
 class FrequencyWaves(Waves):
-    """v: load frequency [rad/s]."""
+    """Equations along v: load frequency [rad/s]."""
 
     name = "omega"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_omega(value, key)
 
     @classmethod
@@ -189,23 +213,23 @@ class FrequencyWaves(Waves):
         return self._compliance.with_parameters(value / self.problem.subharmonic)
 
     @classmethod
-    def frequency(cls, problem: Problem, value: float) -> float:
+    def load_frequency(cls, problem: Problem, value: float) -> float:
         return value
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return super()._by_value(value, at) / self.problem.subharmonic
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return super()._residual_by_value(value, point) / self.problem.subharmonic
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        base = self.start / self.problem.subharmonic
-        rate = (self.end - self.start) / self.problem.subharmonic
-        return self._with_modes(first, (base, rate), (1.0, 0.0))
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
+        base_omega = self.start / self.problem.subharmonic
+        base_omega_change = (self.end - self.start) / self.problem.subharmonic
+        return self._compile_with_modes(start_system, (base_omega, base_omega_change), (1.0, 0.0))
 
 
-class _VariedWaves(Waves):
-    """The parameter is one of those of :meth:`Structure.varied`, by its name."""
+class _VariedStructureWaves(Waves):
+    """Equations along a parameter of :meth:`Structure.varied`, by its name."""
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_number(key, value)
 
     @classmethod
@@ -215,68 +239,76 @@ class _VariedWaves(Waves):
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        """Compile the equations where g_lin alone depends on the parameter, and linearly."""
-        by_value = self._compliance.derivative(self.name, np.zeros(first.shape))
-        rate = -(self.end - self.start) * by_value
-        return first.compile(first.linear, first.dynamic_part, linear_rate=rate)
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
+        """Return the kernel's equations if v changes g_lin alone, and linearly."""
+        residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
+        linear_gap_rate = -(self.end - self.start) * residual_by_value
+        return start_system.compile(
+            start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate
+        )
 
 
-class LoadWaves(_VariedWaves):
-    """v: factor of the load; a negative one reverses it."""
+class LoadWaves(_VariedStructureWaves):
+    """Equations along v: factor for the load; a negative factor reverses it."""
 
     name = "load"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
+        super().check_value(structure, key, value)
         if structure.whole.rotation is not None:
-            allowed = "another one: the structure rotates, and its mean load is partly centrifugal"
-            raise InputError("parameter", "load", allowed)
+            requirement = (
+                "another one: the structure rotates, and its mean load is partly centrifugal"
+            )
+            raise InputError("parameter", "load", requirement)
 
 
-class DampingWaves(_VariedWaves):
-    """v: factor of the damping."""
+class DampingWaves(_VariedStructureWaves):
+    """Equations along v: factor for the damping."""
 
     name = "damping"
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_number(key, value, 0.0)
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
-        damping = (self.start, self.end - self.start)
-        return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
+        damping_and_change = (self.start, self.end - self.start)
+        return self._compile_with_modes(
+            start_system, (self.problem.base_omega, 0.0), damping_and_change
+        )
 
 
-class ClearanceWaves(_VariedWaves):
-    """v: clearance [m] added to that of every pair."""
+class ClearanceWaves(_VariedStructureWaves):
+    """Equations along v: clearance [m] added to every pair."""
 
     name = "clearance"
 
 
 class StiffnessWaves(Waves):
-    """v: factor of the contact stiffness; p is proportional to ln v."""
+    """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
-    name, logarithmic, other_integrals = "stiffness", True, True
+    name, logarithmic, has_varying_integrals = "stiffness", True, True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return respond(at.system.dynamic_part, at.forces.by_stiffness()) / value
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return respond(point.system.dynamic_part, point.forces.by_stiffness()) / value
 
-    def _compile(self, first: ContactSystem) -> CompiledEquations:
-        return first.compile(first.linear, first.dynamic_part, growth=self.rate(1.0))
+    def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
+        return start_system.compile(
+            start_system.linear, start_system.dynamic_part, growth=self.value_rate(1.0)
+        )
 
 
 class FrictionWaves(Waves):
-    """v: factor of the coefficient of friction."""
+    """Equations along v: factor for the coefficient of friction."""
 
-    name, other_integrals = "friction", True
+    name, has_varying_integrals = "friction", True
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -286,72 +318,86 @@ class FrictionWaves(Waves):
         coefficient = np.multiply(value, friction.coefficient)
         return replace(problem, contact=replace(friction, coefficient=coefficient))
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return by_friction(at) / value
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
+        return by_friction(point) / value
 
 
 class SpeedWaves(Waves):
-    """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
+    """Equations along v: rotor speed [rad/s], in a constant ratio to the load frequency.
 
-    The modes are those of each speed. dF/dv is a central difference: beside the compliance its
-    quasi-static part changes, and with it the sets of closed pairs.
+    The modes change with the speed. dF/dv is a central difference, since the quasi-static part of
+    the compliance and with it the sets of closed pairs change, too.
     """
 
-    name, other_integrals = "speed", True
+    name, has_varying_integrals = "speed", True
 
     @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        super().check(structure, key, value)
-        spinning(structure)
+    def check_value(cls, structure: Structure, key: str, value: float) -> None:
+        super().check_value(structure, key, value)
+        require_run_up_structure(structure)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        structure = spinning(problem.structure).at_speed(value)
-        return replace(problem, structure=structure, omega=cls.frequency(problem, value))
+        structure = require_run_up_structure(problem.structure).at_speed(value)
+        return replace(problem, structure=structure, omega=cls.load_frequency(problem, value))
 
     @classmethod
-    def frequency(cls, problem: Problem, value: float) -> float:
-        return problem.omega * value / spinning(problem.structure).speed
+    def load_frequency(cls, problem: Problem, value: float) -> float:
+        return problem.omega * value / require_run_up_structure(problem.structure).speed
 
-    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Between two modes whose frequencies do not cross it, for they would change the sides."""
-        least, rotor = super()._cutoff(problem, start, end), spinning(problem.structure)
+    def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
+        """Return a cutoff between two modes whose frequencies do not cross it on the range [rad/s].
+
+        A mode that crosses the cutoff would become quasi-static.
+        """
+        min_cutoff = super()._common_cutoff(problem, start, end)
+        rotor = require_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
-        natural = np.array([rotor.at_speed(speed).omega for speed in speeds])
-        below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
-        apart = (above > least) & (above > below * (1.0 + 1e-6))
-        return float(max([least, *np.sqrt(below * above)[apart][:1]]))
+        natural_frequencies = np.array([rotor.at_speed(speed).omega for speed in speeds])
+        lower_frequencies = natural_frequencies.max(axis=0)[:-1]
+        upper_frequencies = natural_frequencies.min(axis=0)[1:]
+        is_separated = (upper_frequencies > min_cutoff) & (
+            upper_frequencies > lower_frequencies * (1.0 + 1e-6)
+        )
+        return float(
+            max([min_cutoff, *np.sqrt(lower_frequencies * upper_frequencies)[is_separated][:1]])
+        )
 
     def compliance(self, value: float) -> ModalCompliance:
-        problem = self.at(value)
+        problem = self.problem_at(value)
         return ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
+    def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         step = CENTRAL_DIFFERENCE_STEP * value
-        ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
-        below, above = ends
-        return np.asarray((above - below) / (2.0 * step))
+        end_residuals = (
+            self._make_system(speed).linearise(point.unknown).residual
+            for speed in (value - step, value + step)
+        )
+        lower_residual, upper_residual = end_residuals
+        return np.asarray((upper_residual - lower_residual) / (2.0 * step))
 
 
-def spinning(structure: Structure) -> RunUpStructure:
-    """A structure that knows itself at every speed; InputError for another one."""
+def require_run_up_structure(structure: Structure) -> RunUpStructure:
+    """Return a structure with modes at every speed; InputError for any other structure."""
     if not isinstance(structure, RunUpStructure):
-        allowed = "one of run_up_structure(structure, start, stop, modes)"
-        raise InputError("structure", repr(structure), allowed)
+        requirement = "one of run_up_structure(structure, start, stop, modes)"
+        raise InputError("structure", repr(structure), requirement)
     return structure
 
 
 class ResonanceWaves(Waves):
-    """v: factor of the load but its mean, whose frequency follows the resonance (:mod:`resonance`):
-    that is none of the equations' at one frequency."""
+    """Equations along v: factor for the load without its mean, at a resonance (:mod:`resonance`).
+
+    The load frequency follows the resonance; these equations hold at one frequency.
+    """
 
     name = "resonance"
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        weights = value * np.eye(len(problem.structure.force))
-        weights[0, 0] = 1.0
-        return replace(problem, structure=problem.structure.varied(load=weights))
+        load_weights = value * np.eye(len(problem.structure.force))
+        load_weights[0, 0] = 1.0
+        return replace(problem, structure=problem.structure.varied(load=load_weights))
 
 
 WAVES: dict[str, type[Waves]] = {
@@ -367,4 +413,4 @@ WAVES: dict[str, type[Waves]] = {
         ResonanceWaves,
     )
 }
-"""Equations of harmonic balance along each parameter of a curve, by its name."""
+"""Equations of harmonic balance along each parameter of a curve, by name."""

@@ -22,9 +22,9 @@ import numpy as np
 
 from fenics_crack.balance.harmonic_balance import (
     along_lines,
+    find_sliding_lines,
     motion_without_friction,
     slide_along_lines,
-    sliding_of,
     solve_linear,
 )
 from fenics_crack.balance.problem import Problem, least_harmonics
@@ -198,7 +198,7 @@ class Case:
         structure, periods = study.structure, answer.subharmonic
         free_motion = motion_without_friction(structure, answer.omega, friction.law, periods)
         free_values = self.values_of(free_motion, replace(study, contact=friction.law))
-        turning, parts = sliding_of(free_motion, friction.direction)[1], {}
+        turning, parts = find_sliding_lines(free_motion, friction.direction)[1], {}
         for name, value in self.answer_numbers.items():
             turned_value = value + turning * (free_values.get(name, 0.0) - value)
             parts[name] = GridConvergence(
@@ -256,7 +256,7 @@ def solve_in_steps(
         return solution
     solver = _solver(study, omega, harmonics)
     search, finer_solution = solver.attempt(solution, wholly=False)
-    return finer_solution if search.converged else solution
+    return finer_solution if search.has_converged else solution
 
 
 def _solver(study: Study, omega: float, harmonics: int) -> Solver:

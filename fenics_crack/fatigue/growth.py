@@ -217,8 +217,8 @@ NOT_STABLE = "the vibration is unstable or irregular, or its stability undecided
 UNKNOWN_VIBRATION = "the error of the vibration is unknown"
 SHAPES, SHAPE_MODES = 5, 20
 """Depths and lengths of half-ellipses, in equal ratios: the cycles to 0.8 % where K is Newman's and
-Raju's (tests/fatigue/test_ellipse.py), in equal steps to 6 %; and modes, which are 1e-4 of every K
-(docs/solids.md)."""
+Raju's (tests/fatigue/test_ellipse.py), in equal steps to 6 %; and modes, whose neglect
+changes every K by 1e-4."""
 WIDEST = 0.9
 """Largest length of a half-ellipse, of what the sides leave."""
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)

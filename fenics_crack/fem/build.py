@@ -445,10 +445,10 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)
     matrix = compat.assembled_matrix(mass)
-    force, watched = assemble_loads(scene, dofs, matrix)
+    force, watched_vector = assemble_loads(scene, dofs, matrix)
     clamp = clamp_of(dofs, matrix, force)
     matrix.destroy()
-    return {"force": dofs.restrict_to_free(force), "watched": watched, "clamp": clamp}
+    return {"force": dofs.restrict_to_free(force), "watched": watched_vector, "clamp": clamp}
 
 
 def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:

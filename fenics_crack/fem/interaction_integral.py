@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -68,6 +68,8 @@ class Tip:
         Distance along the crack.
     radius : float [m]
         Radius of the domain.
+    touching_pairs : (0,) int
+        Contact pairs that touch the tip: none, for a plate has no element on it.
     """
 
     name: str
@@ -76,6 +78,7 @@ class Tip:
     growth_direction: np.ndarray
     position: float
     radius: float
+    touching_pairs: ClassVar[tuple[int, ...]] = ()
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:

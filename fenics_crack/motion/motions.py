@@ -497,8 +497,8 @@ class ObservedMotion:
 
     def _gather(self, values: list[Any]) -> Any:
         """Return a motion's only value, or an array for a curve."""
-        [only_value] = values
-        return only_value
+        [record_value] = values
+        return record_value
 
     @cached_property
     def _observed_displacements(self) -> dict[int, Displacement]:

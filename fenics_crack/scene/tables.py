@@ -1069,7 +1069,7 @@ class Identify(Table):
     """Part of that change that each mode has by itself. Of plates clamped deeper, let go at an end
     of the clamp or on an elastic block, turning, moving and a common change leave up to 0.05 of the
     largest change if 15 times as tall as wide, 0.07 if five times, 0.12 if three, 0.18 if two and
-    0.29 if square (docs/identification.md)."""
+    0.29 if square (benchmarks/identification_limits.py)."""
     temperature_deviation: float | None = holds(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )

@@ -34,10 +34,10 @@ from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
-    held_receptance,
-    last_receptance,
+    displacement_rows,
     receptance,
-    rows_at,
+    receptance_cache,
+    shared_receptance_cache,
     sources_of,
 )
 from fenics_crack.model.structure import DampingRule, Structure
@@ -129,7 +129,7 @@ class PreparedStructure:
             structure.clamp,
             structure.watched,
         )
-        both = [structure, *([] if pairs.tangents is None else [structure.with_tangents()])]
+        sources = [structure, *([] if pairs.tangents is None else [structure.with_tangents()])]
         places = NODE_ARRAYS if nodes else ()
         arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in places}
         return cls(
@@ -140,8 +140,8 @@ class PreparedStructure:
             nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **arrays),
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
-            receptances=tuple(replace(held, force=np.zeros(0)) for one in both
-                       for held in one.cached_result(held_receptance)), **datasets,
+            receptances=tuple(replace(known_receptance, force=np.zeros(0)) for source in sources
+                       for known_receptance in source.compute_once(receptance_cache)), **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -154,8 +154,8 @@ class PreparedStructure:
         own = slice(None if comm.rank == 0 else 0)
 
         def rows(part: Rows | None, columns: int) -> Any:
-            whole: Any = part and part.matrix(n_dofs, columns)
-            return whole if comm.rank == 0 or whole is None else whole[:0]
+            matrix: Any = part and part.matrix(n_dofs, columns)
+            return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
         mass, stiffness = (
             AbsentMatrix(n_dofs, comm.rank)
@@ -180,10 +180,12 @@ class PreparedStructure:
         for known_receptance in self.receptances:
             sources = made, made.with_tangents()
             n_sources = len(known_receptance.modal)
-            source = next(one for one in sources if sources_of(one).shape[1] == n_sources)
+            source = next(
+                candidate for candidate in sources if sources_of(candidate).shape[1] == n_sources
+            )
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.cached_result(held_receptance)[:] = [loaded_receptance]
-            made.cached_result(last_receptance, from_matrices=True)[:] = [loaded_receptance]
+            source.compute_once(receptance_cache)[:] = [loaded_receptance]
+            made.compute_once(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
@@ -242,7 +244,7 @@ class PreparedFile:
         coarse = coarser_scene(scene)
         if self.coarser_structure is not None and isinstance(coarse, Scene):
             # As of a reduced structure.
-            structure.cached_result(kept, from_matrices=True).append(Made(
+            structure.compute_once(kept, from_matrices=True).append(Made(
                 self.coarser_structure.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
                 parts_shared(coarse, MPI.COMM_SELF),
             ))  # fmt: skip
@@ -295,7 +297,9 @@ def _of_study(study: Study) -> PreparedStructure:
     """Return the datasets of a reduced study, with all its modes (collective)."""
     reference = getattr(study.structure, "reference", None) or study.structure
     count = max(study.structure.n_modes, reference.n_modes)
-    rows_at(study.structure.whole, count, np.array([watched.dof for watched in study.watched]))
+    displacement_rows(
+        study.structure.whole, count, np.array([watched.dof for watched in study.watched])
+    )
     return PreparedStructure.of(study.structure.whole)
 
 
@@ -372,10 +376,10 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
 
 def without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
     """Loads of a scene but for the amplitudes of the excitation."""
-    excitation, *others = loads
+    excitation, *other_loads = loads
     of_parts = ("force_mean", "force_cos", "force_sin", "harmonics")
-    given = excitation and {key: one for key, one in excitation.items() if key not in of_parts}
-    return given, *others
+    reduced = excitation and {key: load for key, load in excitation.items() if key not in of_parts}
+    return reduced, *other_loads
 
 
 def _weights(known: Scene, scene: Scene) -> np.ndarray:
@@ -386,7 +390,7 @@ def _weights(known: Scene, scene: Scene) -> np.ndarray:
     return load_weights(np.array(force_parts(known), dtype=float), scene)
 
 
-def load_weights(before: np.ndarray, scene: Scene) -> np.ndarray:
+def load_weights(old_rows: np.ndarray, scene: Scene) -> np.ndarray:
     """The same for an excitation (2K+1, d) before.
 
     Raises
@@ -394,13 +398,13 @@ def load_weights(before: np.ndarray, scene: Scene) -> np.ndarray:
     InputError
         The scene's is no sum of its rows.
     """
-    after = np.array(force_parts(scene), dtype=float)
-    same = np.array_equal(before, after)
-    weights = np.eye(len(after)) if same else after @ np.linalg.pinv(before)
-    missed = np.abs(weights @ before - after).max() > ROUNDING * np.abs(after).max()
-    if missed or (scene.has_other_loads and not same):
-        allowed = f"in the directions of the file's, without other loads; or {VARIED}"
-        raise InputError("excitation.force_sin", scene.excitation.force_sin, allowed)
+    new_rows = np.array(force_parts(scene), dtype=float)
+    is_same = np.array_equal(old_rows, new_rows)
+    weights = np.eye(len(new_rows)) if is_same else new_rows @ np.linalg.pinv(old_rows)
+    is_no_sum = np.abs(weights @ old_rows - new_rows).max() > ROUNDING * np.abs(new_rows).max()
+    if is_no_sum or (scene.has_other_loads and not is_same):
+        requirement = f"in the directions of the file's, without other loads; or {VARIED}"
+        raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement)
     return weights
 
 

@@ -191,7 +191,7 @@ def at_tips(
     for tip, (one, two, *three) in zip(
         tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True
     ):
-        stated, touching = one, getattr(tip, "touching_pairs", ())
+        stated, touching = one, tip.touching_pairs
         if exact and len(touching):
             shut = np.all(record.force[:, touching] > 0.0, axis=1)
             stated = np.where(shut, 0.0, one.clip(0.0))
@@ -282,7 +282,7 @@ def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.nd
     check_known(without_tips(scene), "output.quantities")
     pairs = None if scene.contact is None else scene.contact.pairs
     plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
-    return study.structure.cached_result(_OfScene(plate, scene))
+    return study.structure.compute_once(_OfScene(plate, scene))
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ class _OfScene:
             if not found[0]:
                 raise InputError("crack", "a crack without a tip", "one that ends in the structure")
             return found
-        tips, rows, of_forces = structure.whole.cached_result(self)
+        tips, rows, of_forces = structure.whole.compute_once(self)
         units, most = np.eye(structure.n_dofs), max(1, EXPANDED // structure.whole.n_dofs)
         blocks = [units[n : n + most] for n in range(0, len(units), most)]
         products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
@@ -369,7 +369,7 @@ def _at_ellipse(study: Study) -> ExtraRows:
 
 
 def _at_clamp(study: Study) -> ExtraRows:
-    rows = study.structure.cached_result(inertia_rows)
+    rows = study.structure.compute_once(inertia_rows)
     return ExtraRows(rows, lambda record: read_at(Place.CLAMP, held(record)))
 
 

@@ -221,9 +221,9 @@ def _at_rest(problem: Problem, resonance: float) -> float:
     structure = problem.structure
     if not np.any(structure.force[0]) and not np.any(structure.clearance):
         return resonance
-    from fenics_crack.curves.resonance import frequency_at_rest
+    from fenics_crack.curves.resonance import resonance_under_small_load
 
-    return frequency_at_rest(problem, resonance)
+    return resonance_under_small_load(problem, resonance)
 
 
 def _few(study: Study, whole: Structure) -> Structure:

@@ -79,15 +79,17 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
     return last[0].structure
 
 
-def _fits(known: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool) -> bool:
+def _fits(entry: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool) -> bool:
     """Return True if a structure is of the same mesh and ranks; of all the same if ``bound``, of
     the same loads if it has no mesh for others. One of a shelf serves its command alone."""
-    meshed = getattr(known.structure.nodes, "mesh_dofs", None) is not None
-    same_ranks = MPI.Comm.Compare(known.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-    is_served = meshed or bool(SHELVES) or not known.structure.has_matrices
-    same = known.parts[0] == parts[0] and (meshed or known.parts[1] == parts[1]) and is_served
-    return (known.comm == comm if meshed else same_ranks) and (
-        known.parts == parts if bound else same
+    parts_match = getattr(entry.structure.nodes, "mesh_dofs", None) is not None
+    same_ranks = MPI.Comm.Compare(entry.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+    is_served = parts_match or bool(SHELVES) or not entry.structure.has_matrices
+    is_match = (
+        entry.parts[0] == parts[0] and (parts_match or entry.parts[1] == parts[1]) and is_served
+    )
+    return (entry.comm == comm if parts_match else same_ranks) and (
+        entry.parts == parts if bound else is_match
     )
 
 

@@ -37,8 +37,8 @@ MAX_BYTES = 500 * 10**6
 
 def key_of(parts: tuple[Any, ...]) -> str:
     """Return the digest of everything a structure depends on, except load amplitudes."""
-    known = parts[0], without_amplitudes(parts[1]), fingerprint()
-    return hashlib.sha256(repr(known).encode()).hexdigest()
+    dependencies = parts[0], without_amplitudes(parts[1]), fingerprint()
+    return hashlib.sha256(repr(dependencies).encode()).hexdigest()
 
 
 class Shelf:
@@ -63,22 +63,24 @@ class Shelf:
         """Return the structure of a scene if the file has it (collective)."""
         try:
             if not self._files:
-                stored = read(self._path, comm)
-                stored.fitting_argument(KIND)
-                with stored.taken() as parts:
+                stored_file = read(self._path, comm)
+                stored_file.fitting_argument(KIND)
+                with stored_file.taken() as parts:
                     self._files.append(unpacked(PreparedFile, parts))
             file = self._files[0]
             if file is None or file.structure.key != key_of(parts_shared(scene, comm)):
                 return None
-            made = file.make_structures(scene, load_weights(file.structure.excitation, scene), comm)
+            entry = file.make_structures(
+                scene, load_weights(file.structure.excitation, scene), comm
+            )
         except (InputError, *WRONG) as error:
             self._files[:] = [None]
             self._say(f"{self._path}: not used, {error}")
             return None
-        self._made[:], self._n_bytes = [(made, scene)], _n_bytes(packed(file))
+        self._made[:], self._n_bytes = [(entry, scene)], _n_bytes(packed(file))
         words = f"the structure is taken from here ({self._n_bytes / 1e6:.3g} MB)"
         self._say(f"{self._path}: {words}; --fresh computes it anew")
-        return made
+        return entry
 
     def note(self, entry: Made, scene: Scene) -> None:
         """Note a structure; the file gets the first one, or its replacement."""
@@ -87,18 +89,20 @@ class Shelf:
 
     def keep(self, comm: MPI.Comm) -> None:
         """Write the file unless it has everything already (collective)."""
-        for made, scene in self._made:
-            if made.comm.size < comm.size and comm.rank:
+        for entry, scene in self._made:
+            if entry.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
-            twins = made.structure.cached_result(kept, from_matrices=True)
-            twins = [twin for twin in twins if twin.parts[1] == made.parts[1]]  # of this load
-            parts = packed(PreparedFile(*(_datasets(one, scene) for one in (made, *twins))))
+            twins = entry.structure.compute_once(kept, from_matrices=True)
+            twins = [twin for twin in twins if twin.parts[1] == entry.parts[1]]  # of this load
+            parts = packed(
+                PreparedFile(*(_datasets(kept_entry, scene) for kept_entry in (entry, *twins)))
+            )
             if not self._n_bytes < (n_bytes := _n_bytes(parts)):
                 return
             try:
                 if n_bytes > MAX_BYTES:
                     raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
-                write(parts, self._path, KIND, scene, made.comm, is_compressed=False)
+                write(parts, self._path, KIND, scene, entry.comm, is_compressed=False)
             except InputError as error:
                 self._say(f"the structure is not kept: {error}")
 

@@ -276,7 +276,10 @@ def test_points_come_one_by_one(tmp_path: Path) -> None:
     assert [point.omega for point in points] == list(part.omega)
     assert np.array_equal(part.omega, whole.omega[:stop])
     assert 0.0 < growing.progress() < 1.0
-    assert growing.where() == f"{points[-1].omega / (2.0 * np.pi):.6g} Hz, {len(points)} points"
+    assert (
+        growing.describe_values()
+        == f"{points[-1].omega / (2.0 * np.pi):.6g} Hz, {len(points)} points"
+    )
     fc.save(part, tmp_path / "part.h5")
     again = fc.load(tmp_path / "part.h5", structure, law)
     assert np.array_equal(again.omega, part.omega) and np.array_equal(again.stable, part.stable)

@@ -27,7 +27,12 @@ from fenics_crack.basics.errors import INTERRUPTED
 from fenics_crack.curves import continuation
 from fenics_crack.curves.branch import branch_start
 from fenics_crack.curves.continuation import Continuation
-from fenics_crack.curves.orbit_events import LEAST, MultiplierControl, changes, leading_multipliers
+from fenics_crack.curves.orbit_events import (
+    MIN_STEP_RATIO,
+    MultiplierControl,
+    count_changes,
+    leading_multipliers,
+)
 from fenics_crack.curves.orbits import Orbits
 from fenics_crack.curves.stability import monodromy
 from fenics_crack.model.modal import all_modes
@@ -72,7 +77,7 @@ def followed(
     problem: fc.Problem, parameter: str, start: float, end: float, step: float = 0.05
 ) -> Continuation:
     """The curve from its start on."""
-    first = orbit_at(Orbits(problem, parameter, start, end).at(start))
+    first = orbit_at(Orbits(problem, parameter, start, end).problem_at(start))
     path = Continuation(
         problem,
         parameter,
@@ -119,7 +124,7 @@ def test_derivatives(parameter: str, damping: str) -> None:
     unknown, place, step = np.random.default_rng(1).normal(size=family.shape), 0.37, 1e-5
     at = family.linearise(unknown, place)
     assert at.events > 2
-    assert at.residual == pytest.approx(family.moved(unknown, place) - unknown, abs=1e-11)
+    assert at.residual == pytest.approx(family.advance_unknown(unknown, place) - unknown, abs=1e-11)
 
     def difference(dx: np.ndarray, dp: float) -> np.ndarray:
         above, below = (
@@ -142,7 +147,7 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     path = followed(problem, parameter, *RANGES[parameter], 0.1)
     assert path.complete and path.progress() == 1.0
     family = Orbits(problem, parameter, *RANGES[parameter])
-    last, there, state = path.points[-1], family.at(RANGES[parameter][1]), states(path)[-1]
+    last, there, state = path.points[-1], family.problem_at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
     orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * state)
     assert state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
@@ -155,7 +160,7 @@ def test_over_the_speed_of_a_rotor() -> None:
     spinning = fc.run_up_structure(whole, 560.0, 640.0, 4).at_speed(600.0)
     problem = fc.Problem(spinning, 12 * 600.0, fc.UnilateralConstraint())
     family = Orbits(problem, "speed", 560.0, 640.0)
-    orbit = orbit_at(family.at(600.0))
+    orbit = orbit_at(family.problem_at(600.0))
     assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
     assert family.state(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
@@ -203,13 +208,13 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
 
     class Watched(MultiplierControl):
         def too_long(self, points: Any, first: int = 0) -> np.ndarray:
-            seen.append(points.observed[-1])
+            seen.append(points.control_values[-1])
             return np.zeros(len(points) - 1 - first, dtype=bool)
 
     path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
     for stretch in path:
         at = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
-        assert stretch.observed[-1] == pytest.approx(
+        assert stretch.control_values[-1] == pytest.approx(
             leading_multipliers(np.linalg.eigvals(at.monodromy[None]))[0], abs=1e-7
         )
     assert path.event is not None and len(seen) > 2
@@ -447,7 +452,7 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
 )
 def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, ...]) -> None:
     """Of r, d and c."""
-    assert changes(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
+    assert count_changes(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
 
 
 @pytest.mark.parametrize(
@@ -455,8 +460,9 @@ def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, .
     [
         ((-0.5, -0.45, -0.4), (0.0, 1.0, 1.0), (False, False)),
         ((-0.5, -0.1, 0.3), (0.0, 1.0, 1.0), (True, True)),  # more than half of its distance
-        ((-0.5, -0.5, -0.52), (0.0, LEAST / 2, LEAST / 2), (False, False)),
-        ((-0.5, -0.1, 0.3), (0.0, LEAST / 2, LEAST / 2), (False, False)),  # not below the floor
+        ((-0.5, -0.5, -0.52), (0.0, MIN_STEP_RATIO / 2, MIN_STEP_RATIO / 2), (False, False)),
+        # Not below the shortest step.
+        ((-0.5, -0.1, 0.3), (0.0, MIN_STEP_RATIO / 2, MIN_STEP_RATIO / 2), (False, False)),
         ((-0.06, -0.08, -0.06), (0.0, 1.0, 1.0), (False, True)),  # not as it came
         ((-0.06, -0.08, -0.16), (0.0, 1.0, 2.0), (False, True)),  # by as much
     ],
@@ -465,7 +471,9 @@ def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ..
     """By one real multiplier; the longest step is 1."""
     observed = np.array([row(float(np.exp(one)), 1e-3) for one in logs])
     records = np.array([np.diag([np.exp(one), 1e-3]).ravel() for one in logs])
-    points: Any = SimpleNamespace(observed=observed, records=records, lengths=np.array(lengths))
+    points: Any = SimpleNamespace(
+        control_values=observed, records=records, lengths=np.array(lengths)
+    )
     assert tuple(MultiplierControl(1.0).too_long(points)) == expected
 
 
@@ -473,7 +481,7 @@ def test_several_changes_are_parted_below_the_floor() -> None:
     """Two events in one step are halved until each is by itself."""
     observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
     records, lengths = np.tile(np.eye(2).ravel(), (2, 1)), np.array([0.0, 1e-6])
-    points: Any = SimpleNamespace(observed=observed, records=records, lengths=lengths)
+    points: Any = SimpleNamespace(control_values=observed, records=records, lengths=lengths)
     assert MultiplierControl(1.0).too_long(points).tolist() == [True]
 
 

@@ -104,8 +104,8 @@ def test_derivative_by_the_speed() -> None:
     found = fc.solve_harmonic_balance(spinning, problem.omega, problem.contact, harmonics=3)
     assert found.indicators(0).closed_share > 0.05
     family, unknown = SpeedWaves(problem, 560.0, 640.0), found.slow_gap_coefficients
-    rate = family._by_value(600.0, family.system(600.0).linearise(unknown))
-    low, high = (family._make(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01))
+    rate = family._residual_by_value(600.0, family.system(600.0).linearise(unknown))
+    low, high = (family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01))
     assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())
 
 

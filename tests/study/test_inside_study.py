@@ -7,6 +7,7 @@ import math
 import resource
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gmsh
@@ -23,9 +24,11 @@ import fenics_crack as fc
 from fenics_crack.balance.solution import Solver
 from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.fem import blocks
+from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, distribute_rows
 from fenics_crack.study import prepare
 from fenics_crack.study.meshes import finer_mesh
+from fenics_crack.study.observer import at_tips
 from fenics_crack.study.plausibility import (
     KeyFigures,
     _rounded,
@@ -491,3 +494,21 @@ def test_ends_of_a_proposed_range(value: float, below: float, above: float) -> N
     """Three digits, outwards."""
     assert _rounded(value, math.floor) == pytest.approx(below, rel=1e-14)
     assert _rounded(value, math.ceil) == pytest.approx(above, rel=1e-14)
+
+
+def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
+    """K_I is zero where all pairs that touch a station are closed, and never negative there; at a
+    plate's tip, which no pair touches, it is what the rows say."""
+    motion = np.array([[3.0, 1.0, 0.5], [3.0, 1.0, 0.5], [-2.0, 1.0, 0.5]])
+    force = np.array([[7.0, 0.0], [7.0, 5.0], [0.0, 0.0]])
+    structure = SimpleNamespace(clearance=np.zeros(2))
+    record = SimpleNamespace(
+        motion=motion, force=force, n_pairs=2, structure=structure, periods=1.0
+    )
+    station = SimpleNamespace(touching_pairs=np.array([0, 1]))
+    (at_station,) = at_tips(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
+    assert np.array_equal(at_station.one, [3.0, 0.0, 0.0]) and at_station.closed == 3.0
+    record.motion = motion[:, :2]
+    tip = Tip("the crack tip", 0, np.zeros(2), np.ones(2), 0.01, 0.001)
+    (at_plate_tip,) = at_tips(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
+    assert np.array_equal(at_plate_tip.one, motion[:, 0])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, wrap
+from helpers import DEMOS
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -27,20 +27,6 @@ COARSE: dict[str, object] = {
 @pytest.fixture
 def scene() -> fc.Scene:
     return fc.Scene.load(DEMOS / "breathing_plate.toml").replace(COARSE)
-
-
-@pytest.fixture
-def meshes(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
-    """Scenes that are meshed from now on, with nothing kept from before."""
-    LAST.clear()
-    made: list[fc.Scene] = []
-
-    def noted(assemble: Callable[..., Any], scene: fc.Scene, *rest: Any) -> Any:
-        made.append(scene)
-        return assemble(scene, *rest)
-
-    wrap(monkeypatch, "fenics_crack.fem.build.assemble", noted)
-    return made
 
 
 def numbers(scene: fc.Scene, comm: MPI.Comm = MPI.COMM_SELF) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import SOLID_TEXT, TITANIUM, changed, wrap
+from helpers import SOLID_TEXT, TITANIUM, changed
 from mpi4py import MPI
 from surroundings import DEMOS, RunCommand, main, no_rank
 from test_artefact import FORGERIES, PLATE, put_number, shortened
@@ -44,19 +44,6 @@ FREE = re.compile(
     r"|identify|tip_timing|output"
 )
 """Keys that change nothing of a structure but load, damping and clearance."""
-
-
-@pytest.fixture
-def meshes(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
-    """Scenes that are meshed from now on, with nothing kept from before in this process."""
-    made: list[fc.Scene] = []
-
-    def noted(assemble: Callable[..., Any], scene: fc.Scene, *rest: Any) -> Any:
-        made.append(scene)
-        return assemble(scene, *rest)
-
-    wrap(monkeypatch, "fenics_crack.fem.build.assemble", noted)
-    return made
 
 
 @pytest.fixture
