@@ -26,7 +26,7 @@ orbits. It runs in the kernel (``kernel/bordered.c``), for compiled and for Pyth
 (:mod:`equations`).
 
 Curves never use SNES. SNES has no border, and at a given parameter an SNES iteration takes ten
-times as long as a compiled one (21 unknowns; docs/notebook/earlier_measurements.md).
+times as long as a compiled one (21 unknowns; docs/notebook/algorithms.md).
 
 References
 ----------
