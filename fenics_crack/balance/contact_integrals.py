@@ -390,19 +390,22 @@ class CoupledIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    active_sets : ActiveSets
-        Inverses of R_inf + I/k plus the softness, on sets of closed pairs.
+    shared_sets : ActiveSets or None
+        Active sets of other integrals with the same law and R_inf, with their inverses.
     """
 
     samples: int | None = None
-    active_sets: ActiveSets = field(init=False, repr=False, compare=False)
+    shared_sets: ActiveSets | None = field(default=None, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def active_sets(self) -> ActiveSets:
+        """Return the sets of closed pairs for R_inf + I/k and the softness."""
+        if self.shared_sets is not None:
+            return self.shared_sets
         assert self.residual is not None
         softness = self.softness * self.unit + (self.springs if self.is_piecewise else 0.0)
-        compliance = self.residual + softness * np.eye(len(self.residual))
-        object.__setattr__(self, "active_sets", ActiveSets(compliance))
+        return ActiveSets(self.residual + softness * np.eye(len(self.residual)))
 
     @property
     def is_piecewise(self) -> bool:
@@ -416,10 +419,7 @@ class CoupledIntegrals(ContactIntegrals):
 
     def with_harmonics(self, harmonics: int) -> Self:
         samples = self.samples and max(self.samples, default_samples(harmonics))
-        integrals = replace(self, harmonics=harmonics, samples=samples)
-        # Keep the inverses already computed.
-        object.__setattr__(integrals, "active_sets", self.active_sets)
-        return integrals
+        return replace(self, harmonics=harmonics, samples=samples, shared_sets=self.active_sets)
 
     def refine(self) -> Self | None:
         if self.exact:

@@ -70,14 +70,15 @@ class FrictionIntegrals(ContactIntegrals):
 
     samples: int | None = field(default=None, kw_only=True)
     friction_factor: float = field(default=1.0, kw_only=True)
-    sets: FrictionSets = field(init=False, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def sets(self) -> FrictionSets:
+        """Return the sets of closed and sliding pairs for D."""
         friction = friction_of(self.law)
-        assert self.residual is not None and friction is not None
+        assert friction is not None
         coefficient = np.multiply(self.friction_factor, friction.coefficient)
-        object.__setattr__(self, "sets", FrictionSets(self.compliance, coefficient))
+        return FrictionSets(self.compliance, coefficient)
 
     @cached_property
     def compliance(self) -> np.ndarray:

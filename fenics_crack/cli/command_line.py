@@ -318,7 +318,7 @@ COMMANDS = {
     ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
-        f"study.run:modes {SOLVED} --count",
+        f"runs.solve:modes {SOLVED} --count",
     ),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
@@ -333,14 +333,17 @@ COMMANDS = {
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
         "cli.commands:reduce scene --set --output=FILE.h5",
     ),
-    "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED} --fresh"),
+    "solve": ("steady vibration at excitation.omega", f"runs.solve:solve {SOLVED} --fresh"),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"study.vary:verify {SOLVED} --fresh --pictures",
+        f"errors.verify:verify {SOLVED} --fresh --pictures",
     ),
-    "curve": ("response curve of the table [curve]", f"study.run:curve {SOLVED} --fresh"),
-    "integrate": ("motion in time by the table [integration]", f"study.run:integrate {SOLVED}"),
+    "curve": ("response curve of the table [curve]", f"runs.curve:curve {SOLVED} --fresh"),
+    "integrate": (
+        "motion in time by the table [integration]",
+        f"runs.integrate:integrate {SOLVED}",
+    ),
     "sweep": (
         "all cases of the table [sweep.over]; goes on where it stopped",
         f"cli.commands:sweep {SOLVED} --fresh",

@@ -18,8 +18,8 @@ from fenics_crack.cli.account import printed
 from fenics_crack.cli.drawn import Drawn
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
 from fenics_crack.cli.kinds import KINDS, draw, report_of
+from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.run import Run
 from fenics_crack.study.sharing import SHELVES
 
 if TYPE_CHECKING:

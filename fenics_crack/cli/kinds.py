@@ -43,15 +43,15 @@ class Kind(NamedTuple):
 
 KINDS = {
     "set of modes": Kind(
-        "modes", "Modes", "cli.results:report_of_modes", "study.run:read_run",
+        "modes", "Modes", "cli.results:report_of_modes", "runs.load:read_run",
         "cli.pictures:draw_modes_of",
     ),
     "periodic solution": Kind(
-        "solution", "Steady vibration", "cli.results:report_of_solution", "study.run:read_run",
+        "solution", "Steady vibration", "cli.results:report_of_solution", "runs.load:read_run",
         "cli.pictures:draw_solution",
     ),
     "response curve": Kind(
-        "curve", "Response curve", "cli.results:report_of_curve", "study.run:read_run",
+        "curve", "Response curve", "cli.results:report_of_curve", "runs.load:read_run",
         "cli.pictures:draw_curve_of",
     ),
     "sweep": Kind(
@@ -59,7 +59,7 @@ KINDS = {
         "cli.pictures:draw_sweep",
     ),
     "time history": Kind(
-        "integration", "Motion in time", "cli.results:report_of_history", "study.run:read_run",
+        "integration", "Motion in time", "cli.results:report_of_history", "runs.load:read_run",
         "cli.pictures:draw_history",
     ),
     "crack growth": Kind(
@@ -73,7 +73,7 @@ KINDS = {
     ),
     "verification": Kind(
         "verify", "Convergence study", "cli.studies:report_of_verification",
-        "study.verification:Verification.of", "draw.plot_study:draw_verification",
+        "errors.verification:Verification.of", "draw.plot_study:draw_verification",
         "Distance of each quantity from its extrapolated value; contributions to its error.",
     ),
     "Campbell diagram": Kind(

@@ -33,13 +33,14 @@ from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.timing import Timing, largest_blade
+from fenics_crack.runs.conclusion import frequency_in_words, known_to
+from fenics_crack.runs.run import Run
+from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, key_in_words, value_in_words
 from fenics_crack.study.campbell import ORDERS, Campbell
-from fenics_crack.study.conclusion import frequency_in_words, known_to
 from fenics_crack.study.prepare import prepare
-from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory

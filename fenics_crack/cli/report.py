@@ -33,10 +33,10 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.files.store import Stored, read, versions
+from fenics_crack.runs.conclusion import frequency_in_words
+from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import differences, given_values, key_in_words, value_in_words
-from fenics_crack.study.conclusion import frequency_in_words
-from fenics_crack.study.run import Run
 from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
 from fenics_crack.version import VERSION, packaged

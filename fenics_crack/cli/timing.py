@@ -27,9 +27,9 @@ from fenics_crack.cli.kinds import report_of
 from fenics_crack.draw.plot_study import draw_arrivals
 from fenics_crack.monitoring import scene_timing
 from fenics_crack.monitoring.timing import Timing
+from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
-from fenics_crack.study.run import Run
 
 RECORD_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",

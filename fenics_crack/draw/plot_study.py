@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fenics_crack.basics.causes import CAUSES
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
@@ -33,9 +34,10 @@ from fenics_crack.draw.figure import (
     label_axis,
     label_count,
 )
+from fenics_crack.errors.convergence import SAFE
+from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.verification import CAUSES, SAFE, Verification
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.arrivals.arrival_times import ArrivalTimes

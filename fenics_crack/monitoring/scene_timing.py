@@ -25,12 +25,14 @@ from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
 from fenics_crack.monitoring.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
+from fenics_crack.runs.load import load_run
+from fenics_crack.runs.run import Run
+from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST, TOO_FAST
-from fenics_crack.study.run import Run, load_run, solve
 
 DECIDED = (*LOOKED_AT, "reduction")
 """Tables of a scene that may differ from those of a result: those that choose results, and those

@@ -23,6 +23,7 @@ import numpy as np
 
 from fenics_crack.balance.phase import Resonance
 from fenics_crack.balance.problem import Problem
+from fenics_crack.basics.causes import OPTIONAL_CAUSES, REQUIRED_CAUSES
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import error_in_words, quantity, without_causes
 from fenics_crack.curves.stability import floquet
@@ -33,7 +34,6 @@ from fenics_crack.model.rotation import Ritz, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, reduced, reduction_of
-from fenics_crack.study.verification import BY_CHOICE, ESTIMATED
 
 SOUGHT_MODES = 10
 """Modes of the whole structure in which it is sought."""
@@ -80,7 +80,7 @@ class AtLoad:
     def in_words(self) -> str:
         """Amplitude, errors, causes that they leave out, and verdict; or why there are none."""
         by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
-        errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan) | by_cause
+        errors = dict.fromkeys((*REQUIRED_CAUSES, *OPTIONAL_CAUSES), math.nan) | by_cause
         missing_causes = [cause for cause, error in errors.items() if not math.isfinite(error)]
         known_parts = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
         size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"

@@ -1,43 +1,25 @@
-"""Contributions to the error of a result's numbers: storage, text and files.
+"""Contributions of each cause to the error of a result's numbers: storage, text and files.
 
-:func:`fenics_crack.verify` finds it with finer meshes, more modes, harmonics and
-samples, each command with one other run for each cause (:mod:`vary`).
-
-**The error of a number that is computed with two or three step sizes** (Roache's index). Of values
-f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p. Then
-
-    (f_3 - f_2) / (f_2 - f_1) = (h_3^p - h_2^p) / (h_2^p - h_1^p)
-
-gives the observed order p, and f = f_1 + (f_1 - f_2) / ((h_2/h_1)^p - 1) the extrapolated value.
-The uncertainty of f_i is F |f_i - f|; with i = 1, relative to f_1, it is the grid-convergence index
-
-    GCI = F |(f_1 - f_2) / f_1| / ((h_2/h_1)^p - 1).
-
-The factor of safety F is 1.25 where three sizes show an order near that of theory, or one between
-that and the best that the elements have, else 3. An order better than that of theory is not used:
-the part of an error that falls slowly comes last, and of errors that are sums of powers from that
-of theory on, with coefficients of one sign, no more can be left. Values that oscillate, come no
-closer, or come closer faster than the elements can are not in the asymptotic range; nothing is
-extrapolated from them, and their uncertainty is 3 times their spread.
-
-Roache, Journal of Fluids Engineering 116, 1994, 405; Celik and others, the same 130, 2008, 078001;
-ASME V&V 20-2009, section 2; the rule for orders follows Oberkampf and Roy, Verification and
-Validation in Scientific Computing, 2010, chapter 8.
+:func:`fenics_crack.verify` finds them with finer meshes, more modes, harmonics and samples
+(:mod:`verify`); each command with one other run for each cause (:mod:`stated`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-import numpy as np
-
-from fenics_crack.basics.errors import TOLERANCE, InputError, check_choice, check_number
+from fenics_crack.basics.causes import (
+    MESH_CAUSES,
+    MISSING_PART_REASONS,
+    OPTIONAL_CAUSES,
+    REQUIRED_CAUSES,
+)
+from fenics_crack.basics.errors import TOLERANCE, check_choice
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
-    Described,
     Said,
     Table,
     error_in_words,
@@ -46,187 +28,12 @@ from fenics_crack.basics.tables import (
     with_unit,
     without_causes,
 )
+from fenics_crack.errors.convergence import GridConvergence, Varied
 from fenics_crack.files.codec import Parts, from_text, text_of
 from fenics_crack.files.saved import Saved
 from fenics_crack.files.store import Stored
-from fenics_crack.model.matrices import numbers
 from fenics_crack.scene.scene import Scene
 
-SAFE, CAUTIOUS = 1.25, 3.0
-"""Factors of safety."""
-UNCHANGED = 1e-9
-"""Relative spread of values that differ by rounding only."""
-
-
-@dataclass(frozen=True, repr=False)
-class GridConvergence(Described):
-    """Values over a step size, and the error that they show.
-
-    Attributes
-    ----------
-    sizes, values : tuple of float
-        h_i, smallest first, and f_i.
-    behaviour : str
-        "asymptotic": the observed order is near that of theory, or between that and the highest;
-        "outside": it falls, with another order; "irregular": the values oscillate, come no closer,
-        or come closer too fast to show an order; "two sizes": no order is observed;
-        "two coefficients": the sizes are coefficients of friction, the first one is 0;
-        "unchanged": the same to rounding; "carried": the values are those at a shifted resonance;
-        "exact orbit": the first is the limit.
-    order : float
-        p, observed; nan where there is none.
-    exponent : float
-        The order that is extrapolated with from the two smallest sizes; nan where nothing is.
-    factor : float
-        F.
-    extrapolated : float
-        f; nan outside the asymptotic range.
-    """
-
-    sizes: tuple[float, ...]
-    values: tuple[float, ...]
-    behaviour: str
-    order: float = math.nan
-    exponent: float = math.nan
-    factor: float = CAUTIOUS
-    extrapolated: float = math.nan
-
-    @property
-    def is_asymptotic(self) -> bool:
-        """True if something could be extrapolated."""
-        return self.behaviour not in ("irregular", "carried", "two coefficients")
-
-    def uncertainty(self, place: int = 0) -> float:
-        """F abs(f_i - f) of a value, by default that of the smallest size; or F times their spread;
-        0 of what differs by rounding."""
-        if self.behaviour == "unchanged":
-            return 0.0
-        if self.is_asymptotic:
-            return self.factor * abs(self.values[place] - self.extrapolated)
-        return self.factor * (max(self.values) - min(self.values))
-
-    @property
-    def gci(self) -> float:
-        """The uncertainty of the value of the smallest size, relative to it."""
-        return self.uncertainty() / abs(self.values[0]) if self.values[0] else math.nan
-
-    def to_dict(self) -> dict[str, Any]:
-        """All of it by name."""
-        return {**vars(self), "gci": self.gci}
-
-    def _title(self) -> str:
-        return f"{self.behaviour}, order {self.order:.3g}, GCI {self.gci:.3g}"
-
-
-def grid_convergence(
-    sizes: Sequence[float],
-    values: Sequence[float],
-    *,
-    formal: float = 2.0,
-    highest: float = math.inf,
-) -> GridConvergence:
-    """The observed order, the extrapolated value and the grid-convergence index of some values.
-
-    Parameters
-    ----------
-    sizes : (2,) or (3,)
-        Of elements or steps, in any unit, all different; or reciprocals of numbers of something.
-    values : (2,) or (3,)
-        Values computed with these.
-    formal : float
-        The order that theory expects.
-    highest : float
-        Order that the scheme has where nothing disturbs it; above it values are not in the
-        asymptotic range.
-
-    Returns
-    -------
-    GridConvergence
-        With the smallest size first.
-
-    Raises
-    ------
-    InputError
-        These are not two or three finite values with different sizes.
-
-    Examples
-    --------
-    >>> found = fc.grid_convergence([0.5, 0.25, 0.125], [1.25, 1.0625, 1.015625])
-    >>> order, value = found.order, found.extrapolated
-    """
-    check_number("formal", formal, 0.0, above=True)
-    h, f = numbers(sizes), numbers(values)
-    if h.shape not in ((2,), (3,)) or not np.all((h > 0.0) & (h < np.inf)):
-        raise InputError("sizes", sizes, "two or three finite numbers > 0")
-    if len(np.unique(h)) < len(h):
-        raise InputError("sizes", sizes, "all different")
-    if f.shape != h.shape or not np.all(np.isfinite(f)):
-        raise InputError("values", values, f"{len(h)} finite numbers, one for each size")
-    places = np.argsort(h)
-    h, f = h[places], f[places]
-
-    def found(
-        behaviour: str, order: float, exponent: float, factor: float = CAUTIOUS
-    ) -> GridConvergence:
-        finest = float(f[0])
-        if not math.isnan(exponent):
-            finest += float((f[0] - f[1]) / math.expm1(exponent * math.log(h[1] / h[0])))
-        elif behaviour != "unchanged":
-            finest = math.nan
-        return GridConvergence(
-            tuple(h.tolist()), tuple(f.tolist()), behaviour, order, exponent, factor, finest
-        )
-
-    if np.ptp(f) <= UNCHANGED * np.abs(f).max():
-        return found("unchanged", math.nan, math.nan)
-    if len(h) == 2:
-        return found("two sizes", math.nan, formal)
-    oscillates = (f[2] - f[1]) * (f[1] - f[0]) < 0.0
-    order = math.nan if oscillates else _observed(h, f)
-    if not 0.0 < order <= highest or math.isinf(order):
-        return found("irregular", order, math.nan)
-    least, most = 0.5, highest if math.isfinite(highest) else 1.5 * formal  # accepted orders
-    if least <= order <= most:
-        return found("asymptotic", order, min(order, formal), SAFE)
-    return found("outside", order, min(max(order, least), formal))
-
-
-def _observed(h: np.ndarray, f: np.ndarray) -> float:
-    """p of three values that do not oscillate; negative where they come no closer."""
-    fine, coarse = np.log(h[1] / h[0]), np.log(h[2] / h[1])
-    if f[1] == f[0] or f[2] == f[1]:
-        return math.inf if f[1] == f[0] else -math.inf
-    wanted = math.log((f[2] - f[1]) / (f[1] - f[0]))
-
-    def excess(p: float) -> float:
-        """log of the ratio with an order, less that of the values; it rises with the order."""
-        if p == 0.0:
-            return math.log(coarse / fine) - wanted
-        return p * fine + math.log(math.expm1(p * coarse) / math.expm1(p * fine)) - wanted
-
-    steepest = 0.5 * math.log(np.finfo(float).max) / max(fine, coarse)  # else expm1 overflows
-    if excess(steepest) < 0.0 or excess(-steepest) > 0.0:
-        return math.copysign(math.inf, wanted)
-    import scipy.optimize  # takes a while, and is needed here alone
-
-    return float(scipy.optimize.brentq(excess, -steepest, steepest))
-
-
-Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
-"""Counts of a cause, those of the result first, and its parts."""
-Varied = Part | str
-"""The same; or the reason why there is none, "" where it does not apply."""
-
-MESH_CAUSES = ("mesh", "shift")
-"""The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
-resonance."""
-ESTIMATED = ("harmonics", "modes")
-"""Causes without whose part no error is known; the mesh may be left out by choice."""
-CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
-BY_CHOICE = ("mesh", "friction")
-"""Causes that contribute an unknown part where they are not varied."""
-MISSING_PART_REASONS = {"friction": "that at the crack tip itself is not known"}
-"""Reason why a number has no part of a cause that was varied."""
 DOUBTS = {
     "outside": "the observed order is not that of theory, the factor of safety is 3",
     "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
@@ -280,13 +87,25 @@ class Verification(Saved):
 
     KIND: ClassVar[str] = "verification"
 
-    def take(self, cause: str, made: Varied) -> None:
-        """Note the part of a cause, or why it was not varied: of a mesh and of friction it is then
-        unknown, else there is none."""
-        if not isinstance(made, str):
-            self.counts[cause], self.parts[cause] = made
-        elif made:
-            (self.unknown if cause in BY_CHOICE else self.absent)[cause] = made
+    def with_part(self, cause: str, part: Varied) -> Verification:
+        """Return the verification with the part of a cause, or why it was not varied.
+
+        An optional cause that is not varied is unknown; other causes then contribute nothing.
+        """
+        if not isinstance(part, str):
+            counts, convergence = part
+            return replace(
+                self, counts=self.counts | {cause: counts}, parts=self.parts | {cause: convergence}
+            )
+        if not part:
+            return self
+        if cause in OPTIONAL_CAUSES:
+            return self.with_unknown(cause, part)
+        return replace(self, absent=self.absent | {cause: part})
+
+    def with_unknown(self, cause: str, reason: str) -> Verification:
+        """Return the verification with a cause whose contribution is unknown, and why."""
+        return replace(self, unknown=self.unknown | {cause: reason})
 
     # --- files ------------------------------------------------------------------------------------
 
@@ -365,7 +184,7 @@ class Verification(Saved):
         nothing that was varied changes it and something else was not. Infinite where the estimate
         is as large as the quantity, as of a mesh that is too coarse.
         """
-        unknown = any(cause in self.unknown for cause in ESTIMATED)
+        unknown = any(cause in self.unknown for cause in REQUIRED_CAUSES)
         parts = self._parts(quantity) if quantity in self.values else {}
         if not parts or unknown:
             return math.nan, ""
@@ -378,7 +197,7 @@ class Verification(Saved):
     def doubt(self, quantity: str) -> str:
         """Return why the error of a quantity is unknown; empty where it is known, or was left out
         by choice."""
-        for cause in ESTIMATED:
+        for cause in REQUIRED_CAUSES:
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)

@@ -22,21 +22,21 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import RISING_AT_END
+from fenics_crack.errors.numbers import natural_name
+from fenics_crack.errors.stated import not_estimated
+from fenics_crack.errors.verification import Verification
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import faces_in_words
-from fenics_crack.study.numbers import natural_name
 from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
 from fenics_crack.study.prepare import REFUSALS, Study
-from fenics_crack.study.vary import not_estimated
-from fenics_crack.study.verification import Verification
 from fenics_crack.time.march import TimeHistory
 
 
 class Answer(Study):
-    """Result with its study, as a conclusion needs it: a :class:`fenics_crack.study.run.Run`.
+    """Result with its study, as a conclusion needs it: a :class:`fenics_crack.runs.run.Run`.
 
     Attributes
     ----------
