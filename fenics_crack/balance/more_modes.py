@@ -28,6 +28,7 @@ from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
+    MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
     Inverse,
     MotionInArcs,
@@ -106,7 +107,7 @@ class MoreModes:
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
-    def _states(self) -> np.ndarray:
+    def states(self) -> np.ndarray:
         """Return states of the nearest orbit at equal parts of its period.
 
         New modes have their static coordinates under the load and the contact forces.
@@ -158,15 +159,18 @@ class MoreModes:
         The step corrects all parts of the nearest orbit's period together.
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
-        states, start_inverse = self._states, self.inverse
+        states, start_inverse = self.states, self.inverse
         search = partial(
             find_orbit, flow, omega, subharmonic=periods, step_tolerance=ROOT_TOLERANCE
         )
-        orbit = search(states[0], inverse=start_inverse) or (
-            search(states[0]) if start_inverse else None
-        )
+        orbit = None
+        if forms_monodromy := flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            orbit = search(states[0], inverse=start_inverse) or (
+                search(states[0]) if start_inverse else None
+            )
         if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            orbit = search(step.states[0], inverse=step.inverse)
+            if forms_monodromy:
+                orbit = search(step.states[0], inverse=step.inverse)
             return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 
