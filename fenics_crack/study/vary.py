@@ -66,9 +66,11 @@ sum, if they are not.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from itertools import zip_longest
 from operator import methodcaller
 from typing import Any
 
@@ -93,7 +95,7 @@ from fenics_crack.basics.progress import within
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.contact import CoulombFriction, friction_of, is_unilateral
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
@@ -137,8 +139,9 @@ TIP, CLAMP = 1.0, 1.5
 """Orders of convergence at a crack tip and at a clamp's ends."""
 COUNTS = (1, 2, 4)
 """Refinement factors of counts."""
-PLACES = 8
-"""Extrapolated resonances, of the orders of a mesh, at which a response is looked at."""
+LEAST_PLACES, PLACES = 3, 8
+"""Fewest and most extrapolated resonances, of the orders of a mesh, at which a response is looked
+at."""
 MESH_MODES = 50
 """Most modes of the structures that show what a mesh changes. With 120 the breathing plate's orbits
 take 14 times as long, and parts of the mesh differ by less than those of the modes."""
@@ -298,12 +301,12 @@ class _Case:
         keys["harmonic_balance.form"] = "condensed"
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
             keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
-        (orbits, numbers), (coarse_orbits, coarse_numbers) = (
-            self._with_and_without(count, rubs, keys) for count in FRICTION_MODES
-        )
+        many, few = FRICTION_MODES
+        coarse_solutions, _, coarse_numbers = self._with_and_without(few, rubs, keys)
+        _, orbits, numbers = self._with_and_without(many, rubs, keys, coarse_solutions)
         if len(orbits) < 2:
             return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
-        if len(coarse_orbits) < 2:
+        if len(coarse_numbers) < 2:
             coarse_numbers = numbers
         sizes = sizes_of_change(study, *orbits)
         coefficients, parts = (0.0, float(coefficient)), {}
@@ -320,27 +323,36 @@ class _Case:
         return FRICTION_MODES[:1] * 2, parts
 
     def _with_and_without(
-        self, count: int, whole: Structure, keys: Mapping[str, Any]
-    ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
-        """Return exact orbits of so many modes and their numbers, without friction and with it,
-        which keys of the scene describe; up to the first that is not found (collective)."""
+        self,
+        count: int,
+        whole: Structure,
+        keys: Mapping[str, Any],
+        starts: Sequence[PeriodicSolution] = (),
+    ) -> tuple[list[PeriodicSolution], list[PeriodicOrbit], list[dict[str, float]]]:
+        """Return solutions of so many modes, their exact orbits and numbers, without friction and
+        with it, which keys of the scene describe; up to the first orbit that is not found. Each is
+        sought from the start of its law, or from the answer (collective)."""
         study, found, periods = self.study, self.found, self.found.subharmonic
         count = min(count, whole.n_dofs // 2)
         reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
-        orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
-        for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
+        solutions, orbits = list[PeriodicSolution](), list[PeriodicOrbit]()
+        numbers = list[dict[str, float]]()
+        laws = study.contact, law_of(study.scene.replace(keys), reduced_structure)
+        for law, start in zip_longest(laws, starts[: len(laws)]):
             assert law is not None
             contact_law = along_lines(reduced_structure, law, lambda _: orbits[0])
             problem = Problem(
                 reduced_structure, found.omega, contact_law, SOUGHT * periods, subharmonic=periods
             )
-            orbit = Solver(problem).solve(found).assessment.orbit
+            solution = Solver(problem).solve(start or found)
+            orbit = solution.assessment.orbit
             if orbit is None:
                 break
             twin = replace(study, structure=reduced_structure, contact=contact_law)
+            solutions.append(solution)
             orbits.append(orbit)
             numbers.append(of_orbit(twin, found, orbit, self.own.mode))
-        return orbits, numbers
+        return solutions, orbits, numbers
 
     def _turning(self, friction: CoulombFriction) -> Varied:
         """Each number of a solid, changed by the share of what friction changes that sliding across
@@ -647,8 +659,9 @@ class _Stated(_Case):
         levels = zip(counts, (values, self.values_of(other, twin)), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP
-        left = np.linspace(*(1.0 / (ratio**order - 1.0) for order in orders), PLACES)
-        moved_to = PLACES * [values]
+        ends = tuple(1.0 / (ratio**order - 1.0) for order in orders)
+        left = np.linspace(*ends, self._n_places(abs(1.0 - moved) * (ends[1] - ends[0]), mode))
+        moved_to = len(left) * [values]
         if not self.of_peak:  # each from rest, as on a finer mesh, which may reach another motion
             shifts = near.omega / (1.0 + left * (1.0 - moved))
             solutions = (_solved_in_steps(study, float(w), near.harmonics) for w in shifts)
@@ -673,6 +686,15 @@ class _Stated(_Case):
             error = max(error, apart.get(name, 0.0) * left.max())
             found[name] = replace(part, extrapolated=value + error)
         return counts, found
+
+    def _n_places(self, shift: float, mode: int) -> int:
+        """Return at how many places of a relative shift the response is looked at: at the ends, in
+        the middle, and so close that a peak's half-power width has four of them."""
+        modes = all_modes(self.study.structure)
+        rates = modes.damping if modes.damping.ndim == 1 else np.diag(modes.damping)
+        width = rates[mode - 1] / math.sqrt(max(modes.squares[mode - 1], sys.float_info.min))
+        count = 1 + math.ceil(4.0 * shift / max(width, UNCHANGED))
+        return min(max(count, LEAST_PLACES), PLACES)
 
     def _moving(self, near: PeriodicSolution) -> int:
         """The mode whose resonance moves the watched points the most where it is shifted: harmonic
