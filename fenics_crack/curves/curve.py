@@ -295,10 +295,18 @@ class ResponseCurve(ObservedMotion, Tabular):
         its exact orbit the report is what one Newton step predicts. Of an exact orbit its Fourier
         series, as long as the tolerance requires; nothing is searched for."""
         if self.tolerance is not None:
-            return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
+            if index not in self._solutions:
+                problem, orbit = self.problem_of(index), self.orbit(index)
+                self._solutions[index] = solution_of_orbit(problem, orbit, self.tolerance)
+            return self._solutions[index]
         problem, at = self._balanced(index)
         known = Assessment(problem.wave(at), flow=self._flow)
         return solution_of(problem, at, status="point of a curve", search=search, known=known)
+
+    @cached_property
+    def _solutions(self) -> dict[int, PeriodicSolution]:
+        """Solutions of exact orbits that have been asked for, by point."""
+        return {}
 
     def _balanced(self, index: int) -> tuple[Problem, ContactPoint]:
         """The problem at a point of harmonic balance, and its equations there."""
