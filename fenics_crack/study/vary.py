@@ -70,7 +70,6 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import zip_longest
 from operator import methodcaller
 from typing import Any
 
@@ -301,12 +300,12 @@ class _Case:
         keys["harmonic_balance.form"] = "condensed"
         if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
             keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
-        many, few = FRICTION_MODES
-        coarse_solutions, _, coarse_numbers = self._with_and_without(few, rubs, keys)
-        _, orbits, numbers = self._with_and_without(many, rubs, keys, coarse_solutions)
+        (orbits, numbers), (coarse_orbits, coarse_numbers) = (
+            self._with_and_without(count, rubs, keys) for count in FRICTION_MODES
+        )
         if len(orbits) < 2:
             return f"not estimated, no exact orbit next to {SOUGHT} harmonics"
-        if len(coarse_numbers) < 2:
+        if len(coarse_orbits) < 2:
             coarse_numbers = numbers
         sizes = sizes_of_change(study, *orbits)
         coefficients, parts = (0.0, float(coefficient)), {}
@@ -323,36 +322,27 @@ class _Case:
         return FRICTION_MODES[:1] * 2, parts
 
     def _with_and_without(
-        self,
-        count: int,
-        whole: Structure,
-        keys: Mapping[str, Any],
-        starts: Sequence[PeriodicSolution] = (),
-    ) -> tuple[list[PeriodicSolution], list[PeriodicOrbit], list[dict[str, float]]]:
-        """Return solutions of so many modes, their exact orbits and numbers, without friction and
-        with it, which keys of the scene describe; up to the first orbit that is not found. Each is
-        sought from the start of its law, or from the answer (collective)."""
+        self, count: int, whole: Structure, keys: Mapping[str, Any]
+    ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
+        """Return exact orbits of so many modes and their numbers, without friction and with it,
+        which keys of the scene describe; up to the first that is not found (collective)."""
         study, found, periods = self.study, self.found, self.found.subharmonic
         count = min(count, whole.n_dofs // 2)
         reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
-        solutions, orbits = list[PeriodicSolution](), list[PeriodicOrbit]()
-        numbers = list[dict[str, float]]()
-        laws = study.contact, law_of(study.scene.replace(keys), reduced_structure)
-        for law, start in zip_longest(laws, starts[: len(laws)]):
+        orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
+        for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
             contact_law = along_lines(reduced_structure, law, lambda _: orbits[0])
             problem = Problem(
                 reduced_structure, found.omega, contact_law, SOUGHT * periods, subharmonic=periods
             )
-            solution = Solver(problem).solve(start or found)
-            orbit = solution.assessment.orbit
+            orbit = Solver(problem).solve(found).assessment.orbit
             if orbit is None:
                 break
             twin = replace(study, structure=reduced_structure, contact=contact_law)
-            solutions.append(solution)
             orbits.append(orbit)
             numbers.append(of_orbit(twin, found, orbit, self.own.mode))
-        return solutions, orbits, numbers
+        return orbits, numbers
 
     def _turning(self, friction: CoulombFriction) -> Varied:
         """Each number of a solid, changed by the share of what friction changes that sliding across
@@ -618,8 +608,10 @@ class _Stated(_Case):
         if few is self or isinstance(varied, str):
             return varied
         parts = {}
-        for name, part in varied[1].items():
-            change = self.own.values.get(name, 0.0) - few.own.values[name]
+        for name, value in self.own.values.items():
+            if (part := varied[1].get(name)) is None:
+                continue
+            change = value - few.own.values[name]
             values = part.values[0] + change, part.values[1] + change
             parts[name] = replace(part, values=values, extrapolated=part.extrapolated + change)
         return varied[0], parts
