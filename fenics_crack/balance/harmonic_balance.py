@@ -530,7 +530,10 @@ def _search_orbit_from_solutions(
 def _states_with_more_modes(
     flow: ContactFlow, assessment: Assessment, orbit: PeriodicOrbit
 ) -> np.ndarray:
-    """Return states of an orbit on a flow with more modes, or those of the orbit found there."""
+    """Return states of an orbit with more modes.
+
+    If a known orbit has as many modes, its states are returned.
+    """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
         return more_modes.orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
