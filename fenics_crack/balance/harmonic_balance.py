@@ -514,6 +514,8 @@ def _search_orbit_from_solutions(
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
                 yield orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+            elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
+                yield _states_with_more_modes(flow, initial.assessment, orbit)
         for count in SearchOptions.harmonics:
             start_problem = problem.with_harmonics(problem.response_harmonics(count))
             solution = _solver_for(solver, start_problem).attempt(initial, wholly=False)[1]
@@ -525,6 +527,19 @@ def _search_orbit_from_solutions(
         flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
     )
     return solutions, search
+
+
+def _states_with_more_modes(
+    flow: ContactFlow, assessment: Assessment, orbit: PeriodicOrbit
+) -> np.ndarray:
+    """Return states of an orbit with more modes.
+
+    If a known orbit has as many modes, its states are returned.
+    """
+    more_modes = assessment.more_modes
+    if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
+        return more_modes.orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+    return MoreModes(flow, assessment.wave, orbit).states
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:

@@ -302,12 +302,20 @@ class ResponseCurve(ObservedMotion, Tabular):
         search.
         """
         if self.tolerance is not None:
-            return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
+            if index not in self._solutions:
+                problem, orbit = self.problem_of(index), self.orbit(index)
+                self._solutions[index] = solution_of_orbit(problem, orbit, self.tolerance)
+            return self._solutions[index]
         problem, point = self._harmonic_balance_point(index)
         assessment = Assessment(problem.wave(point), flow=self._common_flow)
         return solution_of(
             problem, point, status="point of a curve", search=search, assessment=assessment
         )
+
+    @cached_property
+    def _solutions(self) -> dict[int, PeriodicSolution]:
+        """Solutions of exact orbits that were asked for, by the index of their point."""
+        return {}
 
     def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """Return the problem and the equations at a harmonic-balance point."""

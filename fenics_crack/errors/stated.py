@@ -45,6 +45,7 @@ sum, if they are not.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -77,7 +78,7 @@ from fenics_crack.errors.numbers import (
     sizes_of_change,
 )
 from fenics_crack.errors.verification import Verification, dent_by_force
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
@@ -90,15 +91,18 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.meshes import coarser
 from fenics_crack.study.observer import errors_along_fronts, rows_requested
-from fenics_crack.study.prepare import REFUSALS, Study, prepare
+from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced
 from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
 
 STATED_CAUSES = (*REDUCTION_CAUSES, "friction")
 """Causes of stated errors."""
 HARMONIC_FACTORS = 2, 4
 """Factors of the harmonics of other runs; the second is used if the report's error is large."""
-N_EXTRAPOLATED = 8
-"""Number of extrapolated resonances, by orders of a mesh, at which a response is solved."""
+MIN_EXTRAPOLATED, MAX_EXTRAPOLATED = 3, 8
+"""Fewest and most extrapolated resonances, by orders of a mesh, at which a response is solved."""
+MESH_MODES = 50
+"""Most modes of a structure that shows what the mesh changes. With 120 modes the orbits of the
+breathing plate take 14 times as long, and the parts differ by less than those of the modes."""
 CANCELLING_FRACTION = 0.1
 """Fraction of two parts of one order that is left if they cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
@@ -371,7 +375,38 @@ class StatedCase(Case):
         return (count, 2 * count), parts
 
     def mesh(self) -> Varied:
-        """Judge by a coarser mesh (collective).
+        """Judge by a coarser mesh, with at most :data:`MESH_MODES` modes (collective)."""
+        few_modes = self._with_few_modes()
+        varied = few_modes._judge_by_coarser_mesh()
+        if few_modes is self or isinstance(varied, str):
+            return varied
+        counts, few_mode_parts = varied
+        parts = {}
+        for name, value in self.numbers.values.items():
+            if (part := few_mode_parts.get(name)) is None:
+                continue
+            change = value - few_modes.numbers.values[name]
+            values = part.values[0] + change, part.values[1] + change
+            parts[name] = replace(part, values=values, extrapolated=part.extrapolated + change)
+        return counts, parts
+
+    def _with_few_modes(self) -> StatedCase:
+        """Return the answer's case on a structure with at most :data:`MESH_MODES` modes."""
+        study, scene = self.study, self.study.scene
+        structure = study.structure
+        if not isinstance(structure, ReducedStructure) or scene.disk is not None:
+            return self
+        if len(structure.omega) <= MESH_MODES:
+            return self
+        scene = scene.replace({scene.modes_key: MESH_MODES})
+        study = reduced(replace(study, scene=scene, structure=structure.whole), judged=False)
+        start = self.wave if structure.light_lips else None  # else it has other coordinates
+        wave = solve_again(study, self.wave.omega, self.wave.harmonics, start)
+        numbers = numbers_of(study, wave, self.numbers.mode)
+        return replace(self, study=study, wave=wave, numbers=numbers)
+
+    def _judge_by_coarser_mesh(self) -> Varied:
+        """Judge by a coarser mesh of the same modes (collective).
 
         The part is the largest by any order of the mesh. It has the shift of the resonance, but not
         of a peak; the place where crack faces part; and the dent under a force.
@@ -389,7 +424,9 @@ class StatedCase(Case):
         levels = zip(counts, (self.numbers.values, coarse_values), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP_ORDER
-        factors = np.linspace(*(1.0 / (ratio**order - 1.0) for order in orders), N_EXTRAPOLATED)
+        ends = tuple(1.0 / (ratio**order - 1.0) for order in orders)
+        shift_range = abs(1.0 - frequency_ratio) * (ends[1] - ends[0])
+        factors = np.linspace(*ends, self._n_extrapolated(shift_range, mode))
         shifted_values = self._values_at_shifts(factors * (1.0 - frequency_ratio))
         moved_values = self._values_with_shifted_clearance()
         dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
@@ -422,6 +459,17 @@ class StatedCase(Case):
             solve_in_steps(self.study, float(omega), self.wave.harmonics) for omega in frequencies
         )
         return [self.values_of(solution) for solution in solutions]
+
+    def _n_extrapolated(self, shift_range: float, mode: int) -> int:
+        """Return the number of resonances to look at, within a range of relative shifts.
+
+        They are the ends, the middle, and so many that a peak's half-power width has four.
+        """
+        modes = all_modes(self.study.structure)
+        rates = modes.damping if modes.damping.ndim == 1 else np.diag(modes.damping)
+        omega = math.sqrt(max(modes.squares[mode - 1], sys.float_info.min))
+        n_steps = math.ceil(4.0 * shift_range * omega / max(rates[mode - 1], UNCHANGED * omega))
+        return min(max(1 + n_steps, MIN_EXTRAPOLATED), MAX_EXTRAPOLATED)
 
     def _mode_of_shift(self) -> int:
         """Return the mode whose shifted resonance moves the watched points the most (collective).
