@@ -71,16 +71,16 @@ class CurveSystem(ABC):
         """Return a solution's load frequency [rad/s]."""
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return what a curve stores for a solution."""
+        """Convert unknowns to the array that a curve stores; by default the unknowns."""
         return unknown
 
     @abstractmethod
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return the equations at a point."""
+        """Evaluate the equations F(x, p) and their derivatives at a point."""
 
     @abstractmethod
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x| near a point of a curve."""
+        """Return the rounding error of the residual F, as |F| / |x| with the unknowns x."""
 
     def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size."""
@@ -97,5 +97,5 @@ class CurveSystem(ABC):
         return MAX_UNKNOWNS_PER_CALL // self.n_unknowns
 
     def make_step_control(self, longest_step: float) -> StepControl | None:
-        """Return a control that may reject steps; None if steps need no control."""
+        """Make the object that rejects too long steps; None if none is needed."""
         return None
