@@ -104,7 +104,8 @@ def rotation_of(
     structure_at_rest : Structure
         Structure without rotation.
     solve_static : callable, optional
-        Returns the static displacement of a wheel.
+        Returns the displacement (n_local, 1) of a wheel under a load; default: that of the
+        structure.
     """
     space, dimension, (axis_point, axis_direction) = dofs.space, scene.dimension, scene.axis
     projection = (np.eye(3) - np.outer(axis_direction, axis_direction))[:dimension, :dimension]
