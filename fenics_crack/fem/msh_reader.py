@@ -8,9 +8,15 @@ import numpy as np
 
 
 def read(path: str, _max_bytes: int) -> dict[str, np.ndarray]:
-    """Return numbers and positions of the nodes, and the physical groups.
+    """Return nodes and physical groups of a mesh file.
 
     The caller limits memory, so the number of bytes is not checked here.
+
+    Returns
+    -------
+    dict
+        "numbers" (n,) and "positions" (n, 3) of the nodes, and the arrays of
+        :func:`physical_groups`.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -23,13 +29,13 @@ def read(path: str, _max_bytes: int) -> dict[str, np.ndarray]:
 
 
 def physical_groups() -> dict[str, np.ndarray]:
-    """Return the physical groups, split by kind of elements.
+    """Return the elements of all physical groups, in blocks of one group and one kind.
 
     Returns
     -------
     dict
-        "heads": dimension, tag, kind, and number of nodes of each; "names": its name; "nodes":
-        all nodes in succession.
+        "heads" (m, 4) int: dimension, group's tag, kind of elements, and length in "nodes" of each
+        block; "names" (m,): name of the block's group; "nodes": node numbers of all blocks.
     """
     headers, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]
     for dimension, tag in gmsh.model.getPhysicalGroups():
