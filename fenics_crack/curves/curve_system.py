@@ -49,26 +49,26 @@ class CurveSystem(ABC):
     events: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
 
     def value(self, parameter: float) -> float:
-        """Return v at p."""
+        """Return the curve's parameter v at the path parameter p, 0 to 1."""
         if self.logarithmic:
             return float(self.start * (self.end / self.start) ** parameter)
         return self.start + parameter * (self.end - self.start)
 
     def parameter(self, value: float) -> float:
-        """Return p at v."""
+        """Return the path parameter p, 0 to 1, at the curve's parameter v."""
         if self.logarithmic:
             return math.log(value / self.start) / math.log(self.end / self.start)
         return (value - self.start) / (self.end - self.start)
 
     def value_rate(self, value: float) -> float:
-        """Return dv/dp at v."""
+        """Return the derivative dv/dp of the curve's parameter at v."""
         if self.logarithmic:
             return value * math.log(self.end / self.start)
         return self.end - self.start
 
     @abstractmethod
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        """Return a solution's load frequency [rad/s]."""
+        """Return a solution's load frequency [rad/s]; ``value`` is v."""
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Convert unknowns to the array that a curve stores; by default the unknowns."""

@@ -139,7 +139,10 @@ class Orbits(CurveSystem):
         return self._scale_state(state, value) - self._scaled_rest_state(value)
 
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Scale a state z in the start's modes: x + x_0 + p x_1 for unknowns x."""
+        """Return a state z in the units of the unknowns, with the state of rest.
+
+        Over the speed, z is converted to the modes at the start of the curve.
+        """
         if self.name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
@@ -150,7 +153,11 @@ class Orbits(CurveSystem):
         return np.asarray(rest_start + self.parameter(value) * rest_change)
 
     def _state_transformation(self, value: float) -> np.ndarray:
-        """Return the matrix from states in the start's modes to states in the modes at a speed."""
+        """Return the matrix that converts states to the modes at a speed.
+
+        The given states are in the modes at the start of the curve. Shape: (n_unknowns,
+        n_unknowns).
+        """
         modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_change, modal_change, friction_identity)

@@ -122,7 +122,7 @@ class Waves(CurveSystem):
         return point.system.compliance.derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
-        """Return the equations at a parameter value; the last ones are kept."""
+        """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
         if self._last_system is None or self._last_system[0] != value:
             self._last_system = value, self._make_system(value)
         return self._last_system[1]

@@ -585,7 +585,7 @@ class DiskRim:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Take a scene whose sector is made here."""
+        """Read the rim from a scene with a disk that is not a mesh file."""
         self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
         self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
         self.inner_radius, self.outer_radius = (
@@ -600,7 +600,7 @@ class DiskRim:
         return self.half_angle * (self.outer_radius**2 - self.inner_radius**2)
 
     def foot_height(self, position: float) -> float:
-        """Return the blade's foot on the rim, at a position across [m]."""
+        """Return the height y of the blade's foot on the rim, at a position across [m]."""
         return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
@@ -656,7 +656,7 @@ class DiskRim:
         ]
 
     def name_of(self, center: tuple[float, float, float]) -> str:
-        """Name a face of a solid's rim by its center of mass."""
+        """Return the name of a face of a solid's rim, given the face's center of mass."""
         offset_across, offset_along = center[2] - self.middle, center[1] - self.axis
         radius = math.hypot(offset_across, offset_along)
         angle = math.atan2(offset_across, offset_along)

@@ -125,11 +125,11 @@ def rotation_of(
     static_stress = stress(scene, space, ufl.sym(grad_u_c))
 
     def gradient_strain(displacement: Any) -> Any:
-        """Return the strain e of a displacement."""
+        """Return e(v) = sym((grad u_c)^T grad v), the strain due to the displaced shape."""
         return ufl.sym(grad_u_c.T * ufl.grad(displacement))
 
     def virtual_work(strain: Any, test_strain: Any) -> Any:
-        """Return the work of one strain's stress on another strain."""
+        """Return the form of the work of one strain's stress on another strain."""
         return t * ufl.inner(stress(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.

@@ -180,8 +180,8 @@ class Dofs:
     ) -> None:
         """Number the free dofs.
 
-        ``is_constrained`` (n_dofs,) marks this rank's dofs that are held. By default these are the
-        dofs at the clamp.
+        ``is_constrained`` (n_dofs,) is True for this rank's dofs that are held at zero; by default
+        the dofs at the clamp.
         """
         self.comm, self.plate, self.space = comm, plate, space
         self.dimension = space.mesh.geometry.dim

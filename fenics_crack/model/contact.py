@@ -60,13 +60,13 @@ class ContactLaw(Protocol):
 
     @property
     def stiffness(self) -> float | np.ndarray:
-        """Largest tangent, of a firmly closed pair: one for all pairs or (n_pairs,) [N/m]."""
+        """Largest slope of the force, of a firmly closed pair: a number or (n_pairs,) [N/m]."""
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda(g) [N] for gaps (..., n_pairs) [m]: the same shape."""
+        """Return the contact forces lambda(g) [N] for gaps (..., n_pairs) [m]: the same shape."""
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return d lambda / d g [N/m] for gaps (..., n_pairs) [m]: the same shape."""
+        """Return the slopes d lambda / d g [N/m] for gaps (..., n_pairs) [m]: the same shape."""
 
     def scaled(self, factor: float) -> Self:
         """Return this law with its stiffness multiplied by a factor."""
@@ -250,11 +250,11 @@ class CoulombFriction:
         return self.law.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda_n(g) [N]."""
+        """Return the normal forces lambda_n(g) [N] for normal gaps g [m]."""
         return np.asarray(self.law.force(gap))
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return d lambda_n / d g [N/m]."""
+        """Return the slopes d lambda_n / d g [N/m] for normal gaps g [m]."""
         return np.asarray(self.law.tangent(gap))
 
     def scaled(self, factor: float) -> CoulombFriction:

@@ -313,7 +313,7 @@ def _lowest_modes_cache(structure: Structure) -> list[np.ndarray]:
 
 
 def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
-    """Make SLEPc's solver of K phi = omega^2 M phi."""
+    """Make SLEPc's solver for the modes K phi = omega^2 M phi of a structure."""
     solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
@@ -525,16 +525,16 @@ def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modal damping as C = M Phi diag(rate) Phi^T M.
+    """Modes that carry the modal damping C = M Phi diag(rate) Phi^T M.
 
     Attributes
     ----------
     omega : (m,) [rad/s]
         Natural frequencies of the damped modes.
     rate : (m,) [1/s]
-        2 xi_j omega_j.
+        2 xi_j omega_j, with the damping ratios xi_j.
     shapes, mass_shapes : (n_local, m)
-        Phi and M Phi.
+        Mass-normalised shapes Phi, and M Phi.
     """
 
     omega: np.ndarray

@@ -488,7 +488,7 @@ class Clamp:
         Parameters
         ----------
         waves : (2H+1, n_rigid)
-            Fourier coefficients of r^T M u.
+            Fourier coefficients of r^T M u, with the rigid motions r and the mass matrix M.
         omega : float [rad/s]
             Angular frequency of the motion.
         subharmonic : int
@@ -525,7 +525,7 @@ class Clamp:
         time : (n,) [s]
             Instants of the record.
         inertia_record : (n, n_rigid)
-            r^T M u at these instants.
+            r^T M u at these instants, as in :meth:`reaction_of_waves`.
         omega : float [rad/s]
             Angular frequency of the load.
         drag : float [1/s]
