@@ -63,9 +63,9 @@ MAX_SPEED_CORRECTIONS = 20
 class ResonanceSystem(CurveSystem):
     """Equations of the phase resonance over the factor v of a load.
 
-    The unknowns are the slow gap's Fourier coefficients s over v and over the size of s / v in the
-    nearby point, then the frequency relative to the problem's. ``start_unknown`` is a guess for
-    the resonance at ``start``, from a nearby point.
+    The unknowns are the Fourier coefficients s of the slow gap, divided by v and a constant size,
+    then the frequency relative to the problem's. ``nearby_point`` gives that size and
+    ``start_unknown``, a guess for the resonance at ``start``.
     """
 
     name, logarithmic = "resonance", True

@@ -111,7 +111,7 @@ class Waves(CurveSystem):
         return self.vary(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
-        """Make the equations at a parameter value."""
+        """Make the harmonic-balance equations at a parameter value."""
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)

@@ -298,14 +298,14 @@ def upward_sign(normal: np.ndarray) -> float:
 
 
 def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Project points (n, d) onto the nearest crack.
+    """Find the nearest crack of each point (n, d), and the position on the crack.
 
     Returns
     -------
     crack_index : (n,) int
-        The nearest crack.
+        Index of the nearest crack.
     positions : (n,) [m]
-        Position on it.
+        Distance along a path from the beginning, or on a surface from the front.
     """
     distances, positions = np.array([crack.locate(points) for crack in cracks]).transpose(1, 0, 2)
     crack_index = distances.argmin(axis=0)

@@ -36,7 +36,8 @@ def parts_of_forms(
 ) -> tuple[Any, ...]:
     """Assemble the parts of a structure from forms (collective).
 
-    Parameters are those of :meth:`Structure.from_forms`.
+    Parameters are those of :meth:`Structure.from_forms`. ``bilinear`` has the forms "stiffness",
+    "mass" and, if given, "damping".
 
     Returns
     -------

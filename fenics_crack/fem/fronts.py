@@ -104,7 +104,7 @@ class Front:
         Parameter t of each node: the angle on an ellipse [rad], or the distance along the front
         [m].
     curve : callable
-        Returns c(t) or its derivatives of a given order: (..., 3).
+        Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
     is_closed : bool
         True if the front has no ends.
     at_surface : tuple of bool

@@ -160,7 +160,7 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _face_triangles(tag: int) -> np.ndarray:
-    """Return corners of a face's triangles, of any order: (n, 3, 3)."""
+    """Return the corners of gmsh's triangles on the face ``tag``, of any order: (n, 3, 3)."""
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))

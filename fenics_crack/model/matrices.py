@@ -697,9 +697,10 @@ def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
 
 
 def read_whole_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
-    """Return a vector or matrix on every rank: (n, m).
+    """Return a vector or matrix whole on every rank, as a matrix (n, m).
 
-    A PETSc object is gathered from all ranks (collective).
+    ``data`` is an array, a PETSc object, which is gathered from all ranks (collective), or the path
+    of a Matrix Market file. ``name`` is the key of errors.
     """
     if isinstance(data, PETSc.Vec):
         data = gather_rows(data.comm.tompi4py(), data.array_r)

@@ -93,7 +93,7 @@ class AllModes:
     def receptance(
         self, omega: np.ndarray, factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the receptance H at some frequencies.
+        """Return the receptance H, the modal response to unit modal forces.
 
         Parameters
         ----------
@@ -108,6 +108,7 @@ class AllModes:
         Returns
         -------
         (m, n), or (m, n, n) if damping couples modes
+            Diagonal of H at each frequency, or H.
 
         Raises
         ------
@@ -293,9 +294,9 @@ class AllModes:
         return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
 
     def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:
-        """Return complex amplitudes of the modes under a load (n,).
+        """Return the complex amplitudes of the modes under a harmonic load: (n,).
 
-        Modes without load are at rest.
+        ``force`` (n,) has the complex modal forces. Modes without load are at rest.
 
         Raises
         ------

@@ -352,13 +352,14 @@ class Coordinates:
         return total
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Pick dofs from displacements, on every rank (collective).
+        """Pick the values of dofs from displacements, on every rank (collective).
 
         Parameters
         ----------
         displacement : (m, n_local)
         dofs : sequence of int or None
-            As in :meth:`check_dofs`, which raises InputError.
+            Numbers of dofs through all ranks; None stands for the watched dof. Checked by
+            :meth:`check_dofs`, which raises InputError.
 
         Returns
         -------

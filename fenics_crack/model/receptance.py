@@ -119,7 +119,8 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
     Raises
     ------
     InputError
-        The structure is made from arrays alone, which have fewer modes, or another load.
+        The structure comes from a file without matrices, and the file has fewer modes or another
+        load.
     """
     structure = structure.original
     cache = structure.compute_once(receptance_cache)
@@ -362,7 +363,7 @@ def _add_rows(
 def _loaded_dofs(structure: Structure) -> np.ndarray:
     """Return the dofs under the load, to watch the effect of the load (collective).
 
-    If they exceed one block of static solutions, return the watched dof alone.
+    If there are more than MAX_BLOCK_COLUMNS of them, return the watched dof alone.
     """
     owned_dofs = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     dofs = gather_rows(structure.comm, owned_dofs)

@@ -141,7 +141,7 @@ class RayleighDamping:
 
     @classmethod
     def from_ratios(cls, ratios: Sequence[float], omegas: Sequence[float]) -> RayleighDamping:
-        """Return the damping with given ratios at two frequencies.
+        """Return the damping C = a M + b K with given ratios at two frequencies.
 
         With w_1 < w_2 and s = w_1 (xi_2 - xi_1) / (w_2 - w_1),
 
