@@ -75,9 +75,9 @@ class ParentJunction(Event):
 def chord_ends(
     system: Waves | Orbits, curve: ResponseCurve, first_index: int, last_index: int
 ) -> tuple[PathPoint, PathPoint]:
-    """Return two points of a curve as path points.
+    """Convert two curve points to path points.
 
-    The tangent of both is the chord between them.
+    Both have the chord between them as tangent.
     """
     end_values = curve.values[[first_index, last_index]].tolist()
     end_states = curve.points[[first_index, last_index]]

@@ -143,14 +143,14 @@ class GrowingCurve:
         iterations: int,
         multipliers_and_counts: np.ndarray | None,
     ) -> CurvePoint:
-        """Make a point of the curve from the numbers of a path point.
+        """Make a curve point from a path point's numbers.
 
         Parameters
         ----------
         parameter : float
-            p, 0 at the start of the curve and 1 at its end.
+            p, 0 at the curve's start and 1 at the end.
         multipliers_and_counts : (k + 3,) complex or None
-            Leading multipliers and three counts of an exact orbit (:func:`leading_multipliers`).
+            An exact orbit's leading multipliers and three counts (:func:`leading_multipliers`).
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -441,7 +441,7 @@ def first_point(
     unknown : array of ``system.shape``
         Solution.
     parameter : float
-        p of the solution.
+        The solution's p.
     iterations : int
         Newton iterations that found the solution; the point keeps their number.
     direction : Tangent, optional

@@ -157,7 +157,7 @@ class CurvePoint:
     unknown : (2H+1, n_pairs) [m]
         Fourier coefficients of the gaps g; with a residual flexibility R_inf those of the slow gap
         g + R_inf lambda. For exact orbits (2 n_modes,), the state at phase zero: modal
-        displacements, then velocities over frequencies, both less the state of rest.
+        displacements, then velocities over frequencies, both less the rest state.
     iterations : int
         Newton iterations.
     multipliers : (8,) complex or None
@@ -311,7 +311,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         )
 
     def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
-        """Return a point's problem and its linearised equations of harmonic balance."""
+        """Return a point's problem and linearised harmonic-balance equations."""
         problem, waves = self.problem_of(index), self.system
         if isinstance(waves, ResonanceWaves) or not isinstance(waves, Waves):
             system = problem.system(problem.compliance())

@@ -105,7 +105,7 @@ def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
 
 
 def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
-    """Return the changes of the three counts from each point to the next.
+    """Return the changes in the three counts from each point to the next.
 
     Two real multipliers that become a complex pair, or the reverse, change no count.
 
@@ -117,7 +117,7 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
     Returns
     -------
     (n_points - 1, 3)
-        Changes of r, d and c.
+        Changes in r, d and c.
     """
     count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
     step_indices = np.flatnonzero(count_change[:, 2])
@@ -140,7 +140,7 @@ def collision_severity(monodromy: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     monodromy : (n_points, n, n)
-        Monodromy matrices of the points.
+        The points' monodromy matrices.
 
     Returns
     -------

@@ -139,9 +139,9 @@ class Orbits(CurveSystem):
         return self._scale_state(state, value) - self._scaled_rest_state(value)
 
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return a state z in the units of the unknowns, with the state of rest.
+        """Return a state z in the unknowns' units, with the rest state.
 
-        Over the speed, z is converted to the modes at the start of the curve.
+        Over the speed, z is converted to the modes at the curve's start.
         """
         if self.name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
@@ -155,7 +155,7 @@ class Orbits(CurveSystem):
     def _state_transformation(self, value: float) -> np.ndarray:
         """Return the matrix that converts states to the modes at a speed.
 
-        The given states are in the modes at the start of the curve. Shape: (n_unknowns,
+        The given states are in the modes at the curve's start. Shape: (n_unknowns,
         n_unknowns).
         """
         modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
@@ -174,7 +174,7 @@ class Orbits(CurveSystem):
     def advance_unknown(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> np.ndarray:
-        """Return the unknowns x of the motion after a fraction of the period."""
+        """Return the motion's unknowns x after a fraction of the period."""
         state = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(state, self.value(parameter))
 

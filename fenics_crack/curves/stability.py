@@ -323,10 +323,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     """Find the motions that replace an unstable solution in the long run.
 
     Each motion begins next to the orbit, at a distance of 1 % of the motion, and the exact flow
-    follows it. Small disturbances grow in the direction v, M v = mu v. If mu > 1, the motions along
-    v and -v part. They may go to two orbits: above and below the unstable orbit of a leaning
-    resonance, for example. For an irregular solution the result is the exact motion that begins
-    with the solution.
+    follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
+    monodromy matrix M. If mu > 1, the motions along v and -v part. They may go to two orbits: above
+    and below the unstable orbit of a leaning resonance, for example. For an irregular solution the
+    result is the exact motion that begins with the solution.
 
     Parameters
     ----------

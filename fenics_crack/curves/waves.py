@@ -117,7 +117,7 @@ class Waves(CurveSystem):
         return ContactSystem(self.compliance(value), self._integrals)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        """Return the derivative of the residual by the parameter value, dF/dv."""
+        """Return the residual's derivative by the parameter value, dF/dv."""
         assert isinstance(point.system.compliance, ModalCompliance)
         return point.system.compliance.derivative(self.name, point.force)
 

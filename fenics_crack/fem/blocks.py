@@ -60,7 +60,7 @@ MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
 class Interval:
     """Part of a plate's side from ``start`` to ``stop``, divided into elements.
 
-    ``length_ratio`` is the length of an element over that of the element before it.
+    ``length_ratio`` is an element's length over the previous element's length.
     """
 
     start: float
@@ -77,8 +77,8 @@ class _GradedFace:
     """Element lengths along a crack face, which fall geometrically towards a tip.
 
     The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside, the
-    coarse end is the middle, with half as many. ``length_ratio`` is an element's length over that
-    of the next element away from the tip.
+    coarse end is the middle, with half as many. ``length_ratio`` is an element's length over the
+    next element's length, away from the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
@@ -106,7 +106,7 @@ class _GradedFace:
         return self.tip_size + fraction * (coarse_length - self.tip_size)
 
     def count_elements(self, start: float, stop: float) -> float:
-        """Return the number of elements on an interval: the integral of 1 / element length."""
+        """Count the elements on an interval: integrate 1 / element length."""
         start_length, stop_length = self.element_length(start), self.element_length(stop)
         if abs(start_length - stop_length) < 1e-9 * start_length:
             return (stop - start) / start_length
@@ -114,7 +114,7 @@ class _GradedFace:
 
 
 def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
-    """Divide a plate into columns and rows of blocks, and find the cracks among them.
+    """Divide a plate into block columns and block rows, and find the cracks among them.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def _graded_plate(
 ) -> tuple[list[Interval], list[Interval]]:
     """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
 
-    ``spans`` are the ends of each crack across the plate, ``levels`` the heights of the cracks [m].
+    ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
     """
     (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
@@ -491,10 +491,10 @@ def _check_plate_cells(scene: Scene) -> None:
 
 
 def _doubled_corners(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
-    """Return column and row of the block corners on cracks, without tips.
+    """Return the block corners on cracks, without tips, as (column, row).
 
-    Such a corner has a point on each crack face. A crack that begins or ends at an edge of the
-    plate has no tip there.
+    Such a corner has a point on each crack face. A crack that begins or ends at the plate's
+    edge has no tip there.
     """
     return [
         (i, row)
@@ -513,9 +513,9 @@ Curves = dict[tuple[int, int], int]
 def _add_surfaces(
     n_columns: int, n_rows: int, horizontal: Curves, vertical: Curves, upper_faces: Curves
 ) -> list[int]:
-    """Add the surface of each block, column by column, and return the tags.
+    """Add each block's surface, column by column, and return the tags.
 
-    A block above a crack has the curve of the upper crack face as its lower side. All other blocks
+    A block above a crack has the upper crack face's curve as lower side. All other blocks
     have a horizontal curve there.
     """
     surfaces = []
@@ -530,7 +530,7 @@ def _add_surfaces(
 def _name_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
     """Make gmsh's physical groups, and return their tags by name.
 
-    ``groups`` has the dimension and the entities of each name; names without entities get no group.
+    ``groups`` has dimension and entities by name; names without entities get no group.
     """
     tags = {name: tag for tag, (name, (_, entities)) in enumerate(groups.items(), 1) if entities}
     for name, tag in tags.items():
@@ -600,7 +600,7 @@ class DiskRim:
         return self.half_angle * (self.outer_radius**2 - self.inner_radius**2)
 
     def foot_height(self, position: float) -> float:
-        """Return the height y of the blade's foot on the rim, at a position across [m]."""
+        """Return the blade foot's height y on the rim, at a position across [m]."""
         return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
@@ -656,7 +656,7 @@ class DiskRim:
         ]
 
     def name_of(self, center: tuple[float, float, float]) -> str:
-        """Return the name of a face of a solid's rim, given the face's center of mass."""
+        """Name a face on a solid's rim, given the face's center of mass."""
         offset_across, offset_along = center[2] - self.middle, center[1] - self.axis
         radius = math.hypot(offset_across, offset_along)
         angle = math.atan2(offset_across, offset_along)
@@ -693,7 +693,7 @@ class DiskRim:
         Returns
         -------
         dict
-            Dimension and tags of the curves by the names of the rim's sides.
+            The curves' dimension and tags, by the rim side's name.
         """
         size, geo = _element_length(self.scene), gmsh.model.geo
         side_angle = self.half_angle - math.asin(

@@ -90,10 +90,10 @@ def pair_crack_faces(
     Returns
     -------
     gap : (n_local, n_pairs)
-        B of the normal gaps B^T u, the rows of this rank's free dofs.
+        B for normal gaps B^T u, with the rows for this rank's free dofs.
     tangential : (n_local, n_pairs), or None for a solid
-        B_t of the tangential gaps B_t^T u: B with each node's normal turned by a right angle. The
-        two tangential directions of a solid's pair are in ``pairs``.
+        B_t for tangential gaps B_t^T u: B with each node's normal turned by a right angle. A
+        solid pair's two tangential directions are in ``pairs``.
     pairs : Pairs
         Positions, areas and cracks of the pairs.
 
@@ -170,7 +170,7 @@ def _front_pressure_shares(
 ) -> sparse.csr_matrix:
     """Return the matrix S that moves pressures at front nodes to neighbours: (n, n_inside).
 
-    The pressure functions psi of nodes off the front become sum_i S_ij psi_i. The first
+    At nodes off the front, the pressure functions psi become sum_i S_ij psi_i. The first
     ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
     """
     overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * face_measure
@@ -266,7 +266,7 @@ def _patch_shares(
 
 
 def _farthest_points(points: np.ndarray, n_points: int) -> np.ndarray:
-    """Select the indices of points far apart: (n_points,) int, in ascending order.
+    """Select points far apart, by index: (n_points,) int, in ascending order.
 
     The last point is selected first, then repeatedly the point farthest from all selected ones.
     """
@@ -302,7 +302,7 @@ def _columns_of_nodes(
     space : dolfinx function space
         Space of the pressures.
     weights : (n_owned,) [m^2]
-        Area t int psi ds for the pressure function psi of each owned node.
+        Area t int psi ds for each owned node's pressure function psi.
     columns : (n_owned_dofs, n_pressures)
         b of every pressure, the rows of this rank's dofs.
     """
@@ -326,7 +326,7 @@ def _columns_of_pressures(
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors with pressures linear between corners of facets.
 
-    The results are those of :func:`_columns_of_nodes`.
+    The results are as in :func:`_columns_of_nodes`.
     """
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
@@ -444,12 +444,12 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 
 def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
-    """Assemble a scene's loads on the mesh of a structure at rest (collective).
+    """Assemble a scene's loads on a structure's mesh, at rest (collective).
 
     Returns
     -------
     dict
-        Fields of a :class:`Body`: "force", "watched" and "clamp".
+        :class:`Body` fields: "force", "watched" and "clamp".
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)
@@ -498,7 +498,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 
 
 def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
-    """Return the UFL forms of stiffness and mass."""
+    """Return the UFL forms for stiffness and mass."""
     (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))

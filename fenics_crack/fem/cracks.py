@@ -71,9 +71,9 @@ class CrackPath:
 
     @property
     def watched_place(self) -> tuple[str, float]:
-        """Return name and position [m] of the contact pair for which results are reported.
+        """Return the reported contact pair's name and position [m].
 
-        It is at the mouth (position 0), or in the middle of a crack inside.
+        The pair is at the mouth (position 0), or in the middle between two tips.
         """
         if self.has_mouth:
             return "the mouth", 0.0
@@ -129,7 +129,7 @@ class CrackSurface:
 
     @property
     def watched_place(self) -> tuple[str, float]:
-        """Return name and position of the reported contact pair, farthest from the front.
+        """Return the reported contact pair's name and position: the farthest from the front.
 
         The position is infinite.
         """
@@ -251,7 +251,7 @@ def points_on_both_sides(
     Parameters
     ----------
     distance, front_distance : float [m]
-        Distances of the point from the crack and from the tip or front.
+        The point's distances from the crack, and from the tip or front.
 
     Returns
     -------
@@ -298,12 +298,12 @@ def upward_sign(normal: np.ndarray) -> float:
 
 
 def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the nearest crack of each point (n, d), and the position on the crack.
+    """Find each point's (n, d) nearest crack, and the position on the crack.
 
     Returns
     -------
     crack_index : (n,) int
-        Index of the nearest crack.
+        The nearest crack's index.
     positions : (n,) [m]
         Distance along a path from the beginning, or on a surface from the front.
     """
@@ -653,9 +653,9 @@ def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
 
 
 def _front_parts(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
-    """Return the edges of crack fronts (n, 2), or the nodes of crack tips (n, 1).
+    """Return crack front edges (n, 2), or crack tip nodes (n, 1).
 
-    An edge of the crack is on a front if it belongs to one crack facet only and is off the
+    A crack's edge is on a front if it belongs to one crack facet only and is off the
     boundary. The same holds for tips.
     """
     n_corners = crack_facets.shape[1]

@@ -36,7 +36,7 @@ def parts_of_forms(
 ) -> tuple[Any, ...]:
     """Assemble the parts of a structure from forms (collective).
 
-    Parameters are those of :meth:`Structure.from_forms`. ``bilinear`` has the forms "stiffness",
+    Parameters are as in :meth:`Structure.from_forms`. ``bilinear`` has the forms "stiffness",
     "mass" and, if given, "damping".
 
     Returns
@@ -144,7 +144,7 @@ def _face_corners(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarr
     Returns
     -------
     numbers : (n, k) int
-        Global node numbers of the corners.
+        The corners' global node numbers.
     positions : (n, k, d) [m]
         Node positions.
     """

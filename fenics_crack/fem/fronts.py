@@ -145,15 +145,15 @@ class Front:
 
     @property
     def station_parameters(self) -> np.ndarray:
-        """Return the curve parameters t of the stations: (n_stations,).
+        """Return the stations' curve parameters t: (n_stations,).
 
-        A station is a point of the front at which K is computed (:class:`Station`).
+        A station is a point on the front at which K is computed (:class:`Station`).
         """
         return self.peak_parameters[:-1] if self.is_closed else self.peak_parameters
 
     @property
     def corner_stations(self) -> list[int]:
-        """Return the indices of stations at corners of the front, where K is undefined."""
+        """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
         ends = zip(self.at_surface, (0, n_stations - 1), strict=True)
         return (
@@ -163,7 +163,7 @@ class Front:
         )
 
     def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the hat functions h of the stations at curve parameters t.
+        """Evaluate the stations' hat functions h at curve parameters t.
 
         A hat is 1 at its station and falls linearly in t to 0 at the neighbours.
 
@@ -182,7 +182,7 @@ class Front:
         return hat_values, np.where(hat_values > 0.0, -np.sign(distances) / spacing, 0.0)
 
     def hat_lengths(self) -> np.ndarray:
-        """Return the integral of each hat function along the front, int h ds: (n_stations,) [m]."""
+        """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
         half_spacing = 0.5 * (self.peak_parameters[1] - self.peak_parameters[0])
         t = (self.peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
@@ -192,14 +192,14 @@ class Front:
         return np.asarray(length_weights @ self.hats(t)[0])
 
     def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the frame and curvature of the front at curve parameters t.
+        """Return the front's frame and curvature at curve parameters t.
 
         Returns
         -------
         frame : (..., 3, 3)
             Rows: unit vectors e_1 ahead of the crack, e_2 normal to it, e_3 along the front.
         speed : (...,)
-            Length of the front per parameter, ds/dt.
+            Front length per parameter, ds/dt.
         kappa, kappa_slope : (...,) [1/m], [1/m^2]
             Curvature, and its derivative with respect to the length s along the front.
         """
@@ -219,16 +219,16 @@ class Front:
 
     @cached_property
     def straight_radius(self) -> float:
-        """Return the radius of the integration domain where the front is straight [m]."""
+        """Return the integration domain's radius where the front is straight [m]."""
         max_length = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
         return float(min(RADIUS_IN_ELEMENTS * max_length, self.max_radius))
 
     def is_limited_by_curvature(self, kappa: np.ndarray) -> np.ndarray:
-        """Return True where the curvature [1/m] limits the radius of the integration domain."""
+        """Return True where the curvature [1/m] limits the integration domain's radius."""
         return np.asarray(np.abs(kappa) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
 
     def radius(self, kappa: np.ndarray) -> np.ndarray:
-        """Return the radius of the integration domain [m] for curvatures [1/m]: same shape."""
+        """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
         is_limited = self.is_limited_by_curvature(kappa)
         return np.where(
             is_limited,
@@ -238,7 +238,7 @@ class Front:
 
     @cached_property
     def _curve_samples(self) -> tuple[np.ndarray, cKDTree]:
-        """Return sample points on the curve: parameters t, and a search tree of positions.
+        """Return sample points on the curve: parameters t, and a search tree with positions.
 
         There are eight points for each node.
         """
@@ -250,7 +250,7 @@ class Front:
         return t, cKDTree(self.curve(t, 0))
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
-        """Return the parameter t of the front's point nearest to each point (..., 3) [m]."""
+        """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
         samples, tree = self._curve_samples
         t = samples[tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
@@ -566,7 +566,7 @@ def _free_dofs_of_rank(
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
-    """Return the stations of a front, with positions, directions and touching pairs."""
+    """Return a front's stations, with positions, directions and touching pairs."""
     pairs, is_in_hats = structure.pairs, front.hats(front.parameters)[0] > 0.0
     touching_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
@@ -614,8 +614,8 @@ def _check_resolved(front: Front) -> None:
 def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
     """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    ``rows`` (3 n_stations, m) are means over the hat functions, mode after mode. At an end of an
-    open front, the centroid of the half hat is not the station. The functional there is
+    ``rows`` (3 n_stations, m) are means over the hat functions, mode after mode. At an open
+    front's end, the half hat's centroid is not the station. The functional there is
     extrapolated linearly from the last two hats.
     """
     rows = rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
@@ -672,10 +672,10 @@ TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
 
 class _Domain:
-    """Domain of the interaction integral around a front: the cells nearby.
+    """Cells near a front, the domain for the interaction integral.
 
-    The equations are those of the module. Rows are numbered mode after mode, K_I, K_II, K_III, each
-    with all stations.
+    The equations are in the module's text. Rows are numbered mode after mode, K_I, K_II, K_III,
+    each with all stations.
 
     Attributes
     ----------
@@ -740,7 +740,7 @@ class _Domain:
         self.side_signs = np.sign(((centres - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
 
     def _basis_gradients(self, cell_index: np.ndarray) -> np.ndarray:
-        """Return the gradients of the quadratic basis functions N_a of cells: (n, 10, 4, 3).
+        """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
 
         The result D has grad N_a = sum_b D_ab lambda_b. The N_a are in the order of the cell's
         nodes, the barycentric coordinates lambda_b in the order of ``corners``.
@@ -764,7 +764,7 @@ class _Domain:
         Returns
         -------
         rows : (n_nodes, 3 n_stations, 3)
-            Factors of the nodes' displacements in K.
+            Factors for the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
             Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
             derivative of the unit K field along e_1.
@@ -815,7 +815,7 @@ class _Domain:
         return self.intensity_factors[:, None] * comm.allreduce(rows), nodal_fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
-        """Return the elastic stress of displacement gradients (..., 3, 3): same shape."""
+        """Return the elastic stress from displacement gradients (..., 3, 3): same shape."""
         stress = self.mu * (gradient + gradient.swapaxes(-1, -2))
         mean_stress = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
         for k in range(3):
@@ -825,7 +825,7 @@ class _Domain:
     def _front_coordinates(
         self, positions: np.ndarray, cell_index: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return coordinates of points in cells, relative to the nearest point of the front.
+        """Return points in cells as coordinates relative to the nearest front point.
 
         ``positions`` (n, m, 3) [m] are m points in each of the n cells ``cell_index``.
 
@@ -838,9 +838,9 @@ class _Domain:
         hat, hat_slope : (n, m, n_stations)
             Hats, and their derivatives with respect to the length along the front.
         kappa, kappa_slope : (n, m)
-            Curvature of the front, and its derivative.
+            Front curvature, and its derivative.
         radius : (n, m) [m]
-            Radius of the integration domain.
+            Integration domain's radius.
         """
         front = self.front
         t = front.nearest_parameters(positions)
@@ -854,11 +854,11 @@ class _Domain:
         return frame, xi, y, r, hat, hat_slope_by_t / speed[..., None], kappa, kappa_slope, radius
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
-        """Return the fields w = q h a_,1 at the nodes of cells: (n, 10, 3 n_stations, 3).
+        """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
         q is the weight, h the hat, and a_,1 the derivative of the unit K field along e_1. On the
-        front and on the front's element edges w is 0: such an edge is a chord of the curve, and its
-        middle is on neither side of the crack.
+        front and on the front's element edges w is 0: such an edge is a chord, and the chord's
+        middle is on neither crack side.
         """
         positions = self.points[self.cells[cell_index]]
         frame, xi, y, r, hat, _, _, _, radius = self._front_coordinates(positions, cell_index)
@@ -928,11 +928,11 @@ class _Domain:
         Parameters
         ----------
         rule : (m, 4)
-            Barycentric coordinates lambda_b of the integration points.
+            The integration points' barycentric coordinates lambda_b.
         weights : (n, m) [m^3] or [m^2]
-            Weights of the points in each cell, or on one facet of each cell.
+            The points' weights in each cell, or on one facet for each cell.
         normal : (n, 3) or None
-            Outward normals of the facets. None: integrate over the cells.
+            The facets' outward normals. None: integrate over the cells.
 
         Returns
         -------
@@ -991,9 +991,9 @@ class _Domain:
         self, a: np.ndarray, a_1: np.ndarray, a_2: np.ndarray, gradient: np.ndarray,
         stress: np.ndarray, coordinates: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-        """Return the tensor T that multiplies grad u in the volume integral of one mode.
+        """Return the tensor T that multiplies grad u in one mode's volume integral.
 
-        T is the sum of two products: hats times a tensor, and slopes of hats times another one.
+        T is the sum of two products: hats times a tensor, and hat slopes times another one.
 
         Parameters
         ----------
@@ -1002,7 +1002,7 @@ class _Domain:
         gradient, stress : (..., 3, 3)
             Gradient and stress of that field in the frame e_1, e_2, e_3.
         coordinates : tuple of arrays
-            q, gradient of q, g, k, derivative of kappa, hats, and slopes of hats.
+            q, gradient of q, g, k, derivative of kappa, hats, and hat slopes.
 
         Returns
         -------
@@ -1035,7 +1035,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs).
 
     They come from the integral of the contact pressure p in the interaction integral. A pair's
-    force acts as a pressure with the shape of the pair's pressure function.
+    force acts as a pressure shaped as the pair's pressure function.
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None

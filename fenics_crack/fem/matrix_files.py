@@ -477,7 +477,7 @@ class _TwinNodes:
 def find_pairs(
     model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
-    """Find a model's pairs, crack by crack, from front to mouth.
+    """Find a model's contact pairs, crack by crack, from front to mouth.
 
     Parameters
     ----------
