@@ -80,7 +80,7 @@ class CurveSystem(ABC):
 
     @abstractmethod
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of the residual F, as |F| / |x| with the unknowns x."""
+        """Return the rounding error |F| / |x| of the residual F, for unknowns x."""
 
     def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size."""

@@ -256,9 +256,9 @@ def period_doubling_function(multipliers: np.ndarray) -> float:
 
 
 def pair_modulus_excess(multipliers: np.ndarray, pair_index: int) -> float:
-    """Return |mu| - 1 of a complex pair of multipliers; -1 if there are fewer pairs.
+    """Return |mu| - 1 for a complex pair of multipliers.
 
-    Pairs are numbered from 0 in descending order of |mu|.
+    Pairs are numbered from 0 in descending order of |mu|. If there are fewer pairs, return -1.
     """
     pair_modulus = np.sort(np.abs(multipliers[multipliers.imag > 0.0]))[::-1]
     return float(pair_modulus[pair_index] - 1.0) if len(pair_modulus) > pair_index else -1.0

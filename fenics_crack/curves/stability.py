@@ -165,7 +165,7 @@ def _multiply_steps(
 
 
 def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Return the modal velocity change h P kappa P^T q by the contact forces of a step.
+    """Return the modal velocity change h P kappa P^T q by contact.
 
     ``kick`` is the step length h times the contact stiffness kappa of each pair, or the matrix of
     coupled pairs. P are the modes at the pairs, and q the modal displacements.

@@ -150,7 +150,7 @@ class Waves(CurveSystem):
         return self._compile_equations(system) if system.integrals.exact else None
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Make the equations in the kernel from the system at p = 0; by default None."""
+        """Make the kernel's equations from the system at p = 0, or None."""
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:

@@ -114,7 +114,9 @@ class _GradedFace:
 
 
 def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
-    """Divide a plate into block columns and block rows, and find the cracks among them.
+    """Divide a plate into blocks, and find the cracks among them.
+
+    The results are block columns, block rows, and each crack's row and columns.
 
     Raises
     ------
@@ -585,7 +587,7 @@ class DiskRim:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Read the rim from a scene with a disk that is not a mesh file."""
+        """Read the rim from a scene whose disk is meshed here."""
         self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
         self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
         self.inner_radius, self.outer_radius = (

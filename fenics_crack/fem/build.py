@@ -293,7 +293,7 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
 def _columns_of_nodes(
     dofs: Dofs, t: Any, face_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Assemble a face's gap vectors b, with a pressure for each node of the displacement.
+    """Assemble a face's gap vectors b, one for each displacement node.
 
     A pair's gap is b . u, summed over both faces.
 

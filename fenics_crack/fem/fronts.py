@@ -874,7 +874,7 @@ class _Domain:
         return np.concatenate(fields, axis=2)
 
     def _plane_field(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
-        """Return the displacement around a front with K = 1 in one mode, and its derivatives.
+        """Return the displacement with K = 1 in one mode, and derivatives.
 
         Parameters
         ----------

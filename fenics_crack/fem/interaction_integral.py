@@ -243,7 +243,9 @@ def _material_factors(scene: Scene) -> tuple[float, float]:
 
 
 def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
-    """Return the weight q at distances r from a tip: 1 near the tip, 0 beyond the radius."""
+    """Return the weight q at distances r from a tip.
+
+    q is 1 near the tip, and 0 beyond the radius."""
     xi = np.clip((r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
     return np.asarray(1.0 - xi**3 * (10.0 - 15.0 * xi + 6.0 * xi**2))
 
@@ -348,9 +350,10 @@ def _pressure_row(
 
 
 def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points r and weights for integrals of f(r) r^-1/2 from 0 to the radius.
+    """Return a rule for integrals of f(r) r^-1/2 up to the radius.
 
-    f is smooth between ``ends``. Gauss's rule is applied to xi in each interval, with xi^2 = r.
+    The results are points r and weights. f is smooth between ``ends``. Gauss's rule is applied to
+    xi in each interval, with xi^2 = r.
     """
     roots = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
     gauss_points, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)

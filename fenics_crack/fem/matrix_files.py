@@ -192,7 +192,7 @@ def _read_files(
 def _order_by_nodes(
     model: Model, labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find an order of the matrices' rows in which a node's rows follow each other.
+    """Order the matrices' rows by nodes.
 
     ``labels`` (n_dofs, 2) are node and direction of each row.
 
@@ -261,7 +261,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
 
 
 def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
-    """Return a setting that is a number, or the numbers (n_pairs,) of the file that it names."""
+    """Return a number, or a file's numbers (n_pairs,) for the pairs."""
     if not isinstance(setting, str):
         return setting
     return read_whole_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0

@@ -349,7 +349,7 @@ def _facets_after_split(
 
 
 def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]) -> None:
-    """Raise InputError if both crack faces share a node on the edge of the plate.
+    """Raise InputError if a crack is closed at the plate's edge.
 
     At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
     corners of the lower and upper face's edges, (n, 2) each.

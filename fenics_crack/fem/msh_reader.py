@@ -29,7 +29,9 @@ def read(path: str, _max_bytes: int) -> dict[str, np.ndarray]:
 
 
 def physical_groups() -> dict[str, np.ndarray]:
-    """Return the elements of all physical groups, in blocks of one group and one kind.
+    """Return the elements of all physical groups, block by block.
+
+    A block has one group and one kind of elements.
 
     Returns
     -------

@@ -215,7 +215,7 @@ class Dofs:
         return nodes[nodes < space.dofmap.index_map.size_local]
 
     def set_sector_sides(self, sides: np.ndarray, rotation: np.ndarray) -> None:
-        """Set the sides of a sector, and rotate the frames of the nodes on the right side.
+        """Set a sector's sides, and rotate the right side's frames.
 
         Later matrices and forces are rotated, too. One rank has the whole sector.
 

@@ -63,7 +63,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
 
 
 def match_sides(scene: Scene, dofs: Dofs) -> None:
-    """Match the nodes on a sector's left and right side, and record them in ``dofs``.
+    """Match a sector's left and right nodes, and record them in ``dofs``.
 
     Displacements on the right side are then in the frame of the next sector.
 

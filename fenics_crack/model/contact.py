@@ -652,9 +652,10 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
 def smooth_forces(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the forces lambda of coupled pairs under a law that is not piecewise linear.
+    """Find the pair forces under a law that is not piecewise linear.
 
-    They satisfy lambda = h(s - D lambda). Newton's method starts from the penalty law's solution.
+    The forces satisfy lambda = h(s - D lambda). Newton's method starts from the penalty law's
+    solution.
 
     Parameters
     ----------

@@ -628,7 +628,7 @@ class ReadOnlyArrays:
 
 
 class AbsentMatrix:
-    """Stand-in for a matrix that a file of a prepared structure lacks: its sizes alone.
+    """Sizes of a matrix that a prepared structure's file lacks.
 
     Any other use raises InputError.
     """
@@ -861,9 +861,10 @@ def lump_mass(mass: Any) -> Any:
 
 
 def add_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> Any:
-    """Return the stiffness K + B diag(k) B^T with springs k on the contact pairs (collective).
+    """Return the stiffness with springs, K + B diag(k) B^T (collective).
 
-    B is ``gap`` (n_local, n_pairs), and k is ``springs`` (n_pairs,) [N/m].
+    The springs connect the contact pairs. B is ``gap`` (n_local, n_pairs), and k is ``springs``
+    (n_pairs,) [N/m].
     """
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")

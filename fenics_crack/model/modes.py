@@ -204,7 +204,7 @@ def _count_modes(structure: Structure, ties: Any) -> int:
 
 
 class Inverse(Protocol):
-    """Interface of solvers K x = r for a stiffness K, such as a :class:`Factor`."""
+    """Interface of solvers K x = r, such as a :class:`Factor`."""
 
     null_pivots: int
     """Dimension of the stiffness's null space."""
@@ -214,7 +214,7 @@ class Inverse(Protocol):
 
 
 class BondedInverse:
-    """Solver K x = r with a bonded crack, on the displacements with B^T x = 0.
+    """Solver K x = r with a bonded crack, B^T x = 0.
 
     It takes the factor of the stiffness K and independent columns of the pairs' matrix B:
 
@@ -290,7 +290,7 @@ def solve_modes_with_factor(
 
 
 def find_known_modes(structure: Structure, count: int) -> Modes | None:
-    """Return the lowest modes with an open crack, if they need no solver; else None.
+    """Return the lowest open modes if no solver is needed, else None.
 
     They were computed before, or the structure's coordinates are modes.
     """
@@ -313,7 +313,7 @@ def _lowest_modes_cache(structure: Structure) -> list[np.ndarray]:
 
 
 def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
-    """Make SLEPc's solver for the modes K phi = omega^2 M phi of a structure."""
+    """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
     solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)

@@ -247,7 +247,7 @@ class Coordinates:
 
     @property
     def watched_pairs(self) -> dict[str, int]:
-        """Index of one pair of each crack, by the name of its place: {"the mouth": 0}.
+        """Index of one pair of each crack, by place: {"the mouth": 0}.
 
         Without a mesh, the first pair: {"pair 1": 0}.
         """
@@ -443,7 +443,7 @@ class Coordinates:
 
 @dataclass(frozen=True)
 class Clamp:
-    """Data for the reaction at the clamp: inertia and load of a mesh under rigid motions.
+    """Inertia and load of a mesh, for the reaction at the clamp.
 
     The motions r are the translations, then the rotations.
 

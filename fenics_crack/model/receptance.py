@@ -38,7 +38,7 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 @dataclass(frozen=True, eq=False)
 class Receptance:
-    """Lowest modes at the contact pairs and the load, and the statics of all other modes.
+    """Lowest modes at pairs and load, and the other modes' statics.
 
     The columns of X are unit forces on the pairs, then the nonzero parts of the load. G is the
     static flexibility of the modes that are not among ``squares``. Every rank has the same arrays,
@@ -97,14 +97,14 @@ class Receptance:
         return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_modes].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the static compliance S = X^T G X of the modes beyond the first ones.
+        """Return the static compliance S beyond the first modes.
 
-        G omits the first ``n_kept_modes`` modes. Shape: (n_sources, n_sources).
+        In S = X^T G X, G omits the first ``n_kept_modes`` modes. Shape: (n_sources, n_sources).
         """
         return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the diagonal of B^T G M G B of the modes beyond the first ones: (n_pairs,)."""
+        """Return the diagonal of B^T G M G B beyond the first modes: (n_pairs,)."""
         weighted_modes = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
         )
@@ -413,7 +413,7 @@ class ResidualFlexibility:
         return displacements - structure.sum_over_ranks(inertia_forces @ shapes) @ shapes.T
 
     def project(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
-        """Return the displacements along forces Y by the forces X of pairs and load (collective).
+        """Return displacements along forces Y by the forces X (collective).
 
         Parameters
         ----------
@@ -447,7 +447,7 @@ class ResidualFlexibility:
         return products, inertias
 
     def compliance(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
-        """Return the compliance S = X^T G X of pairs and load, and its inertia (collective).
+        """Return the compliance of pairs and load, and its inertia (collective).
 
         Returns
         -------

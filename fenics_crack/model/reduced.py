@@ -83,7 +83,7 @@ def _make_body_fields(
 
 
 class ReducedStructure(Structure):
-    """A structure in the coordinates q of a basis T of displacements, u = T q.
+    """A structure in few coordinates q of a basis T, u = T q.
 
     Every rank has all coordinates. ``find_dof`` and ``values_at`` refer to the dofs of the whole
     structure, and so do drawings and files of its solutions.
@@ -387,7 +387,7 @@ class MasslessStructure(MasslessInterface):
 
 
 def check_mass(structure: Structure, remedy: str) -> None:
-    """Raise InputError if the crack faces have no mass; ``remedy`` says what to do instead."""
+    """Raise InputError, with advice ``remedy``, if crack faces lack mass."""
     if structure.light_lips:
         raise InputError("structure", repr(structure), f"one with mass at its faces; {remedy}")
 

@@ -260,9 +260,10 @@ def _uniform_damping_rule(structure: Structure) -> DampingRule | None:
 
 @contextmanager
 def _factor_regular(factor: Factor, structure: Structure, *, is_held: bool) -> Iterator[Factor]:
-    """Yield a factor of the stiffness K, or of K + s M if K is singular.
+    """Yield a factor of the stiffness, shifted if it is singular.
 
-    s is one of the lowest eigenvalues omega^2. ``is_held`` is True if K is regular.
+    ``is_held`` is True if K is regular. Otherwise K + s M is factored, with one of the lowest
+    eigenvalues s = omega^2.
     """
     if is_held:
         yield factor
@@ -301,7 +302,7 @@ def _reduce_to_vectors(
 def _reduce_damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
 ) -> DampingRule | np.ndarray | None:
-    """Return the damping of coordinates of a basis T, as a rule or as the matrix T^T C T.
+    """Return the reduced damping T^T C T, as a rule or matrix.
 
     Rayleigh's coefficients stay, since T^T M T = I and T^T K T = diag(squares). One ratio for all
     modes stays, too. Otherwise a diagonal matrix becomes one ratio per coordinate.

@@ -141,7 +141,7 @@ class RayleighDamping:
 
     @classmethod
     def from_ratios(cls, ratios: Sequence[float], omegas: Sequence[float]) -> RayleighDamping:
-        """Return the damping C = a M + b K with given ratios at two frequencies.
+        """Return C = a M + b K with given ratios at two frequencies.
 
         With w_1 < w_2 and s = w_1 (xi_2 - xi_1) / (w_2 - w_1),
 
@@ -199,7 +199,7 @@ class RayleighDamping:
         return self.mass + self.stiffness * squares
 
     def matrix(self, mass: Any, stiffness: Any) -> Any:
-        """Return the damping matrix C = a M + b K from PETSc's M and K (collective)."""
+        """Return the PETSc matrix C = a M + b K (collective)."""
         mass_term = mass.copy()
         mass_term.scale(self.mass)
         total = weighted_sum(mass_term, self.stiffness, stiffness)
@@ -386,7 +386,9 @@ class Structure(Coordinates):
         )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the Fourier coefficients of the gaps g = B^T u - g0 on every rank (collective).
+        """Return the gaps' Fourier coefficients on every rank (collective).
+
+        The gaps are g = B^T u - g0.
 
         Parameters
         ----------
@@ -428,7 +430,7 @@ class Structure(Coordinates):
         return None if isinstance(damping, DampingRule) else damping
 
     def lumped(self) -> Structure:
-        """Return this structure with a lumped mass: the row sums of M on the diagonal.
+        """Return this structure with the row sums of M as a diagonal mass.
 
         Modal damping then belongs to the modes with this mass, and Rayleigh damping to this mass.
 
@@ -606,7 +608,7 @@ class Structure(Coordinates):
         )
 
     def _with_changes(self, **changes: Any) -> Structure:
-        """Return a plain Structure with this one's data, except for changed fields of the body."""
+        """Return a plain Structure with changed fields of the body."""
         names = [
             body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
         ]
@@ -726,14 +728,14 @@ class Structure(Coordinates):
 
 
 def _is_mean_kept(weights: np.ndarray) -> bool:
-    """Return True if load weights keep the mean load, and put it in no other part."""
+    """Return True if load weights leave the mean load alone."""
     if weights.ndim == 0:
         return bool(weights == 1.0)
     return bool(weights[0, 0] == 1.0 and not weights[0, 1:].any() and not weights[1:, 0].any())
 
 
 def _add_tangents(structure: Structure) -> Structure:
-    """Return a structure with the tangential gaps of its mesh, also in its rotation at rest."""
+    """Return a structure with the mesh's tangential gaps, also at rest."""
     return _change_with_rotation(
         structure,
         lambda source: source._in_setting(source.setting, tangential=source.pairs.tangents),
