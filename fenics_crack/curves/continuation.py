@@ -5,8 +5,8 @@ Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) follows a sys
 orbits (:mod:`orbits`). A point takes the small or reduced structure alone, in closed form. A curve
 therefore costs the same on any mesh.
 
-With harmonic balance, root finding locates folds. The sign of det J shows branch points,
-and shrinking steps locate them. If J is not formed
+With harmonic balance, root finding locates folds. The sign of det J, the Jacobian determinant,
+shows branch points, and shrinking steps locate them. If J is not formed
 (:data:`fenics_crack.balance.contact_system.MATRIX_FREE`), branch points go unnoticed. Verdicts
 follow after the curve (:mod:`verdicts`).
 
@@ -143,9 +143,14 @@ class GrowingCurve:
         iterations: int,
         multipliers_and_counts: np.ndarray | None,
     ) -> CurvePoint:
-        """Return a point of the curve from a path point's numbers.
+        """Make a curve point from a path point's numbers.
 
-        ``control_values`` are leading multipliers and counts (:mod:`orbit_events`).
+        Parameters
+        ----------
+        parameter : float
+            p, 0 at the curve's start and 1 at the end.
+        multipliers_and_counts : (k + 3,) complex or None
+            An exact orbit's leading multipliers and three counts (:func:`leading_multipliers`).
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -429,10 +434,23 @@ def first_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
     direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
-    """Return a solution as the first point of a curve.
+    """Add the tangent to a solution, as the first point of a curve.
 
-    The direction follows growing p, or ``direction`` if given. The point has what a step control
-    requires.
+    Parameters
+    ----------
+    unknown : array of ``system.shape``
+        Solution.
+    parameter : float
+        The solution's p.
+    iterations : int
+        Newton iterations that found the solution; the point keeps their number.
+    direction : Tangent, optional
+        Tangent in whose sense the curve begins; default: growing p.
+
+    Returns
+    -------
+    PathPoint
+        An exact orbit also has its monodromy matrix and multipliers, by which steps are controlled.
     """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
@@ -446,8 +464,8 @@ def first_point(
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
     """Return True if exact orbits can be followed along a parameter.
 
-    The structure must be small and have a flow with few enough modes to form the monodromy matrix.
-    The load must not be too slow.
+    The structure must be small. The law must have an exact flow, with few enough modes to form the
+    monodromy matrix. The load must not be too slow.
     """
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)

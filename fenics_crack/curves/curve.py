@@ -78,7 +78,7 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
 
 
 def leading_multiplier(multipliers: np.ndarray) -> complex:
-    """Return the first multiplier, or its conjugate with positive imaginary part."""
+    """Return the first multiplier mu, or its conjugate, so that Im mu >= 0."""
     largest_multiplier = complex(multipliers[0])
     return complex(largest_multiplier.real, abs(largest_multiplier.imag))
 
@@ -155,8 +155,9 @@ class CurvePoint:
     omega : float
         Load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
-        Gap coefficients, or slow-gap coefficients (``ResponseCurve.points``). For exact orbits,
-        (2 n_modes,) in scaled units.
+        Fourier coefficients of the gaps g; with a residual flexibility R_inf those of the slow gap
+        g + R_inf lambda. For exact orbits (2 n_modes,), the state at phase zero: modal
+        displacements, then velocities over frequencies, both less the rest state.
     iterations : int
         Newton iterations.
     multipliers : (8,) complex or None
@@ -254,7 +255,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def harmonics(self) -> int:
-        """H; for exact orbits, the minimum H of a solution."""
+        """Highest harmonic H; for exact orbits, the lowest H that :meth:`solution` takes."""
         if not self.exact:
             return self.points.shape[1] // 2
         min_harmonics = least_harmonics(self.structure, self.subharmonic)
@@ -318,7 +319,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return {}
 
     def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
-        """Return the problem and the equations at a harmonic-balance point."""
+        """Return a point's problem and linearised harmonic-balance equations."""
         problem, waves = self.problem_of(index), self.system
         if isinstance(waves, ResonanceWaves) or not isinstance(waves, Waves):
             system = problem.system(problem.compliance())
@@ -475,7 +476,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         self, kind: str, value: float, omega: float, point: np.ndarray,
         multipliers: np.ndarray | None = None,
     ) -> Bifurcation:  # fmt: skip
-        """Return a special point of this curve, from its parameter and load frequency."""
+        """Make a special point of this curve.
+
+        ``value`` is the parameter, ``omega`` the load frequency [rad/s]. ``point`` is a row of
+        :attr:`points`.
+        """
         point_fields = {"values": value, "omega": omega, "iterations": 0, "points": point}
         arrays = {name: np.array([entry]) for name, entry in point_fields.items()}
         leading_multipliers = (

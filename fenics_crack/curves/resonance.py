@@ -61,10 +61,11 @@ MAX_SPEED_CORRECTIONS = 20
 
 
 class ResonanceSystem(CurveSystem):
-    """Phase resonance over the factor v of a load.
+    """Equations of the phase resonance over the factor v of a load.
 
-    The unknowns are s / (size v), and the frequency relative to the problem's frequency.
-    ``start_unknown`` is a guess for the resonance at ``start``, from a nearby point.
+    The unknowns are the Fourier coefficients s of the slow gap, divided by v and a constant size,
+    then the frequency relative to the problem's. ``nearby_point`` gives that size and
+    ``start_unknown``, a guess for the resonance at ``start``.
     """
 
     name, logarithmic = "resonance", True
@@ -179,12 +180,10 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
     The search also ends if several modes answer together, at the maximum number of harmonics, or if
     no resonance is found. The error is the larger of two numbers:
 
-    - The change from half as many harmonics: of the amplitude, and of the frequency as the
-    amplitude
-      loss by such a shift.
-    - The exact flow's prediction for the displacement. Many harmonics may change nothing until one
-    of
-      them meets a mode.
+    - The change from half as many harmonics: relative change of the amplitude, plus the amplitude
+      loss that the frequency shift would cause.
+    - The exact flow's prediction for the displacement. Many harmonics may change nothing until a
+      harmonic meets a mode.
 
     Returns
     -------
@@ -212,12 +211,21 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
 
 
 def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]:
-    """Return the resonance at the speed at which an engine order meets it, by the secant method.
+    """Find the resonance that an engine order meets, over the rotor speed.
+
+    The secant method varies the speed.
+
+    Parameters
+    ----------
+    point : PhasePoint
+        Resonance at the rotor's speed.
+    order : float or None
+        Load frequency over rotor speed.
 
     Returns
     -------
     point : PhasePoint
-        Resonance there; the given point without an order.
+        Resonance at that speed; the given point without an order.
     resonance_rate : float
         Derivative of the resonance frequency over the order by the rotor's speed; 0 without an
         order.

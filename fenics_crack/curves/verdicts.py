@@ -102,7 +102,8 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
     Returns
     -------
     (n,)
-        Growth per period. Between two irregular points, geometric interpolation; elsewhere nan.
+        Factor by which a disturbance grows per period. Between two irregular points, geometric
+        interpolation; elsewhere nan.
     """
     growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
     positions = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))

@@ -63,9 +63,9 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
 
 
 def match_sides(scene: Scene, dofs: Dofs) -> None:
-    """Find a sector's sides, and rotate the right one.
+    """Match a sector's left and right nodes, and record them in ``dofs``.
 
-    Its displacements are then in the frame of the next sector.
+    Displacements on the right side are then in the frame of the next sector.
 
     Raises
     ------
@@ -145,11 +145,11 @@ def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, in
     Returns
     -------
     float
-        Largest distance [m]; infinite if the points do not match one to one.
+        Largest distance of a point from its partner [m]; inf if the match is not one to one.
     int
-        Worst point.
+        Index of the point with the largest distance.
     (n,) int
-        Nearest candidate of each point.
+        Partner of each point: the nearest candidate.
     """
     from scipy.spatial import cKDTree
 

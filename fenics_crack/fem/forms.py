@@ -102,7 +102,8 @@ def _assemble_parts(
 ) -> tuple[Any, ...]:
     """Assemble the parts of a structure from forms (collective).
 
-    Parameters are those of :func:`structure_from_forms`.
+    Parameters are those of :func:`structure_from_forms`. ``bilinear`` has the forms "stiffness",
+    "mass" and, if given, "damping".
 
     Returns
     -------
@@ -179,7 +180,10 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 
 
 def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
-    """Return a mesh with its crack faces (collective)."""
+    """Return a user's mesh with its crack faces (collective).
+
+    ``crack`` is (facet_tags, lower, upper) of :meth:`Structure.from_forms`, or None.
+    """
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
@@ -206,7 +210,7 @@ def _face_corners(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarr
     Returns
     -------
     numbers : (n, k) int
-        Global node numbers.
+        The corners' global node numbers.
     positions : (n, k, d) [m]
         Node positions.
     """

@@ -53,12 +53,24 @@ class Refusal(Exception):
 
 
 def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the mesh in a file, or that of a part, or a part's faces.
+    """Return the mesh in a file, or that of a CAD part, or the triangles of its faces.
 
-    The caller limits memory, so the number of bytes is not checked here. Meshes have the form of
-    :func:`collect_groups`. Without ``request`` the file holds a mesh. Without "size" in it, only
-    faces are returned. Lengths of parts are in mm, the unit of the mesh. Other keys are "faces", a
-    list of [name, point]; "cracks", see :func:`insert_cracks`; "unit", "per_turn" and "cells".
+    The caller limits memory, so the number of bytes is not checked here. Lengths of parts are in
+    mm, the unit of the mesh.
+
+    Parameters
+    ----------
+    path : str
+    request : dict or None
+        None if the file holds a mesh. Of a part "unit" of the file; "size" of the elements, without which only faces are returned; "faces",
+        a list of [name, point]; "cracks" of :func:`insert_cracks`; "per_turn", elements on a full
+        turn of a curved face; "cells", their maximum number.
+
+    Returns
+    -------
+    dict
+        Mesh in the form of :func:`collect_groups`; of a part that of :func:`collect_mesh` with "straight", the number of straightened cells. Or the faces
+        of :func:`mesh_faces`, "triangles" and "owners". Or "refused": key and requirement.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -80,7 +92,7 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
 
 
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
-    """Mesh a part, or only its faces."""
+    """Mesh a part, or only its faces, as :func:`read` does."""
     solid_tags = _import_part(path, request["unit"])
     triangles, owners = mesh_faces()
     if "size" not in request:
@@ -113,7 +125,7 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _import_part(path: str, unit: str) -> Tags:
-    """Import the only solid in a file."""
+    """Import the only solid in a file into gmsh, scaled to mm."""
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
@@ -137,7 +149,7 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
     triangles : (n, 3, 3)
         Corners of the triangles.
     owners : (n,) int
-        Face of each triangle.
+        gmsh's tag of each triangle's face.
     """
     bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES
@@ -156,7 +168,7 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _face_triangles(tag: int) -> np.ndarray:
-    """Return corners of a face's triangles, of any order: (n, 3, 3)."""
+    """Return the corners of gmsh's triangles on the face ``tag``, of any order: (n, 3, 3)."""
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))
@@ -194,7 +206,20 @@ def triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def _find_named_faces(
     faces: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
 ) -> Iterable[tuple[str, set[int]]]:
-    """Return names with the faces nearest to their points."""
+    """Find the faces that a user names by points on them.
+
+    Parameters
+    ----------
+    faces : pairs of (str, (3,))
+        Name and point; a name may have several points.
+    triangles, owners
+        From :func:`mesh_faces`.
+
+    Returns
+    -------
+    pairs of (str, set of int)
+        Each name with the tags of the faces nearest to its points.
+    """
     size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
     faces_by_name: dict[str, set[int]] = {}
     for name, point in faces:
@@ -209,7 +234,11 @@ def _find_named_faces(
 def _match_surfaces(
     surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
 ) -> dict[int, int]:
-    """Return the uncracked part's face for each surface except cracks."""
+    """Match the surfaces of the cracked part to the faces of the uncracked part.
+
+    ``surfaces`` are the tags of the cracks, which are left out. Returns the face's tag by the tag
+    of each other surface; faces are those of :func:`mesh_faces`.
+    """
     face_of_surface = {}
     for _, tag in gmsh.model.getEntities(2):
         if tag not in surfaces:
@@ -233,19 +262,21 @@ def insert_cracks(
     solid_tags : list of (int, int)
         The solid.
     cracks : list of dict
-        "key" of the scene; "middle" (3,); "frame" (3, 3); "half" (2,), or None for a half-plane
-        that ends at its middle; "is_round"; "reach", its extent behind the front, or None;
-        "elements" along this extent, and "grading".
+        "key" of the scene; "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half"
+        axes (2,), or None for a half-plane that ends at its middle; "is_round", True for an
+        ellipse; "reach", the extent behind the front, or None; "elements" along this extent, and
+        "grading", the longest over the shortest.
     triangles : (n, 3, 3)
         Faces of the solid. Empty if the scene has checked the crack's position.
 
     Returns
     -------
     surfaces : list of int
-        Surface of each crack.
+        gmsh's tag of each crack's surface.
     fronts : list of dict
-        "curves"; "points" on them (n, 3); "ends" (m, 3); "shortest" element; "growth";
-        "length".
+        "curves", gmsh's tags; "points" on the curves (n, 3); "ends" of the front (m, 3);
+        "shortest" element length at the front; "growth" of the length with the distance; "length"
+        of the front.
     """
     occ, faces = gmsh.model.occ, []
     for crack in cracks:
@@ -281,7 +312,7 @@ def insert_cracks(
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
-    """Draw the ellipse or rectangle of a crack."""
+    """Draw the ellipse or rectangle of a crack, and return its dimension and tag."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
@@ -442,9 +473,20 @@ def _set_sizes(**options: float) -> None:
 
 
 def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) -> dict[str, Any]:
-    """Collect the mesh in the form of :func:`collect_groups`.
+    """Collect gmsh's current mesh with named surfaces and cracks.
 
-    "middles" are the centres of the cracks, (n, 3).
+    Parameters
+    ----------
+    surfaces : list of int
+        Tags of the cracks.
+    surfaces_by_name : dict of str to list of int
+        Tags of the surfaces with a name.
+
+    Returns
+    -------
+    dict
+        Arrays of :func:`collect_groups`, and "middles", the centres of the
+        cracks (n, 3).
     """
     groups = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
     groups += [(2, name, entities) for name, entities in surfaces_by_name.items()]
@@ -497,7 +539,7 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
     Returns
     -------
     positions : (n_nodes, 3)
-        New positions.
+        New positions of all nodes.
     int
         Number of cells that change.
     """
