@@ -182,7 +182,7 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     """Return a user's mesh with its crack faces (collective).
 
-    ``crack`` is (facet_tags, lower, upper) of :meth:`Structure.from_forms`, or None.
+    ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
     """
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())

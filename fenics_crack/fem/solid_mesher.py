@@ -62,15 +62,17 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     ----------
     path : str
     request : dict or None
-        None if the file holds a mesh. Of a part "unit" of the file; "size" of the elements, without which only faces are returned; "faces",
-        a list of [name, point]; "cracks" of :func:`insert_cracks`; "per_turn", elements on a full
-        turn of a curved face; "cells", their maximum number.
+        None if the file holds a mesh. Of a part: "unit" of the file; "size" of the elements,
+        without which only faces are returned; "faces", a list of [name, point]; "cracks" of
+        :func:`insert_cracks`; "per_turn", elements on a full turn of a curved face; "cells", their
+        maximum number.
 
     Returns
     -------
     dict
-        Mesh in the form of :func:`collect_groups`; of a part that of :func:`collect_mesh` with "straight", the number of straightened cells. Or the faces
-        of :func:`mesh_faces`, "triangles" and "owners". Or "refused": key and requirement.
+        Mesh in the form of :func:`collect_groups`. Of a part: mesh of :func:`collect_mesh` with
+        "straight", the number of straightened cells; or faces of :func:`mesh_faces`, "triangles"
+        and "owners"; or "refused": key and requirement.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
