@@ -344,12 +344,12 @@ def resonance_at(
     )
 
 
-def resonance_under_small_load(problem: Problem, near_omega: float) -> float:
-    """Return the load frequency [rad/s] of the nearby resonance under a small load.
+def at_small_load(problem: Problem) -> Problem:
+    """Return a problem with a small load and the same mean load.
 
     Under such a load a crack that the mean load holds open or closed stays open or closed.
     """
-    return first_resonance(WAVES["resonance"].vary(problem, SMALL_LOAD_FACTOR), near_omega).omega
+    return WAVES["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(

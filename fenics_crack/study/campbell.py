@@ -49,11 +49,12 @@ from fenics_crack.model.modes import (
     multiply,
     solve_modes,
 )
-from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
+from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
-from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, over_speed
+from fenics_crack.study.prepare import REFUSALS, law_of
+from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
 from fenics_crack.study.sharing import assembled
 
 HELD = (*FREQUENCY_KINDS[:2], "partly")
@@ -399,13 +400,24 @@ def campbell(
 
 
 def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
-    """The resonances at the load where its engine order crosses natural frequencies."""
-    scene, order = found.scene, found.scene.excitation.order
-    if order is None or not found.cracked:
+    """Return the resonances at the load where its engine order crosses natural frequencies."""
+    scene, order, law = (
+        found.scene,
+        found.scene.excitation.order,
+        law_of(found.scene, small.structure),
+    )
+    if order is None or law is None:
         return ()
     many = replace(small, modes=max(small.modes, SOUGHT_MODES))
+
+    def find_resonance(speed: float) -> AtLoad:
+        try:
+            return at_load(scene, law, RunUpStructure(many, speed), order * speed, "speed")
+        except REFUSALS as error:
+            return AtLoad(unknown=str(error))
+
     crossings = found.crossings(order, "real").tolist()
-    return tuple((int(mode), over_speed(scene, many, speed)) for mode, speed in crossings)
+    return tuple((int(mode), find_resonance(speed)) for mode, speed in crossings)
 
 
 def report_of_campbell(found: Campbell) -> Report:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import ROOT, titanium_blade
 from mpi4py import MPI
+from rotating import cracked
 from surroundings import RunCommand
 
 import fenics_crack as fc
@@ -64,6 +65,16 @@ def test_speed_that_meets_an_order() -> None:
         square = 430.0**2 + slope[0] * apart + 0.5 * slope[1] * apart**2
         assert met == pytest.approx(math.sqrt(square) / 4.0, rel=1e-12)
     assert math.isnan(meeting_speed(1.0, 100.0, 430.0, np.array([1.5, 0.0])))
+
+
+def test_rotor_has_one_answer() -> None:
+    """check, from a speed 6 % below, names the resonance of the Campbell diagram."""
+    scene = cracked(550.0).replace({"excitation.omega": None, "excitation.order": 12})
+    [(_, met)] = fc.campbell(scene, [570.0, 600.0], 1).met
+    found = at_load(scene)
+    assert found.value == pytest.approx(met.value, rel=1e-5)
+    assert found.width == pytest.approx(met.width, rel=1e-3)
+    assert found.amplitude == pytest.approx(met.amplitude, rel=1e-3)
 
 
 @pytest.mark.nightly
