@@ -1,6 +1,6 @@
 """Phase resonance: the displacement at the load has no part in phase with the load.
 
-A modal test finds the same resonance by its phase (:mod:`fenics_crack.balance.phase`). The search
+A modal test finds the same resonance by its phase (:mod:`fenics_crack.curves.phase`). The search
 follows the response curve to the zero of the phase, through folds: upwards from a frequency with
 the displacement in phase with the load, otherwise downwards.
 
@@ -12,15 +12,11 @@ linear.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Unpack, overload
 
-import numpy as np
-
-from fenics_crack.balance.contact_system import ContactPoint
-from fenics_crack.balance.phase import MAX_DISTANCE_TO_PEAK, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem, least_harmonics
-from fenics_crack.balance.solution import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
     MOST_HARMONICS,
     ConvergenceError,
@@ -28,7 +24,7 @@ from fenics_crack.basics.errors import (
     check_choice,
     check_number,
 )
-from fenics_crack.basics.tables import counted
+from fenics_crack.basics.tables import Described, counted, with_frequency
 from fenics_crack.curves.continuation import (
     GrowingCurve,
     StepLimits,
@@ -37,8 +33,8 @@ from fenics_crack.curves.continuation import (
     first_point,
 )
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
+from fenics_crack.curves.phase import Drive, PhasePoint, ResonanceSystem
 from fenics_crack.curves.waves import WAVES, FrequencyWaves, require_run_up_structure
 from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
@@ -54,54 +50,62 @@ PHASE_SEARCH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
 The curve reaches from a tenth of the frequency to three times the frequency.
 """
+MAX_DISTANCE_TO_PEAK = 0.1
+"""Distance to the top of the response curve, over the half-power width, at which several modes
+count.
+
+The amplitude is then 2 % below the top.
+"""
 SMALL_LOAD_FACTOR = 1e-3
 """Factor that makes a load small. A smaller one would lose more to rounding beside a mean load."""
 MAX_SPEED_CORRECTIONS = 20
 """Maximum number of secant steps to the speed at which an engine order meets a resonance."""
 
 
-class ResonanceSystem(CurveSystem):
-    """Phase resonance over the factor v of a load.
+@dataclass(frozen=True, repr=False)
+class Resonance(Described):
+    """Phase resonance of a structure under its load.
 
-    The unknowns are s / (size v), and the frequency relative to the problem's frequency.
-    ``start_unknown`` is a guess for the resonance at ``start``, from a nearby point.
+    Attributes
+    ----------
+    value : float
+        Load frequency, or speed of the rotor [rad/s].
+    omega : float
+        Load frequency [rad/s].
+    harmonic : int
+        Harmonic of the load that excites.
+    width : float
+        Half-power width in the unit of ``value``.
+    apart : float
+        Distance to the top of the response curve over the width, estimated at the resonance.
+    solution : PeriodicSolution
+        Motion at the resonance.
+    error : float
+        Estimated truncation error of the amplitude, relative to it; inf if unknown, nan without a
+        tolerance.
     """
 
-    name, logarithmic = "resonance", True
+    value: float
+    omega: float
+    harmonic: int
+    width: float
+    apart: float
+    solution: PeriodicSolution
+    error: float = math.nan
 
-    def __init__(
-        self,
-        problem: Problem,
-        drive: Drive,
-        nearby_point: ContactPoint,
-        factor_range: tuple[float, float] = (1, 2),
-    ) -> None:
-        self.start, self.end = factor_range
-        self._waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
-        slow_gap = waves.system(problem.omega).slow_gap(nearby_point.gap, nearby_point.force)
-        slow_gap = slow_gap / self.start
-        self._slow_gap_size = float(np.linalg.norm(slow_gap[1:]))
-        self.start_unknown = np.append(slow_gap / self._slow_gap_size, 1.0)
-        self.problem, self.drive, self.means = waves.problem, drive, waves.means
-        self.shape = self.start_unknown.shape
+    @property
+    def several(self) -> bool:
+        """True if several modes shift the phase by more than a tenth of the width.
 
-    def rounding(self, parameter: float) -> float:
-        return self._waves.rounding(0.0)
+        The response curve then shows the largest response.
+        """
+        return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK
 
-    def omega(self, value: float, unknown: np.ndarray) -> float:
-        return float(unknown[-1]) * self.problem.omega
-
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self._slow_gap_size * value * unknown[:-1].reshape(-1, self.means)
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
-        value, omega = self.value(parameter), self.omega(1.0, unknown)
-        contact_point = self._waves.system(omega).linearise(self.state(unknown, 1.0))
-        inverse_load, inverse_load_rate = 1.0 / value, -self.value_rate(value) / value**2
-        return PhasePoint(
-            self.problem, self.drive, contact_point, omega,
-            self._slow_gap_size, inverse_load, inverse_load_rate,
-        )  # fmt: skip
+    def to_dict(self) -> dict[str, Any]:
+        """Return frequencies, the width, the distance to the top, the error and the amplitude."""
+        names = "value", "omega", "harmonic", "width", "apart", "several", "error"
+        columns = {name: getattr(self, name) for name in names}
+        return with_frequency(columns | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
