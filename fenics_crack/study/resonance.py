@@ -4,12 +4,10 @@ It is the phase resonance of the mode nearest to the load's frequency
 (:mod:`fenics_crack.curves.resonance`), with as many harmonics as its amplitude takes. That of a
 smooth law is not defined; friction is left out.
 
-An engine order n meets it at the speed W of a rotor at which n W is its frequency w there. From a
-speed W_0 next to it, where it is w_0,
+An engine order n meets it at the speed W of a rotor at which n W is its frequency there. The search
+begins where the order meets an estimate w_0 at the speed W_0,
 
-    (n W)^2 = w_0^2 + S x + C x^2 / 2,        x = W^2 - W_0^2,
-
-S = d(w^2) / d(W^2) and C = dS / d(W^2) being those of the mode with an open crack.
+    (n W)^2 = w_0^2 + S (W^2 - W_0^2),      S = d(w^2) / d(W^2) of the mode with an open crack.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ from fenics_crack.study.verification import BY_CHOICE, ESTIMATED
 
 SOUGHT_MODES = 10
 """Modes of the whole structure in which it is sought."""
-ENOUGH = 0.1
+AMPLITUDE_TOLERANCE = 0.1
 """Relative error of the amplitude that is enough to name it."""
 SEE_CURVE = "several modes answer together: see the curve"
 
@@ -94,8 +92,8 @@ class AtLoad:
 NOT_SOUGHT = AtLoad(unknown="not sought")
 
 
-def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:
-    """Rotor speed W [rad/s] at which an engine order n meets a frequency; nan where it never does.
+def meeting_speed(order: float, speed: float, omega: float, slope: float) -> float:
+    """Return the rotor speed W [rad/s] at which an engine order n meets a natural frequency.
 
     Parameters
     ----------
@@ -103,14 +101,15 @@ def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -
         n.
     speed, omega : float
         W_0 and w_0 [rad/s].
-    slope : (2,)
-        S and C.
+    slope : float
+        S.
+
+    Returns
+    -------
+    float
+        nan if the order never meets it.
     """
-    left, rise = omega**2 - (order * speed) ** 2, order**2 - slope[0]
-    root = rise**2 - 2.0 * slope[1] * left
-    if rise <= 0.0 or root < 0.0:
-        return math.nan
-    square = speed**2 + 2.0 * left / (rise + math.sqrt(root))
+    square = (omega**2 - slope * speed**2) / (order**2 - slope) if order**2 > slope else -1.0
     return math.sqrt(square) if square > 0.0 else math.nan
 
 
@@ -121,8 +120,8 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     ----------
     estimates : (m,) [rad/s]
         Estimated resonances of its modes, at its speed.
-    slopes : (m, 2)
-        S and C of each mode, by which an engine order meets its estimate.
+    slopes : (m,)
+        S of each mode, by which an engine order meets its estimate.
 
     Returns
     -------
@@ -182,7 +181,7 @@ def at_load(
     balance, friction = scene.harmonic_balance, friction_of(law)
     law = law if friction is None else friction.law
     problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
-    resonance = resonance_at(problem, parameter=parameter, tolerance=ENOUGH)
+    resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
     rest = resonance.value if with_rest else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
     if with_rest and (np.any(structure.force[0]) or np.any(structure.clearance)):
