@@ -610,7 +610,7 @@ def wave_of(
 
 
 def _modal_truncation_errors(
-    problem: Problem, wave_with: Callable[[int], PeriodicSolution], more: MoreModes | None
+    problem: Problem, wave_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
@@ -625,13 +625,13 @@ def _modal_truncation_errors(
     structure = problem.structure
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
-    if more is None or more.orbit is None:
+    if more_modes is None or more_modes.orbit is None:
         many = problem.response_harmonics(SearchOptions.harmonics[-1])
         balance = Solver(problem.with_harmonics(many))
-        solution = balance.attempt(wave_with(many), wholly=False, more_modes=more)[1]
+        solution = balance.attempt(wave_with(many), wholly=False, more_modes=more_modes)[1]
         if solution.converged:
             return solution.report.reduction, solution.report.displacement
-    return (more and more.errors) or (UNKNOWN, UNKNOWN)
+    return (more_modes and more_modes.errors) or (UNKNOWN, UNKNOWN)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------

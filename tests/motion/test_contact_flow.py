@@ -528,7 +528,7 @@ def test_search_without_guesses() -> None:
     )  # fmt: skip
     found = search_orbit(known(wandering, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
     assert found.orbit is not None and not found.orbit.is_stable and found.orbit.residual < 1e-6
-    assert found.reason == "exact orbit, by following the motion"
+    assert found.reason == "exact orbit by following the motion"
     driven = known(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
     found = search_orbit(driven, 1.0, (), 3, SearchOptions(evaluations=300))
     words = re.search(r"followed for (\d+) periods of the load, .* after (\d+)", found.reason)
