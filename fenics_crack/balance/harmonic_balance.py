@@ -533,10 +533,11 @@ def _solver_for(solver: Solver, problem: Problem) -> Solver:
 
 def _describe_other_orbits(search: OrbitSearch) -> str:
     """Return a description of the other orbits that the search met."""
-    descriptions = []
-    for orbit in search.other_orbits:
-        size = quantity(orbit.amplitude(), "m")
-        descriptions.append(f"{'stable' if orbit.is_stable else 'unstable'}, amplitude {size}")
+    descriptions = [
+        f"{'stable' if orbit.is_stable else 'unstable'}, "
+        f"amplitude {quantity(orbit.amplitude(), 'm')}"
+        for orbit in search.other_orbits
+    ]
     return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""
 
 

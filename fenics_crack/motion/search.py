@@ -59,9 +59,8 @@ MAX_RETURN_PERIODS = 8
 """Maximum number of periods after which a motion may return."""
 
 
-@dataclass(frozen=True)
 class SearchOptions:
-    """Options for an orbit search. The defaults suit up to 120 modes.
+    """Guesses and budget of an orbit search, for up to 120 modes.
 
     Attributes
     ----------
@@ -69,23 +68,25 @@ class SearchOptions:
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     evaluations : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
-        are for the path, a quarter for the motion, and the rest for orbits near its close returns.
-        A period has 200 Taylor pieces and 12 modes; other sizes count by their time, proportional
-        to pieces and to the square of the modes. The default takes about a second. With friction
-        three quarters are allowed, and take one to three seconds.
+        are for the path, a quarter for the motion, and the rest for orbits near close returns. A
+        period has 200 Taylor pieces and 12 modes; other sizes count by time, proportional to pieces
+        and to the square of the modes. The budget lasts about a second. With friction three
+        quarters are allowed, for one to three seconds.
     """
 
     harmonics: tuple[int, ...] = (5, 10, 20, 40)
     evaluations: int = 4000
 
-    def pieces(self, flow: ContactFlow) -> int:
+    @classmethod
+    def pieces(cls, flow: ContactFlow) -> int:
         """Return the budget in Taylor pieces."""
-        n_periods = (0.75 if flow.friction else 1.0) * self.evaluations
+        n_periods = (0.75 if flow.friction else 1.0) * cls.evaluations
         return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
-    def periods(self, flow: ContactFlow) -> int:
+    @classmethod
+    def periods(cls, flow: ContactFlow) -> int:
         """Return the maximum number of periods to integrate a motion."""
-        return max(self.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
+        return max(cls.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
 
 
 class Start(NamedTuple):
@@ -125,7 +126,6 @@ def search_orbit(
     omega: float,
     guesses: Iterable[np.ndarray],
     subharmonic: int = 1,
-    options: SearchOptions | None = None,
     *,
     prefer_stable: bool = True,
     starts: Iterable[Start] = (),
@@ -146,8 +146,7 @@ def search_orbit(
     OrbitSearch
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    options = options or SearchOptions()
-    task = _SearchTask(flow, omega, guesses, subharmonic, options, prefer_stable)
+    task = _SearchTask(flow, omega, guesses, subharmonic, prefer_stable)
     for start in starts or ORBIT_STARTS.values():
         begin(start.name)
         if orbits := [*start.candidates(task)]:
@@ -171,7 +170,6 @@ class _SearchTask:
     omega: float
     guesses: Iterable[np.ndarray]
     subharmonic: int
-    options: SearchOptions
     prefer_stable: bool
     tried_states: list[np.ndarray] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
@@ -290,7 +288,7 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     if not task.tried_states or task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
     orbits = task.orbits
-    system = Homotopy(orbits, task.options.pieces(task.flow) // 2)
+    system = Homotopy(orbits, SearchOptions.pieces(task.flow) // 2)
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
@@ -311,9 +309,8 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
-    orbits, options = task.orbits, task.options
-    remaining_pieces = options.pieces(task.flow) // 4
-    periods = follow_periods(orbits, orbits.start, options.periods(task.flow))
+    orbits, remaining_pieces = task.orbits, SearchOptions.pieces(task.flow) // 4
+    periods = follow_periods(orbits, orbits.start, SearchOptions.periods(task.flow))
     states = np.array([orbits.start, *periods])
     task.reasons.append(describe_closest_return(states, task.subharmonic))
     return_distances = np.linalg.norm(np.diff(states, axis=0), axis=1)

@@ -191,11 +191,12 @@ class Campbell(Saved):
 
     def _real_crossings(self, order: int) -> np.ndarray:
         """Return the crossings with each state's line where the crack is in it, or changes."""
-        found = []
-        for kind in self.kinds:
-            for mode, speed in self.crossings(order, kind):
-                if self._states(int(mode), speed)[1] == kind:
-                    found.append((mode, speed))
+        found = [
+            (mode, speed)
+            for kind in self.kinds
+            for mode, speed in self.crossings(order, kind)
+            if self._states(int(mode), speed)[1] == kind
+        ]
         for mode, speed, _ in self.changes:
             before, after = (self._omega(mode, speed, k) for k in self._states(mode, speed))
             if before > order * speed > after:
@@ -293,9 +294,8 @@ class Campbell(Saved):
         if self.cracked:
             found["crack"] = [STATES[kind] for kind in self.kind.ravel()]
         for kind in self.kinds:
-            omega = getattr(self, f"omega_{kind}").ravel()
-            found[f"omega_{kind}"] = omega.tolist()
-            found[f"frequency_{kind}"] = (omega / (2.0 * np.pi)).tolist()
+            for name in (f"omega_{kind}", f"frequency_{kind}"):
+                found[name] = getattr(self, name).ravel().tolist()
         return with_frequency(found)
 
     def said(self) -> Said:
