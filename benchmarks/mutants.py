@@ -441,7 +441,7 @@ class Copy:
         """Compile a file of the kernel and link it with the others; False if it is refused."""
         build = importlib.import_module("fenics_crack.kernel.build")
         if not self._objects.exists():
-            build.builder_in(self._objects).compile(tmpdir=str(self._objects))
+            build.make_builder(self._objects).compile(tmpdir=str(self._objects))
         (target,) = self._objects.rglob(f"{path.stem}.o")
         command = ["cc", *build.FLAGS, "-fPIC", "-c", str(self.root / path), "-o", str(target)]
         if subprocess.run(command, capture_output=True, check=False).returncode:

@@ -1,5 +1,6 @@
 """The code in the documentation runs, and the files and tests that it names exist."""
 
+import ast
 import dataclasses
 import importlib
 import json
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import tomllib
 import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -154,7 +156,7 @@ def test_shell_blocks_run(
     """
 
     def run(line: str) -> tuple[int, str, str]:
-        program, *words = shlex.split(line)
+        program, *words = shlex.split(line, comments=True)
         if program == "mpirun":
             return in_a_process([program, *words])
         assert program == "fenics-crack"
@@ -171,7 +173,7 @@ def test_shell_blocks_run(
             scene = tmp_path / shlex.split(line)[2]
             coarse = COARSE_SOLID if "--solid" in line else COARSE
             scene.write_text(fc.Scene.load(scene).replace(coarse).as_toml())
-        if not any(word in line for word in (" plot ", " new ", " report ", "json")):
+        if not any(word in line for word in (" plot ", " new ", " report ", " clean ", "json")):
             assert printed.count("\n---") == 1, (line, printed)  # one table, from one rank
         if " plot " in line:
             for picture in told.split():
@@ -253,6 +255,66 @@ def test_names_exist() -> None:
         assert set(re.findall(r"\bfc\.(\w*[^\W_])\b", text)) <= set(fc.__all__), page.name
         for table, key in re.findall(r"`(\w+)\.(\w+)(?: =[^`]*)?`", text):
             assert key in keys.get(table, {key}), f"{page.name}: {table}.{key}"
+
+
+MARK = re.compile(r"<!-- by ([\w/.\s]+) -->")
+"""What prints the numbers of the paragraph or table above: tests and benchmarks, or modules of the
+package in which they are constants."""
+NO_TEXT = re.compile(
+    r"<!-- (?!by )[^\n]*?-->|```.*?```|\$\$.*?\$\$|^## Sources\n.*|^(?:    |#+ )[^\n]*", re.S | re.M
+)
+NO_NUMBERS = re.compile(r"`[^`\n]*`|\]\([^)]*\)|\(\d+(?:, \d+)*\)")
+"""Code, links, and numbers of equations."""
+NUMBER = re.compile(r"(?<![\w.,^/+-])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?(?!\w)(?: %)?")
+IN_EQUATIONS = {"0", "1", "2"}
+
+
+def numbers_in(text: str) -> list[str]:
+    """Return the numbers of a paragraph or row that something has to print."""
+    numbers = [number.rstrip(",") for number in NUMBER.findall(NO_NUMBERS.sub("", text))]
+    return [number for number in numbers if number not in IN_EQUATIONS]
+
+
+def constants_of(module: Path) -> set[str]:
+    """Return the constants of a module as a page has them: as they are, inverse, in per cent, and
+    those of a template in mm."""
+    if module.suffix == ".toml":
+        numbers = [float(text) for text in re.findall(r"\d+\.\d+", module.read_text())]
+        return {f"{size:.6g}" for x in numbers for size in (x, 1e3 * x)}
+    nodes = ast.walk(ast.parse(module.read_text()))
+    values = [node.value for node in nodes if isinstance(node, ast.Constant)]
+    numbers = [float(value) for value in values if isinstance(value, int | float) and value]
+    plain = {f"{size:.6g}" for x in numbers for size in (x, 1.0 / x)}
+    return plain | {f"{100.0 * x:.6g} %" for x in numbers}
+
+
+def marked_texts(page: Path) -> Iterator[tuple[str, list[str]]]:
+    """Yield paragraphs and tables with the files in their mark, and rows without a mark with the
+    files in them."""
+    *pieces, end = MARK.split(NO_TEXT.sub("", page.read_text()))
+    for piece, mark in zip([*pieces[::2], end], [*pieces[1::2], ""], strict=True):
+        *before, last = re.split(r"\n\s*\n", piece.strip())
+        if mark:
+            yield last, mark.split()
+        for row in "\n".join(before if mark else [*before, last]).split("\n"):
+            yield row, re.findall(r"(?:tests|benchmarks)/[\w/]+\.py", row)
+
+
+@pytest.mark.parametrize(
+    "page", ["../README", "first_hour", "theory", "error_report", "short_answers", "the_paper"]
+)
+def test_numbers_name_what_prints_them(page: str) -> None:
+    """A mark below the paragraph or table names it, or the row: files that exist, and of the
+    package those that hold the numbers."""
+    for text, files in marked_texts(ROOT / "docs" / f"{page}.md"):
+        assert all((ROOT / name).exists() for name in files), files
+        modules = [ROOT / name for name in files if name.startswith("fenics_crack/")]
+        if files and len(modules) < len(files):
+            continue
+        known = set[str]().union(*map(constants_of, modules))
+        for number in numbers_in(text):
+            size, space, unit = number.replace(",", "").partition(" ")
+            assert f"{float(size):.6g}{space}{unit}" in known, (number, text)
 
 
 def test_verification_names_its_tests() -> None:

@@ -64,3 +64,17 @@ def test_proofs_are_of_these_cases() -> None:
         size = max(map(abs, orbit["state"]))
         pairs = zip(map(float, proof["state"]), orbit["state"], strict=False)
         assert proof["radius"] < 1e-9 and max(abs(a - b) for a, b in pairs) < 1e-9 * size
+
+
+def test_page_counts_them() -> None:
+    """Structures, pairs, publications, and what is proved, in docs/the_paper.md."""
+    page = (FOLDER.parents[1] / "docs" / "the_paper.md").read_text().replace("\n", " ")
+    cases = [check.read(path) for path in FILES]
+    published = json.loads((FOLDER / "published.json").read_text())
+    proofs = json.loads((FOLDER / "proofs.json").read_text())
+    proved = {name.partition("/")[0] for name in proofs}
+    assert f"set of {len(cases)} structures" in page
+    assert f"one mass to {max(len(case['clearance']) for case in cases)} pairs" in page
+    assert f"{len(published)} are from publications" in page
+    assert f"{len(proofs)} orbits of {len(proved)} cases" in page
+    assert max(proof["radius"] for proof in proofs.values()) < 1e-21

@@ -103,13 +103,14 @@ class Assessment:
 
     def is_of(self, wave: Wave) -> bool:
         """Return True if this assessment holds for a solution."""
-        pairs = [
+        attribute_pairs = [
             (getattr(self.wave, attribute.name), getattr(wave, attribute.name))
             for attribute in fields(Wave)
         ]
         return all(
-            part is wave_part or (isinstance(part, int | float) and part == wave_part)
-            for part, wave_part in pairs
+            own_attribute is other_attribute
+            or (isinstance(own_attribute, int | float) and own_attribute == other_attribute)
+            for own_attribute, other_attribute in attribute_pairs
         )
 
     @cached_property
@@ -317,7 +318,7 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
     system = problem.system(problem.compliance())
     search = Search(system, problem, COARSE_TOLERANCE, 1.0)
     point = search.solve(resize_harmonics(wave.slow_gap_coefficients, problem.harmonics))
-    return problem.wave(system.linearise(point.unknown)) if search.converged else None
+    return problem.wave(system.linearise(point.unknown)) if search.has_converged else None
 
 
 def _change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:

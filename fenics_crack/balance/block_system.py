@@ -245,14 +245,18 @@ class BlockSystem(Snes):
         Returns
         -------
         displacement : (2H+1, n_local) [m]
-        converged : bool
+        has_converged : bool
         n_iterations : int
         """
         self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
-        converged, n_iterations = self.run(self.vector_of(displacement), tolerance, MAX_ITERATIONS)
-        if converged and stiffness_factor == 1.0:  # the error of u may be far larger than that of F
+        has_converged, n_iterations = self.run(
+            self.vector_of(displacement), tolerance, MAX_ITERATIONS
+        )
+        if (
+            has_converged and stiffness_factor == 1.0
+        ):  # the error of u may be far larger than that of F
             self.run(self._unknown.array_r.copy(), 0.0, 1)
-        return self.displacement(self._unknown), converged, n_iterations
+        return self.displacement(self._unknown), has_converged, n_iterations
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)
@@ -286,8 +290,8 @@ class BlockSolver(Solver):
         # Of the factors and the matrix, and of rows and columns of the modes.
         n_bytes = 4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_modes
         if n_bytes > 0.8 * machine_memory():
-            allowed = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
-            raise InputError("harmonics", problem.harmonics, allowed)
+            requirement = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
+            raise InputError("harmonics", problem.harmonics, requirement)
 
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
@@ -311,13 +315,13 @@ class BlockSolver(Solver):
         begin("block system")
         with BlockSystem(problem, linear, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
-            while starts and not search.converged:
+            while starts and not search.has_converged:
                 iterations_before = search.iterations
                 displacement, reached_factor = _raise_stiffness(block, search, *starts.pop(0))
-                search.converged = reached_factor == 1.0
+                search.has_converged = reached_factor == 1.0
                 end = f" up to {reached_factor:.2g} of the contact stiffness, then {block.reason}"
                 search.record_attempt(
-                    f"block system{'' if search.converged else end}", iterations_before
+                    f"block system{'' if search.has_converged else end}", iterations_before
                 )
             point = system.linearise(block.slow_gap(block.vector_of(displacement)))
         return search, point, problem.wave_of(displacement, point.gap, point.force)
@@ -344,11 +348,11 @@ def _raise_stiffness(
             search.tolerance if stiffness_factor == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
         )
         log_step = math.log(stiffness_factor / reached_factor) if reached_factor else 0.0
-        next_displacement, converged, n_iterations = block.take_full_steps(
+        next_displacement, has_converged, n_iterations = block.take_full_steps(
             displacement + log_step * slope, stiffness_factor, tolerance
         )
         search.iterations += n_iterations
-        if converged:
+        if has_converged:
             slope = (next_displacement - displacement) / log_step if log_step else slope
             displacement = next_displacement
             reached_factor = stiffness_factor

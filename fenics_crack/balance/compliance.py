@@ -41,7 +41,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage
-from fenics_crack.kernel import shaped
+from fenics_crack.kernel import require_shape
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
@@ -189,7 +189,7 @@ class ModalCompliance:
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
         self.basis = (
-            structure.cached_result(_gap_basis)
+            structure.compute_once(_gap_basis)
             if len(self._modes.pairs) < structure.n_pairs
             else None
         )
@@ -300,7 +300,7 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
-        """Return the modes of R_k - R_inf for the kernel's ``seen_structure``.
+        """Return the modes of R_k - R_inf for the kernel's ``structure_at_pairs``.
 
         The base frequency w and the damping factor d change along a path. Each is given by its
         value at p = 0 and its rate. With h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),
@@ -312,7 +312,7 @@ class ModalCompliance:
         dict or None
             None if damping couples modes. Otherwise ``squares``, s (n_modes,) [rad^2/s^2];
             ``rates``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l (H+1,
-            n_modes); ``at_once`` (n_pairs, n_pairs); and the numbers of the path.
+            n_modes); ``static_compliance`` (n_pairs, n_pairs); and the numbers of the path.
         """
         modes = self._modes
         if modes.damping.ndim == 2:
@@ -326,11 +326,15 @@ class ModalCompliance:
             "omega_rate": omega[1],
             "damping": damping[0],
             "damping_rate": damping[1],
-            "squares": shaped(modes.squares, n_modes),
-            "rates": shaped(modes.damping, n_modes),
-            "shapes": shaped(modes.pairs, n_modes, self.shape[1]),
-            "load": shaped(self._load * self._unit_load, len(self._order), n_modes, kind=complex),
-            "at_once": None if static_part is None else shaped(static_part, n_pairs, n_pairs),
+            "squares": require_shape(modes.squares, n_modes),
+            "modal_damping": require_shape(modes.damping, n_modes),
+            "shapes": require_shape(modes.pairs, n_modes, self.shape[1]),
+            "load": require_shape(
+                self._load * self._unit_load, len(self._order), n_modes, kind=complex
+            ),
+            "static_compliance": None
+            if static_part is None
+            else require_shape(static_part, n_pairs, n_pairs),
         }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
@@ -412,7 +416,7 @@ class FactoredCompliance:
 
         They follow from the lowest modes, and from the rest of the static R_0.
         """
-        omega, rate, pair_shapes = self.structure.cached_result(_lowest_modes)
+        omega, rate, pair_shapes = self.structure.compute_once(_lowest_modes)
         rate = self.structure.damping_factor * rate
         static_rest = self.matrices[0].real - (pair_shapes.T / omega**2) @ pair_shapes
         frequency = self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
@@ -447,14 +451,14 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
 
     New harmonics have the accuracy of an error estimate. Displacements keep the harmonics they had.
     """
-    resized_copy = copy(compliance)
+    new_compliance = copy(compliance)
     matrices = compliance.matrices[: harmonics + 1]
     if len(matrices) <= harmonics:
         matrices = np.concatenate([matrices, compliance.compliance_above(harmonics)])
-    resized_copy.matrices = matrices
-    resized_copy.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
-    resized_copy.shape = resized_copy.linear_gap.shape
-    return resized_copy
+    new_compliance.matrices = matrices
+    new_compliance.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
+    new_compliance.shape = new_compliance.linear_gap.shape
+    return new_compliance
 
 
 def _gap_basis(structure: Structure) -> np.ndarray:

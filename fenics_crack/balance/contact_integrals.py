@@ -35,7 +35,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.kernel import NULL, kernel, owned, pointer, shaped
+from fenics_crack.kernel import NULL, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     ActiveSets,
     ContactLaw,
@@ -245,7 +245,7 @@ class ExactIntegrals(ContactIntegrals):
 
     def linearise(self, gap: np.ndarray) -> PairForces:
         n_rows, n_pairs = gap.shape
-        gap = shaped(gap, 2 * self.harmonics + 1, n_pairs)
+        gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
         stiffness = np.full(n_pairs, self.stiffness)
         force, tangent = np.empty((n_rows, n_pairs)), np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
@@ -293,8 +293,11 @@ class PairForces(ContactForces):
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Return R lambda for coefficients lambda (2H+1, n_pairs)."""
     n_rows, n_pairs = force.shape
-    matrices = shaped(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
-    force, response = shaped(force, 2 * (n_rows // 2) + 1, n_pairs), np.empty((n_rows, n_pairs))
+    matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
+    force, response = (
+        require_shape(force, 2 * (n_rows // 2) + 1, n_pairs),
+        np.empty((n_rows, n_pairs)),
+    )
     kernel.respond(n_rows // 2, n_pairs, pointer(matrices), pointer(force), pointer(response))
     return response
 
@@ -317,8 +320,8 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     ((2H+1) n_pairs, n n_pairs)
     """
     n_pairs, n_rows, n_columns = tangent.shape
-    matrices = shaped(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
-    tangent = shaped(tangent, n_pairs, 2 * (n_rows // 2) + 1, n_columns)
+    matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
+    tangent = require_shape(tangent, n_pairs, 2 * (n_rows // 2) + 1, n_columns)
     product = np.empty((n_rows * n_pairs, n_columns * n_pairs))
     arrays = map(pointer, (matrices, tangent, product))
     kernel.respond_to_columns(n_rows // 2, n_pairs, n_columns, *arrays)
@@ -347,7 +350,7 @@ def tangent_from_means(means: np.ndarray) -> np.ndarray:
         Row by row, each for unknowns ordered (row, pair).
     """
     harmonics, n_pairs = len(means) // 4, means.shape[1]
-    means, n_rows = shaped(means, 4 * harmonics + 1, n_pairs, n_pairs), 2 * harmonics + 1
+    means, n_rows = require_shape(means, 4 * harmonics + 1, n_pairs, n_pairs), 2 * harmonics + 1
     tangent = np.empty((n_rows, n_pairs, n_rows * n_pairs))
     for k in range(harmonics + 1):
         row = max(0, 2 * k - 1)
@@ -428,11 +431,11 @@ class CoupledForces(ContactForces):
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
         tangent = self.tangent(basis)
         cosine_rows, sine_rows = tangent[1::2], tangent[2::2]
-        real, imaginary = matrices[1:].real, matrices[1:].imag
+        real_part, imaginary_part = matrices[1:].real, matrices[1:].imag
         jacobian = np.empty_like(tangent)
         jacobian[0] = matrices[0].real @ tangent[0]
-        jacobian[1::2] = np.matmul(real, cosine_rows) + np.matmul(imaginary, sine_rows)
-        jacobian[2::2] = np.matmul(real, sine_rows) - np.matmul(imaginary, cosine_rows)
+        jacobian[1::2] = np.matmul(real_part, cosine_rows) + np.matmul(imaginary_part, sine_rows)
+        jacobian[2::2] = np.matmul(real_part, sine_rows) - np.matmul(imaginary_part, cosine_rows)
         matrix = jacobian.reshape(tangent.shape[2], -1)
         matrix.flat[:: len(matrix) + 1] += 1.0
         return matrix
@@ -443,7 +446,7 @@ class _KernelForces:
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:
         new_object = kernel.new_coupled_forces(harmonics, n_pairs)
-        self.handle = owned(new_object, kernel.free_coupled_forces)
+        self.handle = attach_destructor(new_object, kernel.free_coupled_forces)
         self.evaluated_forces: CoupledForces | None = None
 
 
@@ -456,7 +459,7 @@ class _ExactForces(CoupledForces):
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
         n_pairs = len(integrals.active_sets.compliance)
-        self._gap = shaped(gap, 2 * self.harmonics + 1, n_pairs)
+        self._gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
         self.force = np.empty_like(self._gap)
         self._evaluate_in_kernel()
 
@@ -479,7 +482,7 @@ class _ExactForces(CoupledForces):
         return kernel_forces.handle
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        change, force_change = shaped(change, *self._gap.shape), np.empty(self._gap.shape)
+        change, force_change = require_shape(change, *self._gap.shape), np.empty(self._gap.shape)
         kernel.forces_by_gap(self._evaluate_in_kernel(), pointer(change), pointer(force_change))
         return force_change
 
@@ -487,7 +490,7 @@ class _ExactForces(CoupledForces):
         n_pairs = self._gap.shape[1]
         n_columns = n_pairs if basis is None else basis.shape[1]
         means = np.empty((4 * self.harmonics + 1, n_columns, n_columns))
-        basis_pointer = NULL if basis is None else pointer(shaped(basis, n_pairs, n_columns))
+        basis_pointer = NULL if basis is None else pointer(require_shape(basis, n_pairs, n_columns))
         if kernel.means_of_stiffness(
             self._evaluate_in_kernel(), basis_pointer, n_columns, pointer(means)
         ):
@@ -496,7 +499,7 @@ class _ExactForces(CoupledForces):
 
     def _by_diagonal_compliance(self, rate: np.ndarray) -> np.ndarray:
         """Return the forces' derivative if the diagonal of D grows at a rate (n_pairs,)."""
-        derivative, rate = np.empty(self._gap.shape), shaped(rate, self._gap.shape[1])
+        derivative, rate = np.empty(self._gap.shape), require_shape(rate, self._gap.shape[1])
         kernel.forces_by_compliance(self._evaluate_in_kernel(), pointer(rate), pointer(derivative))
         return derivative
 

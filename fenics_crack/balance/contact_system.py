@@ -50,7 +50,7 @@ from fenics_crack.balance.friction_integrals import (
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.tables import hertz_of
-from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
+from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     ContactLaw,
     add_friction_pairs,
@@ -286,7 +286,7 @@ class ContactPoint(DenseLinearisation):
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
         if system.matrix_free:
-            return gmres(self.apply, right_side, kernel.SHARP)
+            return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
         if system.basis is not None:
             response = respond(system.dynamic_part, self.forces.apply(right_side)) @ system.basis
@@ -539,29 +539,33 @@ class CompiledEquations(Equations):
         self.shape = linear.shape
         harmonics, n_pairs = self.shape[0] // 2, self.shape[1]
         if isinstance(compliance, np.ndarray):
-            matrices = shaped(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
+            matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
         n_columns = n_pairs if basis is None else basis.shape[1]
         static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
         rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         structure = Struct(
-            "seen_structure", harmonics=harmonics, pairs=n_pairs,
-            linear=shaped(linear, *self.shape), linear_rate=shaped(rate, *self.shape), **compliance,
+            "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,
+            linear=require_shape(linear, *self.shape),
+            linear_rate=require_shape(rate, *self.shape), **compliance,
         )  # fmt: skip
         self._kernel_input = Struct(
-            "contact_pairs", seen=structure, seen_gaps=n_columns, growth=growth, softness=softness,
-            residual=shaped(static_compliance, n_pairs, n_pairs),
-            springs=shaped(springs, n_pairs), coupled=has_coupled_pairs, formed=forms_jacobian,
-            basis=None if basis is None else shaped(basis, n_pairs, n_columns),
+            "contact_pairs", structure=structure, n_basis_gaps=n_columns,
+            growth=growth, softness=softness,
+            residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
+            spring_compliances=require_shape(springs, n_pairs),
+            has_coupled_pairs=has_coupled_pairs,
+            forms_jacobian=forms_jacobian,
+            basis=None if basis is None else require_shape(basis, n_pairs, n_columns),
         )  # fmt: skip
-        self._point = owned(
-            kernel.new_contact_point(self._kernel_input.at), kernel.free_contact_point
+        self._point = attach_destructor(
+            kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point
         )
         self.function_table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """Return the equations at a point."""
-        return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
+        return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def evaluate_at(self, point: CompiledPoint) -> Any:
         """Return the kernel's functions, evaluated at a point.
@@ -584,7 +588,7 @@ class CompiledEquations(Equations):
     def largest_compliance(self, parameter: float) -> float:
         """Return the largest row sum of abs(R_k - R_inf) at a parameter [m/N]."""
         self._last_linearisation = None
-        compliance = float(kernel.largest_moving(self._point, parameter))
+        compliance = float(kernel.largest_dynamic_row_sum(self._point, parameter))
         if not math.isfinite(compliance):
             self.check_outcome(kernel.SINGULAR_STRUCTURE)
         return compliance
@@ -608,7 +612,7 @@ class CompiledPoint(Linearisation):
         if solution.size != self.unknown.size:
             raise ValueError(f"{solution.size} numbers instead of {self.unknown.size}")
         functions = self.system.evaluate_at(self)
-        functions.sharp = kernel.SHARP
+        functions.solve_tolerance = kernel.SOLUTION_TOLERANCE
         functions.solve(functions, pointer(solution))
         return solution
 

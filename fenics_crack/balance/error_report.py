@@ -38,7 +38,7 @@ from fenics_crack.balance.more_modes import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.contact import REGULAR, is_regular, is_rigid, with_penalty
+from fenics_crack.model.contact import REGULAR_EIGENVALUE_RATIO, is_regular, is_rigid, with_penalty
 from fenics_crack.model.modal import MAX_DENSE_SIZE, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
@@ -140,7 +140,12 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    point: ContactPoint, assessment: Assessment, problem: Problem, *, search: bool, converged: bool
+    point: ContactPoint,
+    assessment: Assessment,
+    problem: Problem,
+    *,
+    search: bool,
+    has_converged: bool,
 ) -> ErrorReport:
     """Estimate the errors of a solution (collective).
 
@@ -154,7 +159,7 @@ def estimate_errors(
     assessment : Assessment
         Assessment by the exact flow.
     problem : Problem
-    search, converged : bool
+    search, has_converged : bool
     """
     structure, wave = problem.structure, assessment.wave
     expanded_gap = problem.row_structure.gap_of(wave.displacement_coefficients)
@@ -163,7 +168,7 @@ def estimate_errors(
         return relative_size(change, point, problem.row_structure.clearance)
 
     residual, penetration = relative(point.residual), relative(_penetration(point, problem))
-    if not converged:
+    if not has_converged:
         return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
     finer_integrals, sampling = point.system.integrals.refine(), 0.0
     if finer_integrals is not None:
@@ -301,7 +306,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
             all_modes(reference_problem.row_structure).static_part(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
-            max_stiffness = len(residual) / (REGULAR * np.trace(residual))
+            max_stiffness = len(residual) / (REGULAR_EIGENVALUE_RATIO * np.trace(residual))
             reference_problem = replace(
                 reference_problem, contact=with_penalty(problem.contact, float(max_stiffness))
             )

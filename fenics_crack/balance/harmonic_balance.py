@@ -257,7 +257,7 @@ def solve_harmonic_balance(
     PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``;
     of the block form its KSP and PC, too: ``-crack_hb_ksp_type gmres -crack_hb_pc_type bjacobi``.
 
-    Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/theory.md``.
+    Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/the_paper.md``.
 
     Examples
     --------
@@ -298,11 +298,11 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     initial_size = initial.structure.n_dofs, initial.structure.n_pairs
     needs_gaps_only = structure.light_lips and initial_size[1] == structure.n_pairs
     if not needs_gaps_only and initial_size != (structure.n_dofs, structure.n_pairs):
-        allowed = f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs"
-        raise InputError("initial", f"{initial_size[0]} dofs, {initial_size[1]} pairs", allowed)
+        requirement = f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs"
+        raise InputError("initial", f"{initial_size[0]} dofs, {initial_size[1]} pairs", requirement)
     if subharmonic % initial.subharmonic:
-        allowed = f"of a subharmonic that divides {subharmonic}"
-        raise InputError("initial", f"subharmonic {initial.subharmonic}", allowed)
+        requirement = f"of a subharmonic that divides {subharmonic}"
+        raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
 FIRST_MODES = 10
@@ -627,9 +627,9 @@ def _modal_truncation_errors(
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     if more_modes is None or more_modes.orbit is None:
-        many = problem.response_harmonics(SearchOptions.harmonics[-1])
-        balance = Solver(problem.with_harmonics(many))
-        solution = balance.attempt(wave_with(many), wholly=False, more_modes=more_modes)[1]
+        n_harmonics = problem.response_harmonics(SearchOptions.harmonics[-1])
+        balance = Solver(problem.with_harmonics(n_harmonics))
+        solution = balance.attempt(wave_with(n_harmonics), wholly=False, more_modes=more_modes)[1]
         if solution.converged:
             return solution.report.reduction, solution.report.displacement
     return (more_modes and more_modes.errors) or (UNKNOWN, UNKNOWN)
@@ -720,8 +720,8 @@ def along_lines(
         return contact
     if tangents.shape[1] == structure.n_pairs:
         return contact
-    direction, turning = sliding_of(frictionless_motion(friction.law))
-    return replace(friction, direction=direction, turning=turning)
+    direction, turning_ratio = find_sliding_lines(frictionless_motion(friction.law))
+    return replace(friction, direction=direction, turning=turning_ratio)
 
 
 def motion_without_friction(
@@ -738,7 +738,7 @@ def motion_without_friction(
     return assessment.orbit if assessment.is_accepted and assessment.orbit is not None else solution
 
 
-def sliding_of(
+def find_sliding_lines(
     motion: ObservedMotion, direction: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
     """Return the lines along which pairs slide, and how much sliding turns (collective).

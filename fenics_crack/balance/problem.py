@@ -163,8 +163,8 @@ class Problem:
         check_count("harmonics", self.harmonics, self.least_harmonics)
         check_law(self.structure, self.contact, rigid=True)
         if self.structure.n_pairs == 0:
-            allowed = "one with contact pairs; else use solve_linear"
-            raise InputError("structure", "0 pairs", allowed)
+            requirement = "one with contact pairs; else use solve_linear"
+            raise InputError("structure", "0 pairs", requirement)
         if self.samples is not None:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")
@@ -363,7 +363,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     n_unknowns, order = (2 * harmonics + 1) * n_pairs, 2
     n_numbers = N_MATRICES_IN_MEMORY * n_unknowns**2
     if structure.light_lips:  # an error estimate has twice the harmonics
-        n_vectors = 2 * kernel.KRYLOV_MOST + 2  # vectors kept, and those for a solution
+        n_vectors = 2 * kernel.MAX_KRYLOV_VECTORS + 2  # vectors kept, and those for a solution
         n_numbers, order = 2 * (2 * N_MATRICES_IN_MEMORY * n_pairs + n_vectors) * n_unknowns, 1
     memory = machine_memory()
     if 8 * n_numbers > 0.8 * memory:
@@ -393,7 +393,7 @@ class Search:
         "other harmonics, a softer contact, more damping, or a neighbouring solution as initial"
     )
     """Changes that may lead to a solution, for the message after a failure."""
-    converged: bool = False
+    has_converged: bool = False
     """True if the last attempt met the tolerance."""
     iterations: int = 0
     """Newton iterations, all attempts together."""
@@ -412,7 +412,7 @@ class Search:
     def status(self) -> str:
         """Return all attempts in words, with a remedy if none succeeded."""
         attempts = "; then ".join(self.attempts)
-        if self.converged:
+        if self.has_converged:
             return attempts
         return f"{attempts}; no solution in {self.iterations} iterations: try {self.remedy}"
 
@@ -445,17 +445,19 @@ class Search:
                 iterations_before = self.iterations
                 for guess in start.candidates():
                     point = self._take_newton_steps(snes, guess)
-                    if self.converged or self._is_spent:
+                    if self.has_converged or self._is_spent:
                         break
                 self.record_attempt(start.name, iterations_before)
-                if self.converged:
+                if self.has_converged:
                     break
         point = point or system.linearise(np.zeros(system.shape), 1.0)
-        if not self.converged and snes is None and self.budget_fraction == 1.0:  # for the history
+        if (
+            not self.has_converged and snes is None and self.budget_fraction == 1.0
+        ):  # for the history
             iterations_before = self.iterations
             with Newton(system, self.history) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
-            if self.converged:
+            if self.has_converged:
                 self.record_attempt("full steps of SNES", iterations_before)
             else:
                 self.iterations = iterations_before
@@ -463,7 +465,7 @@ class Search:
 
     def record_attempt(self, name: str, iterations_before: int) -> None:
         """Record the outcome of a start."""
-        outcome = "converged" if self.converged else "failed"
+        outcome = "converged" if self.has_converged else "failed"
         self.attempts.append(
             f"{name}: {outcome} ({self.iterations - iterations_before} iterations)"
         )
@@ -471,13 +473,13 @@ class Search:
     def _take_newton_steps(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
         """Return the point that full steps reach, by SNES or by the kernel."""
         if snes is not None:
-            point, self.converged, n_iterations = snes.solve(
+            point, self.has_converged, n_iterations = snes.solve(
                 guess, 1.0, self.tolerance, self._iterations_per_guess
             )
             self.iterations += n_iterations
             return point
         kernel_point = self._take_full_steps(self.system, guess)
-        self.converged = kernel_point is not None
+        self.has_converged = kernel_point is not None
         return self.system.linearise(guess, 1.0) if kernel_point is None else kernel_point
 
     def _take_full_steps(
@@ -523,7 +525,7 @@ class Search:
         if problem.friction:
             yield Start("from contact without friction", self._guesses_without_friction)
         else:
-            is_large = system.residual is not None or system.size > kernel.MANY
+            is_large = system.residual is not None or system.size > kernel.MANY_UNKNOWNS
             min_harmonics = problem.least_harmonics if is_large else problem.harmonics
             counts = halve_harmonics(problem.harmonics, min_harmonics)
             name = "from fewer harmonics" if is_large else "full Newton steps"
@@ -557,22 +559,22 @@ class Search:
         if point is not None:
             yield point.unknown
 
-    def _guesses_by_harmonics(self, counts: list[int]) -> Iterator[np.ndarray]:
+    def _guesses_by_harmonics(self, harmonic_counts: list[int]) -> Iterator[np.ndarray]:
         """Yield guesses for the last of ascending numbers of harmonics.
 
         Each solution starts the next one, and the linear solution starts the first. A number
         without a solution is skipped. Many harmonics try an exact orbit first.
         """
         orbit_harmonics = self._min_harmonics_for_orbit_start
-        for count in counts:
-            if orbit_harmonics < count <= 2 * orbit_harmonics:
+        for n_harmonics in harmonic_counts:
+            if orbit_harmonics < n_harmonics <= 2 * orbit_harmonics:
                 yield from self._guesses_from_orbit()
             system = self.system
             iterations_before = self.iterations
             simpler_point = self._simpler_point
-            if count != counts[-1]:
-                resized = resized_compliance(system.compliance, count)
-                system = self.problem.with_harmonics(count).system(resized)
+            if n_harmonics != harmonic_counts[-1]:
+                new_compliance = resized_compliance(system.compliance, n_harmonics)
+                system = self.problem.with_harmonics(n_harmonics).system(new_compliance)
             guess = (
                 system.linear
                 if simpler_point is None
@@ -614,7 +616,7 @@ class Search:
             compliance.destroy()
         self.iterations += search.iterations
         self._max_iterations += search.iterations  # they cost little and do not count
-        if not search.converged:
+        if not search.has_converged:
             return
         force = np.zeros(system.shape)
         force[:, : point.unknown.shape[1]] = search.system.integrals.force(point.unknown)
@@ -703,9 +705,9 @@ def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
     max_stiffness, row_sums = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
     stiffness_limit = COARSE_TOLERANCE / (MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300)))
     if not max_stiffness < stiffness_limit:
-        allowed = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
-        allowed += "leaves nothing; UnilateralConstraint is the limit"
-        raise InputError("contact stiffness", max_stiffness, allowed)
+        requirement = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
+        requirement += "leaves nothing; UnilateralConstraint is the limit"
+        raise InputError("contact stiffness", max_stiffness, requirement)
     return residual_rounding(max_stiffness * float(row_sums.max(initial=0.0)))
 
 

@@ -70,9 +70,9 @@ class Stability(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict, and the multiplier of largest modulus."""
-        leading = complex(self.multipliers[0])
-        columns = {"verdict": self.verdict, "modulus": abs(leading)}
-        columns |= {"real": leading.real, "imaginary": leading.imag}
+        leading_multiplier = complex(self.multipliers[0])
+        columns = {"verdict": self.verdict, "modulus": abs(leading_multiplier)}
+        columns |= {"real": leading_multiplier.real, "imaginary": leading_multiplier.imag}
         return columns | {entry.name: getattr(self, entry.name) for entry in fields(self)[2:]}
 
     def _title(self) -> str:
@@ -298,9 +298,9 @@ def solution_of(
     point: ContactPoint,
     *,
     status: str,
-    converged: bool = True,
+    has_converged: bool = True,
     search: bool = True,
-    known: Assessment | None = None,
+    assessment: Assessment | None = None,
 ) -> PeriodicSolution:
     """Return the solution at a point of the condensed equations (collective).
 
@@ -309,20 +309,20 @@ def solution_of(
     problem : Problem
     point : ContactPoint
     status : str
-    converged : bool
+    has_converged : bool
     search : bool
         True: the error is that of its exact orbit. False: the error is the predicted one.
-    known : Assessment, optional
+    assessment : Assessment, optional
         Assessment with the motion; default: the motion at the point.
     """
-    known = known or Assessment(problem.wave(point))
-    options = {"search": search, "converged": converged}
-    estimate = partial(estimate_errors, point, known, problem, **options)
+    assessment = assessment or Assessment(problem.wave(point))
+    options = {"search": search, "has_converged": has_converged}
+    estimate = partial(estimate_errors, point, assessment, problem, **options)
     solution = PeriodicSolution(
-        **vars(known.wave),
+        **vars(assessment.wave),
         status=status,
-        converged=converged,
-        assessment=known,
+        converged=has_converged,
+        assessment=assessment,
         estimate=cache(estimate),
     )
     if not is_small(problem.structure):  # factors are not kept
@@ -351,9 +351,9 @@ class Solver:
             Nothing converged, and ``throw`` is True.
         """
         search, solution = self.attempt(initial)
-        if not search.converged:
+        if not search.has_converged:
             self._check_slope(solution.gap_coefficients)
-        if self.throw and not search.converged:
+        if self.throw and not search.has_converged:
             case = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
             raise ConvergenceError(f"harmonic balance {case}: {search.status}", search.history)
         return solution
@@ -384,17 +384,19 @@ class Solver:
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
         try:
             problem = self.problem.with_weight(compliance)
-            search, at, wave = replace(self, problem=problem).find(compliance, initial, share)
-            found = solution_of(
-                problem, at, status=search.status, converged=search.converged,
-                known=Assessment(
+            search, end_point, wave = replace(self, problem=problem).find(
+                compliance, initial, share
+            )
+            solution = solution_of(
+                problem, end_point, status=search.status, has_converged=search.has_converged,
+                assessment=Assessment(
                     wave, source=more_modes.nearest_orbit if more_modes else search.orbit,
                     more_modes=more_modes,
                 ),
             )  # fmt: skip
         finally:
             compliance.destroy()
-        return search, replace(found, iterations=search.iterations)
+        return search, replace(solution, iterations=search.iterations)
 
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0

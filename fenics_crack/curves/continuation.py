@@ -114,7 +114,7 @@ class GrowingCurve:
         Points so far.
     most_points : int
         Maximum number of points.
-    complete, returned, status
+    complete, has_returned, status
         As in :class:`Continuation`.
     """
 
@@ -128,11 +128,13 @@ class GrowingCurve:
         self._start_point = self._last_point = start_point
         self.points = [self._convert_point(start_point)]
         self._special_points: list[tuple[str, CurvePoint]] = []
-        self.complete, self.returned, self.status = False, False, "not begun"
+        self.complete, self.has_returned, self.status = False, False, "not begun"
 
     def _convert_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
-        return self._curve_point(point.parameter, point.unknown, point.iterations, point.observed)
+        return self._curve_point(
+            point.parameter, point.unknown, point.iterations, point.control_values
+        )
 
     def _curve_point(
         self,
@@ -143,7 +145,7 @@ class GrowingCurve:
     ) -> CurvePoint:
         """Return a point of the curve from a path point's numbers.
 
-        ``observed`` are leading multipliers and counts (:mod:`orbit_events`).
+        ``control_values`` are leading multipliers and counts (:mod:`orbit_events`).
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -259,7 +261,7 @@ class GrowingCurve:
         self.status = (
             path.event.description if path.event else path.end_reason.describe(self.most_points)
         )
-        self.returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
+        self.has_returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
             path.event, ClosedLoop
         )
 
@@ -272,7 +274,7 @@ class GrowingCurve:
         ]
         self._special_points += special_points
         multipliers_and_counts = (
-            segment.observed if "observed" in vars(segment) else [None] * len(segment)
+            segment.control_values if "control_values" in vars(segment) else [None] * len(segment)
         )
         parameters, iterations = segment.parameters.tolist(), segment.iterations.tolist()
         self.points += map(
@@ -333,7 +335,7 @@ class Continuation(GrowingCurve):
     ----------
     complete : bool
         True if the curve reached the end, or closed.
-    returned : bool
+    has_returned : bool
         True if the curve closed or went past its start, instead of reaching the end.
     status : str
         Reason for the end.
@@ -437,7 +439,7 @@ def first_point(
     step_control_values = observe_point(system, linearisation)
     record = None if step_control_values is None else linearisation.record.ravel()
     return PathPoint(
-        unknown, parameter, iterations, tangent, record=record, observed=step_control_values
+        unknown, parameter, iterations, tangent, record=record, control_values=step_control_values
     )
 
 

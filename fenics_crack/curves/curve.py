@@ -306,7 +306,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         problem, point = self._harmonic_balance_point(index)
         assessment = Assessment(problem.wave(point), flow=self._common_flow)
         return solution_of(
-            problem, point, status="point of a curve", search=search, known=assessment
+            problem, point, status="point of a curve", search=search, assessment=assessment
         )
 
     def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:

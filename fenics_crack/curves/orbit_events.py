@@ -136,7 +136,9 @@ def collision_severity(monodromy: np.ndarray) -> np.ndarray:
     n_points, n_states = monodromy.shape[:2]
     severity = np.empty(n_points - 1)
     matrices = np.ascontiguousarray(monodromy)
-    kernel.partings(n_points, n_states, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity))
+    kernel.collision_severities(
+        n_points, n_states, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity)
+    )
     return severity
 
 
@@ -158,7 +160,9 @@ class MultiplierControl(StepControl):
         self._min_collision_step = MIN_COLLISION_STEP_RATIO * longest_step
 
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
-        log_modulus = np.log(np.maximum(np.abs(segment.observed[:, :-3]), MULTIPLIER_TOLERANCE))
+        log_modulus = np.log(
+            np.maximum(np.abs(segment.control_values[:, :-3]), MULTIPLIER_TOLERANCE)
+        )
         log_change, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
         max_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), MIN_LOG_CHANGE)
         is_coarse = np.any(np.abs(log_change) > max_change, axis=1)
@@ -172,7 +176,9 @@ class MultiplierControl(StepControl):
         is_coarse, lengths = is_coarse[first_index:], lengths[first_index:]
         is_coarse &= lengths > self._min_step
         is_coarse |= has_collision & (lengths > self._min_collision_step)
-        has_several_events = np.abs(count_changes(segment.observed[first_index:])).sum(axis=1) > 1
+        has_several_events = (
+            np.abs(count_changes(segment.control_values[first_index:])).sum(axis=1) > 1
+        )
         return np.asarray(is_coarse | has_several_events)
 
 
@@ -182,7 +188,7 @@ class PeriodDoubling(Event):
     kind = "period_doubling"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(count_changes(segment.observed)[:, 1] != 0.0)
+        return np.asarray(count_changes(segment.control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         point = find_zero(
@@ -200,11 +206,11 @@ class NeimarkSacker(Event):
     kind = "neimark_sacker"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(count_changes(segment.observed)[:, 2] != 0.0)
+        return np.asarray(count_changes(segment.control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        assert ends[0].observed is not None and ends[1].observed is not None
-        pair_index = int(max(ends[0].observed[-1].real, ends[1].observed[-1].real)) - 1
+        assert ends[0].control_values is not None and ends[1].control_values is not None
+        pair_index = int(max(ends[0].control_values[-1].real, ends[1].control_values[-1].real)) - 1
         end_excesses = [pair_modulus_excess(multipliers_of(end), pair_index) for end in ends]
         # A pair within the tolerance of the circle may have been outside all along.
         offset = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
@@ -219,8 +225,8 @@ class NeimarkSacker(Event):
 
 def multipliers_of(point: PathPoint) -> np.ndarray:
     """Return the leading multipliers at a point of a path: (k,) complex."""
-    assert point.observed is not None
-    return point.observed[:-3]
+    assert point.control_values is not None
+    return point.control_values[:-3]
 
 
 def period_doubling_function(multipliers: np.ndarray) -> float:

@@ -184,7 +184,9 @@ class Orbits(CurveSystem):
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         flow = start_flow = self._start_flow
         kernel_fields: dict[str, Any] = (
-            {"rest": self._scaled_rest_and_change} if self._scaled_rest_and_change.any() else {}
+            {"rest_states": self._scaled_rest_and_change}
+            if self._scaled_rest_and_change.any()
+            else {}
         )
         if self.name != "omega":
             end_flow = self.flow(self.end)
@@ -193,13 +195,13 @@ class Orbits(CurveSystem):
             if is_over_damping:
                 damping_change = end_flow.modes.damping - start_flow.modes.damping
                 damping = start_flow.modes.damping
-                kernel_fields |= {"damping": as_doubles(damping), "rates": damping.size}
-                kernel_fields["damping_by"] = as_doubles(damping_change)
+                kernel_fields |= {"damping": as_doubles(damping), "n_damping": damping.size}
+                kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
                 load_change = end_flow.modal_load - start_flow.modal_load
                 gap_change = end_flow.load_gap - start_flow.load_gap
-                kernel_fields |= {"force": flow.modal_load, "force_by": load_change}
-                kernel_fields |= {"gap": flow.load_gap, "gap_by": gap_change}
+                kernel_fields |= {"force": flow.modal_load, "force_rate": load_change}
+                kernel_fields |= {"gap": flow.load_gap, "gap_rate": gap_change}
         return ShootingEquations(
             flow, self.scale, omega_and_change, self.subharmonic, **kernel_fields
         )

@@ -1,27 +1,26 @@
-"""Phase resonance: equations of a motion whose displacement at the load has no part in phase with
-it.
+"""Equations for a phase resonance: the displacement at the load has no part in phase with the load.
 
 The condensed equations F(s, v, w) = 0 (:mod:`contact_system`) have the load's frequency w, and a
 factor v for the vibrating part of the load. One equation is added:
 
     Re P / Im P = 0,        P = f_k^H u_k.
 
-f_k and u_k are complex coefficients of the harmonic k that excites: f_k of the load, on a wheel
-only on the watched blade, and u_k of the displacement. Re P / Im P is linear in w next to a
-resonance of one mode. The Jacobian is bordered by one row and one column.
+f_k and u_k are complex coefficients for the exciting harmonic k: f_k of the load, on a wheel only
+on the watched blade, and u_k of the displacement. Re P / Im P is linear in w next to the resonance
+of a single mode. The Jacobian is bordered by a row and a column.
 
-Contact of pairs that are open or closed is conewise linear. The motion is therefore v times the
+Contact with open or closed pairs is conewise linear. The motion is therefore v times the
 motion under the load itself, with the mean load and the clearance divided by v. Both are in the
 mean of the linear gap alone. F / v, a function of s / v, thus depends on v in the mean only, and P
 / v does not.
 
-Other modes and other harmonics shift the phase. With U(w) the displacement along the load, on the
+Further modes and harmonics shift the phase. With U(w) the displacement along the load, on the
 response curve through the point,
 
-    d ln U / dw = -2 i / D       for one mode with the half-power width D.
+    d ln U / dw = -2 i / D       for a single mode with the half-power width D.
 
-At a small distance d from the top of the curve, the real part of this derivative is 2 d / D of its
-imaginary part. Other modes are the reason for such a distance at the phase resonance.
+At a small distance d from the top of the curve, the real part of this derivative is 2 d / D times
+the imaginary part. Further modes cause a distance at the phase resonance.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ from fenics_crack.numerics.equations import Linearisation
 
 @dataclass(frozen=True)
 class Drive:
-    """Harmonic of a load that excites.
+    """Exciting harmonic in a load.
 
     Attributes
     ----------
     harmonic : int
         k.
     load_rows : (2, n_dofs) [N]
-        Cosine and sine parts of the load; on a wheel, those on the watched blade.
+        Cosine and sine parts of the load; on a wheel, only on the watched blade.
     """
 
     harmonic: int
@@ -59,7 +58,7 @@ class Drive:
 
     @classmethod
     def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
-        """Return a harmonic of a structure's load."""
+        """Return a harmonic in a structure's load."""
         rows, whole_structure = slice(2 * harmonic - 1, 2 * harmonic + 1), structure.whole
         if not isinstance(whole_structure, Wheel):
             return cls(harmonic, structure.force[rows])
@@ -73,7 +72,7 @@ class Drive:
         return cls(harmonic, whole_structure.force[rows, dofs] @ blade.T)
 
     def power(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
-        """Return P at a point, or with other contact forces there [N m]."""
+        """Return P at a point, or there with given contact forces [N m]."""
         displacement = compliance_of(point).selected_displacement(
             self.load_rows, point.force if force is None else force
         )
@@ -92,13 +91,13 @@ class Drive:
 
 
 def compliance_of(point: ContactPoint) -> ModalCompliance:
-    """Return the compliance of a small structure at a point."""
+    """Return a small structure's compliance at a point."""
     assert isinstance(point.system.compliance, ModalCompliance)
     return point.system.compliance
 
 
 class PhasePoint(Linearisation):
-    """Equations at a point, whose unknowns are s and w.
+    """Equations at a point, with the unknowns s and w.
 
     s is divided by the system's size times v, and w by the problem's frequency.
 
@@ -140,12 +139,12 @@ class PhasePoint(Linearisation):
         return derivative
 
     def _phase_change(self, change: complex) -> float:
-        """Return the change of Re P / Im P for a change of P."""
+        """Return the change in Re P / Im P for a change in P."""
         power = self.power
         return (change.real - power.real / power.imag * change.imag) / power.imag
 
     def _power_change(self, change: np.ndarray) -> complex:
-        """Return the change of P for a change of s."""
+        """Return the change in P for a change in s."""
         return (
             self.drive.power(
                 self.contact_point,
@@ -181,7 +180,7 @@ class PhasePoint(Linearisation):
 
     @property
     def width(self) -> float:
-        """Return D, the half-power width of one mode with this response [rad/s]."""
+        """Return D, the half-power width for a mode with this response [rad/s]."""
         return -2.0 / (self.power_by_frequency / self.power).imag
 
     @property
@@ -194,7 +193,7 @@ class PhasePoint(Linearisation):
 
     @cached_property
     def solution(self) -> PeriodicSolution:
-        """Return the motion, without a search for its exact orbit."""
+        """Return the motion, without a search for an exact orbit."""
         problem = replace(self.problem, omega=self.omega)
         return solution_of(problem, self.contact_point, status="phase resonance", search=False)
 

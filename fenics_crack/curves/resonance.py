@@ -1,11 +1,11 @@
 """Phase resonance: the displacement at the load has no part in phase with the load.
 
-A modal test finds the same resonance by its phase (:mod:`fenics_crack.curves.phase`). The search
+A modal test finds the same resonance by phase (:mod:`fenics_crack.curves.phase`). The search
 follows the response curve to the zero of the phase, through folds: upwards from a frequency with
 the displacement in phase with the load, otherwise downwards.
 
 Over the load the resonance is followed along p = ln v, with the frequency among the unknowns. The
-factor v multiplies the load without its mean. The other unknowns are s / v, constant if all is
+factor v multiplies the load without its mean. Further unknowns are s / v, constant if all is
 linear.
 """
 
@@ -45,7 +45,7 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustl
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
 PHASE_SEARCH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
-"""Options for the response curve that leads to the first resonance.
+"""Options for the response curve to the first resonance.
 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
 The curve reaches from a tenth of the frequency to three times the frequency.
@@ -57,14 +57,14 @@ count.
 The amplitude is then 2 % below the top.
 """
 SMALL_LOAD_FACTOR = 1e-3
-"""Factor that makes a load small. A smaller one would lose more to rounding beside a mean load."""
+"""Factor for a small load. Smaller factors would lose more to rounding beside a mean load."""
 MAX_SPEED_CORRECTIONS = 20
 """Maximum number of secant steps to the speed at which an engine order meets a resonance."""
 
 
 @dataclass(frozen=True, repr=False)
 class Resonance(Described):
-    """Phase resonance of a structure under its load.
+    """Phase resonance under the load of a structure.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Resonance(Described):
     omega : float
         Load frequency [rad/s].
     harmonic : int
-        Harmonic of the load that excites.
+        Exciting harmonic in the load.
     width : float
         Half-power width in the unit of ``value``.
     apart : float
@@ -109,7 +109,7 @@ class Resonance(Described):
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
-    """Zero of the displacement in phase with the load, where a path ends."""
+    """Zero for the displacement in phase with the load; paths end there."""
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
@@ -122,7 +122,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     InputError
         No damped mode answers to the load.
     ConvergenceError
-        There is no first solution, or no resonance on the curve.
+        No first solution, or no resonance on the curve.
     """
     if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         requirement = "the penalty law or the constraint, without friction, and subharmonic = 1"
@@ -163,7 +163,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
 
 
 def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> PhasePoint:
-    """Return the resonance of a changed problem next to a given resonance.
+    """Return the resonance for a changed problem next to a given resonance.
 
     ``changes`` are fields of the problem. If Newton's method fails, the response curve is followed.
     """
@@ -183,12 +183,10 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
     The search also ends if several modes answer together, at the maximum number of harmonics, or if
     no resonance is found. The error is the larger of two numbers:
 
-    - The change from half as many harmonics: of the amplitude, and of the frequency as the
-    amplitude
-      loss by such a shift.
-    - The exact flow's prediction for the displacement. Many harmonics may change nothing until one
-    of
-      them meets a mode.
+    - The change from half as many harmonics: in amplitude, and in frequency as the amplitude loss
+      by this shift.
+    - The exact flow's prediction for the displacement. Many harmonics may change nothing until the
+      next meets a mode.
 
     Returns
     -------
@@ -221,7 +219,7 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
     Returns
     -------
     point : PhasePoint
-        Resonance there; the given point without an order.
+        Resonance at this speed; without an order the given point.
     resonance_rate : float
         Derivative of the resonance frequency over the order by the rotor's speed; 0 without an
         order.
@@ -245,7 +243,7 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
 def _prepare_search(
     problem: Problem, near_omega: float | None, tolerance: float | None
 ) -> tuple[Problem, float]:
-    """Return the problem with a small structure, and the load frequency of the search.
+    """Return the problem with a small structure, and the start frequency for the search.
 
     A structure with many dofs is reduced to crack faces without mass.
     """
@@ -351,7 +349,7 @@ def resonance_at(
 def at_small_load(problem: Problem) -> Problem:
     """Return a problem with a small load and the same mean load.
 
-    Under such a load a crack that the mean load holds open or closed stays open or closed.
+    Under a small load a crack stays open or closed if the mean load holds it.
     """
     return WAVES["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 

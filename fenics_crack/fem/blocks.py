@@ -752,7 +752,7 @@ def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading
 
         gmsh calls it 1e5 times for a mesh.
         """
-        return min([size, *(kernel.length_at(struct.at, x, y) for struct in structs)])
+        return min([size, *(kernel.element_length_at(struct.address, x, y) for struct in structs)])
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)
@@ -787,28 +787,28 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
 
 @dataclass(frozen=True)
 class _Grading:
-    """Element length h = shortest + growth d around points.
+    """Element length h = min_length + growth d around points.
 
     The distance d is measured from the nearest point.
 
     Attributes
     ----------
-    along, height : (n,), () [m]
+    x_positions, height : (n,), () [m]
         x and y of the points.
-    shortest : float [m]
+    min_length : float [m]
         Element length at a point.
     growth : float
         Increase with the distance.
     """
 
-    along: np.ndarray
+    x_positions: np.ndarray
     height: float
-    shortest: float
+    min_length: float
     growth: float
 
     def as_struct(self) -> Struct:
-        """Return the structure for the kernel's ``length_at``."""
-        return Struct("grading", count=len(self.along), **vars(self))
+        """Return the structure for the kernel's ``element_length_at``."""
+        return Struct("grading", count=len(self.x_positions), **vars(self))
 
 
 def _crack_gradings(scene: Scene) -> list[_Grading]:

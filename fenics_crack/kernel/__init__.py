@@ -1,8 +1,8 @@
-"""The compiled kernel: what is called for every point, every instant or every step.
+"""The compiled kernel: loops over points, instants and steps, in C.
 
-The C files beside this one hold the equations next to the loops; cffi compiles them when the
-package is installed (``build.py``). LAPACK is SciPy's, handed over as addresses. A kernel does
-not check its arguments: callers check the shapes of what they are given (:func:`shaped`).
+The C files in this folder hold loops next to the equations. cffi compiles the files when the
+package is installed (``build.py``). The kernel calls SciPy's LAPACK by addresses. No C function
+checks its arguments: callers check array shapes first (:func:`require_shape`).
 """
 
 from __future__ import annotations
@@ -21,98 +21,109 @@ except ImportError as error:  # pragma: no cover
     ) from error
 
 kernel: Any = lib
-"""The functions of the C files, by their names."""
+"""Functions and constants of the C files, by name."""
 NULL: Any = ffi.NULL
 """The null pointer."""
-IN_C = {
+C_ARRAY_TYPES = {
     np.dtype(kind): ffi.typeof(f"{name}[]")
     for name, kinds in {
         "double": (float, complex), "int": (np.intc,), "signed char": (bool, np.int8),
     }.items()
     for kind in kinds
 }  # fmt: skip
-"""Kinds of numbers in arrays, and their C types."""
+"""C type of an array, by the dtype of its entries."""
 
 
-def _bind() -> None:
-    """Hand the kernel its BLAS and LAPACK."""
-    name_of, pointer_of = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
-    name_of.restype, name_of.argtypes = ctypes.c_char_p, [ctypes.py_object]
-    pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-    known = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
-    table = ffi.new("void *[]", lib.LAPACK_FUNCTIONS)
+def _bind_lapack() -> None:
+    """Give the kernel the addresses of SciPy's BLAS and LAPACK functions."""
+    get_name = ctypes.pythonapi.PyCapsule_GetName
+    get_pointer = ctypes.pythonapi.PyCapsule_GetPointer
+    get_name.restype, get_name.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    get_pointer.restype, get_pointer.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    capsules = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
+    addresses = ffi.new("void *[]", lib.LAPACK_FUNCTIONS)
     for name in ("dgemv", "dgemm", "dgetrf", "dgetrs", "dpotrf", "dpotri", "dgeev"):
-        capsule = known[name]
-        address = pointer_of(capsule, name_of(capsule))
-        table[getattr(lib, name.upper())] = ffi.cast("void *", address)
-    lib.bind_lapack(table)
+        capsule = capsules[name]
+        address = get_pointer(capsule, get_name(capsule))
+        addresses[getattr(lib, name.upper())] = ffi.cast("void *", address)
+    lib.bind_lapack(addresses)
 
 
-def shaped(array: Any, *shape: int, kind: type = float) -> np.ndarray:
-    """An array of a kind, C-contiguous, if it has this shape; a copy only where it must be one.
+def require_shape(array: Any, *shape: int, kind: type = float) -> np.ndarray:
+    """Return an array C-contiguous with entries of one kind, without a copy if possible.
 
     Raises
     ------
     ValueError
-        It has another shape.
+        The array has another shape.
     """
-    found: np.ndarray = np.ascontiguousarray(array, dtype=kind)
+    contiguous_array: np.ndarray = np.ascontiguousarray(array, dtype=kind)
     if np.shape(array) != shape:
         raise ValueError(f"an array of shape {np.shape(array)} instead of {shape}")
-    return found
+    return contiguous_array
 
 
 def pointer(array: np.ndarray) -> Any:
-    """Numbers of a C-contiguous array, as functions of the kernel take them.
+    """Return the address of a C-contiguous array's entries for functions of the kernel.
 
     Raises
     ------
     ValueError
-        It has gaps, or they are of no kind that the kernel knows.
+        The array has gaps, or a dtype unknown to the kernel.
     """
-    known = IN_C.get(array.dtype)
-    if known is None:
-        raise ValueError(f"numbers of type {array.dtype} instead of {', '.join(map(str, IN_C))}")
-    return ffi.from_buffer(known, array)
+    array_type = C_ARRAY_TYPES.get(array.dtype)
+    if array_type is None:
+        allowed_types = ", ".join(map(str, C_ARRAY_TYPES))
+        raise ValueError(f"numbers of type {array.dtype} instead of {allowed_types}")
+    return ffi.from_buffer(array_type, array)
 
 
-def owned(pointer: Any, free: Any) -> Any:
-    """Return an object that a kernel function has allocated, freed by ``free`` in the end."""
-    if not pointer:
+def attach_destructor(allocation: Any, destructor: Any) -> Any:
+    """Let Python free an object allocated by the kernel.
+
+    Raises
+    ------
+    MemoryError
+        The allocation is a null pointer.
+    """
+    if not allocation:
         raise MemoryError
-    return ffi.gc(pointer, free)
+    return ffi.gc(allocation, destructor)
 
 
 class Struct:
-    """A struct of the C files: numbers, arrays, objects (``owned``) and other structs by the names
-    of its members. They live as long as it does; None is a null pointer.
+    """A struct of the C files, made from its members by name.
+
+    A member is a number, an array, an object of the kernel, another struct or None (a null
+    pointer). Members live as long as the struct.
 
     Attributes
     ----------
-    at : its address, what functions take
+    address : pointer to the struct, for functions of the kernel
     """
 
-    def __init__(self, kind: str, **members: Any) -> None:
+    def __init__(self, struct_type: str, **members: Any) -> None:
         self._members = members
-        given = {name: _as_member(value) for name, value in members.items()}
-        self.at = ffi.new(f"{kind} *", given)
+        c_members = {name: _as_c_member(member) for name, member in members.items()}
+        self.address = ffi.new(f"{struct_type} *", c_members)
 
-    def but(self, **members: Any) -> Struct:
-        """A copy with other values of some members: a part of the time of another one."""
-        found = Struct.__new__(Struct)
-        found._members = self._members | members
-        found.at = ffi.new(ffi.typeof(self.at), self.at[0])
-        for name, value in members.items():
-            setattr(found.at, name, _as_member(value))
-        return found
-
-
-def _as_member(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return pointer(value)
-    if isinstance(value, Struct):
-        return value.at[0]
-    return NULL if value is None else value
+    def with_members(self, **members: Any) -> Struct:
+        """Return a copy with some members changed, quicker than a new struct."""
+        copy = Struct.__new__(Struct)
+        copy._members = self._members | members
+        copy.address = ffi.new(ffi.typeof(self.address), self.address[0])
+        for name, member in members.items():
+            setattr(copy.address, name, _as_c_member(member))
+        return copy
 
 
-_bind()
+def _as_c_member(member: Any) -> Any:
+    """Return a member in the form for cffi."""
+    if isinstance(member, np.ndarray):
+        return pointer(member)
+    if isinstance(member, Struct):
+        return member.address[0]
+    return NULL if member is None else member
+
+
+_bind_lapack()

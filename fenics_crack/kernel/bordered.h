@@ -1,51 +1,51 @@
-/* Newton's method bordered by a plane, and tangents: fenics_crack/numerics/newton.py. */
+/* Newton's method in a plane, and tangents of a path: fenics_crack/numerics/newton.py. */
 #ifndef BORDERED_H
 #define BORDERED_H
 
 #include "equations.h"
 
-/* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
- * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
- * residual (0: any number; else at most 30). */
+/* Options of Newton's method. `tolerance`: |F| / |x| of the solution. `max_parameter_change`: from
+ * the guess. `min_damping`: shortest fraction of a step; below 0 every step is full.
+ * `max_stalled_steps`: steps that may fail to halve the residual together, at most 30; 0: any
+ * number. */
 typedef struct {
-    double tolerance, reach, least_damping;
-    int iterations, stall;
+    double tolerance, max_parameter_change, min_damping;
+    int max_iterations, max_stalled_steps;
 } correction;
 
-/* How changes are measured beside a solution: weight times their square, of which that of means
- * counts so much. */
+/* Squared norm of a change at a solution: weight (|x_oscillating|^2 + mean_weight |x_means|^2). */
 typedef struct {
-    double weight, of_means;
+    double weight, mean_weight;
 } norm;
 
-/* What is orthogonal to a tangent (t_x, t_p). */
+/* Plane orthogonal to a tangent (t_x, t_p): normal t_x, slope t_p. */
 typedef struct {
-    const double *across;
+    const double *normal;
     double slope;
-    norm size;
+    norm metric;
 } plane;
 
-/* Relative residual of other solutions with J that take products. */
-extern const double SHARP;
+/* Relative residual of solutions with J by products, except for Newton's steps. */
+extern const double SOLUTION_TOLERANCE;
 
-/* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
- * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
-int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
-                   double *parameter, int *taken);
-/* The same with room for F, dx and J^-1 F_p: (3, n). */
-int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
-                     int *taken, double *room);
+/* Run Newton's method in a plane or, without a border (NULL), at a given parameter. unknown,
+ * parameter: the guess, then the point found; n_iterations: steps taken. Returns FOUND or the
+ * reason of the failure. */
+int solve_in_plane(equations *system, const plane *border, const correction *options,
+                   double *unknown, double *parameter, int *n_iterations);
+/* Do the same with work space (3, n) for F, dx and J^-1 F_p. */
+int correct_in_plane(equations *system, const plane *border, const correction *options, double *x,
+                     double *p, int *n_iterations, double *work);
 
-/* Of a solution x: its size is that of what moves, to which its means contribute no more than all
- * else; and where they are larger they change by parts of themselves. */
-norm norm_at(const equations *at, const double *x);
-/* <x, y> in a norm. */
-double product(const equations *at, norm in, const double *x, const double *y);
-/* x += s y; the opposite direction. */
-void add_to(int n, double *x, double s, const double *y);
-void turn_round(int n, double *tangent, double *slope);
-/* The unit tangent towards growing p at a point that has been evaluated, and its norm; its slope
- * t_p. */
-double unit_tangent(equations *at, int n, const double *x, double *tangent, norm *own);
+/* Return the norm at a solution x. Its size is that of the oscillation; the means add at most as
+ * much again. If the means are larger, their weight falls accordingly. */
+norm norm_of_solution(const equations *system, const double *x);
+/* Return <x, y> in a norm. */
+double product(const equations *system, norm metric, const double *x, const double *y);
+/* Set x += s y; reverse a tangent. */
+void add_scaled(int n, double *x, double s, const double *y);
+void reverse_tangent(int n, double *tangent, double *slope);
+/* Set the unit tangent towards growing p at the point evaluated last, and its norm. Return t_p. */
+double unit_tangent(equations *system, int n, const double *x, double *tangent, norm *metric);
 
 #endif

@@ -1,12 +1,12 @@
 """Build of the compiled kernel, by cffi from the C files in this folder.
 
-``install.sh`` has it built by pip. After a change of the C files this builds it again, in some ten
-seconds, into this folder or into another one:
+``install.sh`` builds the kernel through pip. After a change of the C files, build it again into
+this folder or another folder, in about ten seconds:
 
     .venv/bin/python fenics_crack/kernel/build.py [--sanitize] [FOLDER]
 
-With ``--sanitize`` the compiler adds checks of addresses and of undefined behaviour: so
-``tests/balance/test_kernel.py`` runs once more.
+With ``--sanitize`` the compiler adds checks of addresses and undefined behaviour, for
+``tests/balance/test_kernel.py``.
 """
 
 from __future__ import annotations
@@ -19,76 +19,93 @@ from pathlib import Path
 
 from cffi import FFI
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
-FLAGS = [
-    "-std=c11", "-O2", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-g0", "-fno-math-errno",
-    "-ffp-contract=off", "-fvisibility=hidden",
-]  # fmt: skip
-"""Loops become vectors as by -O3, which compiles a fifth longer and is no faster here. No
-contraction of products and sums: results do not depend on the processor. Names of functions are
-hidden: those of other libraries in the process do not get in their way. Symbols for debuggers, for
-which Python's own options ask, would take a fifth of the time."""
-CALLED_BACK = """
+KERNEL_FOLDER = Path(__file__).resolve().parent
+PROJECT_ROOT = KERNEL_FOLDER.parents[1]
+COMPILER_FLAGS = [
+    "-std=c11",
+    "-O2",
+    "-ftree-vectorize",
+    "-fvect-cost-model=dynamic",
+    "-g0",
+    "-fno-math-errno",
+    "-ffp-contract=off",
+    "-fvisibility=hidden",
+]
+"""Options of the compiler.
+
+Loops become vectors as by -O3, which compiles a fifth longer and is no faster here.
+Products and sums are not contracted, so results do not depend on the processor. Hidden function
+names cannot clash with other libraries in the process. Without symbols for debuggers, a default
+of Python's own options, compilation takes a fifth less time.
+"""
+PYTHON_CALLBACKS = """
 extern "Python" {
-    int python_evaluate(equations *at, const double *x, double p);
-    void python_residual(const equations *at, double *found);
-    void python_solve(equations *at, double *x);
-    void python_by_parameter(equations *at, double *found);
-    double python_sign(equations *at);
-    void python_record(equations *at, double *found);
+    int python_evaluate(equations *table, const double *x, double p);
+    void python_residual(const equations *table, double *residual_out);
+    void python_solve(equations *table, double *x);
+    void python_by_parameter(equations *table, double *derivative_out);
+    double python_sign(equations *table);
+    void python_record(equations *table, double *record_out);
 }
 """
-"""Functions of equations in Python (``numerics/equations.py``)."""
-FOR_WRAPPERS = '#pragma GCC optimize ("O0")'
-"""What cffi writes behind the headers hands arguments over; -O3 would take four times as long."""
-SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
+"""C declarations of callbacks to equations in Python (``numerics/equations.py``)."""
+WRAPPER_PRAGMA = '#pragma GCC optimize ("O0")'
+"""Pragma for cffi's wrappers after the headers. Wrappers only pass arguments; -O3 would take four
+times as long to compile."""
+SANITIZER_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
 
 
-def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
-    """Return the builder of the module, with its sources' paths relative to a folder, or whole."""
-    headers, sources = in_order(sorted(HERE.glob("*.h"))), sorted(HERE.glob("*.c"))
-    here = HERE.relative_to(folder) if HERE.is_relative_to(folder) else HERE
-    ffi, checks = FFI(), SANITIZER if sanitize else []
-    for header in headers:  # cffi takes all but lines for the preprocessor
+def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
+    """Return the builder of the module, with source paths relative to a folder if possible."""
+    headers, sources = (
+        sort_headers(sorted(KERNEL_FOLDER.glob("*.h"))),
+        sorted(KERNEL_FOLDER.glob("*.c")),
+    )
+    is_inside = KERNEL_FOLDER.is_relative_to(folder)
+    source_folder = KERNEL_FOLDER.relative_to(folder) if is_inside else KERNEL_FOLDER
+    ffi, sanitizer_flags = FFI(), SANITIZER_FLAGS if sanitize else []
+    for header in headers:  # cffi does not take lines for the preprocessor
         ffi.cdef(re.sub(r"(?m)^#.*$", "", header.read_text(encoding="utf-8")))
-    ffi.cdef(CALLED_BACK)
+    ffi.cdef(PYTHON_CALLBACKS)
     ffi.set_source(
         "fenics_crack.kernel._kernel",
-        "\n".join([*(f'#include "{header.name}"' for header in headers), FOR_WRAPPERS]),
-        sources=[str(here / source.name) for source in sources],
-        include_dirs=[str(here)],
-        depends=[str(here / header.name) for header in headers],
-        extra_compile_args=[*FLAGS, *checks],
-        extra_link_args=checks,
+        "\n".join([*(f'#include "{header.name}"' for header in headers), WRAPPER_PRAGMA]),
+        sources=[str(source_folder / source.name) for source in sources],
+        include_dirs=[str(source_folder)],
+        depends=[str(source_folder / header.name) for header in headers],
+        extra_compile_args=[*COMPILER_FLAGS, *sanitizer_flags],
+        extra_link_args=sanitizer_flags,
         libraries=["m"],
     )
     return ffi
 
 
-def in_order(headers: list[Path]) -> list[Path]:
-    """Each header behind those that it includes."""
-    found: list[Path] = []
+def sort_headers(headers: list[Path]) -> list[Path]:
+    """Return headers with their includes, every header after its own includes."""
+    sorted_headers: list[Path] = []
     for header in headers:
-        included = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))
-        for one in (*in_order([HERE / name for name in included]), header):
-            if one not in found:
-                found.append(one)
-    return found
+        include_names = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))
+        includes = sort_headers([KERNEL_FOLDER / name for name in include_names])
+        for header_path in (*includes, header):
+            if header_path not in sorted_headers:
+                sorted_headers.append(header_path)
+    return sorted_headers
 
 
-def build(target: Path, *, sanitize: bool = False) -> None:
+def build(target_folder: Path, *, sanitize: bool = False) -> None:
     """Compile the module into a folder."""
-    with tempfile.TemporaryDirectory() as scratch:
-        made = builder_in(Path(scratch), sanitize=sanitize).compile(tmpdir=scratch)
-        module = target / "_kernel.abi3.so"  # as pip calls it
-        fresh = shutil.copy(made, target / "_kernel.fresh")
-        Path(fresh).replace(module)  # at once: processes that run keep what they have loaded
+    with tempfile.TemporaryDirectory() as scratch_folder:
+        builder = make_builder(Path(scratch_folder), sanitize=sanitize)
+        compiled_path = builder.compile(tmpdir=scratch_folder)
+        module_path = target_folder / "_kernel.abi3.so"  # as pip calls it
+        fresh_path = shutil.copy(compiled_path, target_folder / "_kernel.fresh")
+        # In one step: running processes keep the module that they have loaded.
+        Path(fresh_path).replace(module_path)
 
 
 if __name__ == "__main__":
-    asked = sys.argv[1:]
-    folders = [Path(one) for one in asked if one != "--sanitize"]
-    build((folders or [HERE])[0], sanitize="--sanitize" in asked)
+    arguments = sys.argv[1:]
+    folders = [Path(argument) for argument in arguments if argument != "--sanitize"]
+    build((folders or [KERNEL_FOLDER])[0], sanitize="--sanitize" in arguments)
 else:
-    builder = builder_in(ROOT)
+    builder = make_builder(PROJECT_ROOT)

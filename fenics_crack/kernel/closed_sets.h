@@ -1,10 +1,10 @@
-/* What an exact flow (flow.h) knows of sets of closed pairs, kept from motion to motion. Each is found
- * from nothing but its pairs: no number depends on what has been asked for before. */
+/* Sets of closed pairs of an exact flow (flow.h), kept from motion to motion. The numbers of a set
+ * depend on its pairs alone, not on the order of requests. */
 #ifndef CLOSED_SETS_H
 #define CLOSED_SETS_H
 
-/* Of a pair; without friction a closed one is in the first state behind OPEN. Of SLIP_UP the
- * tangential gap grows. */
+/* States of a pair. Without friction a closed pair is in the state STICK. The tangential gap grows
+ * in SLIP_UP and falls in SLIP_DOWN. */
 enum { OPEN, STICK, SLIP_UP, SLIP_DOWN };
 
 /* A set A of `size` closed pairs, with S = (D_AA)^-1.
@@ -20,48 +20,51 @@ enum { OPEN, STICK, SLIP_UP, SLIP_DOWN };
  */
 typedef struct closed_set {
     struct closed_set *next;
-    int size, closing;   /* rows, and those of normals among them */
+    int size, n_normals; /* number of rows, and of normal rows among them */
     double *inverse;     /* the lower half of S row by row, or with friction (size, rows) L^T */
-    double *pairs;       /* (m, size) P_A; NULL with a stiffness and no friction */
-    double *pushed;      /* (size, m) S P_A^T, or L^T P^T */
+    double *mode_columns; /* (m, size) P_A; NULL with a stiffness and no friction */
+    double *modal_push;   /* (size, m) S P_A^T, or L^T P^T */
     double *stiffness;   /* (m, m) P_A S P_A^T where the pairs are many, else NULL */
-    double *scale;       /* (rows) what turns gaps into answers: S_jj, or 1 */
-    int *members;        /* (rows) the rows of A, then without friction the others, each in
+    double *answer_scale; /* (rows) what turns gaps into answers: S_jj, or 1 */
+    int *rows;            /* (rows) the rows of A, then without friction the others, each in
                           * ascending order */
     signed char *closed; /* (p) */
 } closed_set;
 
 typedef struct closed_sets closed_sets;
 
-/* Of pairs with rows P^T (p, m) and a positive definite compliance D (p, p), which must stay, with
- * coefficients of friction (p), or NULL; at most `most` numbers are kept. NULL without memory. */
+/* Make an empty store for pairs with rows P^T (p, m), a positive definite compliance D (p, p) and
+ * friction coefficients (p), or NULL. The arrays must outlive the store, which keeps at most
+ * `max_numbers` numbers. Returns NULL without memory. */
 closed_sets *new_closed_sets(int modes, int pairs, const double *rows, const double *d,
-                             const double *friction, long most);
+                             const double *friction, long max_numbers);
 void free_closed_sets(closed_sets *s);
-int pairs_of(const closed_sets *s);
-const double *row_of_compliance(const closed_sets *s, int row);
-/* Valid until the next one is asked for; NULL where D_AA is singular, with friction where det A is not
- * positive and the answer not the only one, or without memory. */
-const closed_set *closed_set_of(closed_sets *s, const signed char *closed);
-/* The set that answers gaps s (p), from a guess of it, and the answers (p): pairs whose answer is
- * negative are turned, all at once or, where that goes round, the first of them alone (sets.h). NULL
- * where that does not end, too. */
-const closed_set *set_at(closed_sets *s, const double *gap, signed char *closed, double *answers);
-/* Answers (count, p) to gaps s (count, p), count at most TERMS: forces f = S s_A of the closed pairs,
- * openings D_.A f - s of the others. */
-void answer_gaps(closed_sets *s, const closed_set *a, int count, const double *gaps,
-                 double *answers);
-/* With friction: of a series of gaps s (count, rows), whose stuck pairs are held in places h (p), the
- * forces lambda (count, rows), and in place of the gaps s - D lambda. */
-void force_gaps(closed_sets *s, const closed_set *a, int count, const double *held, double *gaps,
-                double *forces);
-/* With friction: the set that answers gaps s (r) of pairs that stuck in places h (p) until now, from a
- * guess of it, the forces (r), and in place of the gaps s - D lambda. A pair sticks while its forces
- * stay in Coulomb's cone, and slips away from its place else. NULL as set_at. */
-const closed_set *states_at(closed_sets *s, const double *held, signed char *closed, double *gaps,
-                            double *forces);
-/* The same of one instant after the other: h becomes where pairs are held from here on. 0, or 1 where
- * no set answers. */
-int rub(closed_sets *s, double *held, signed char *closed, double *gaps, double *forces);
+int count_pairs(const closed_sets *s);
+const double *get_compliance_row(const closed_sets *s, int row);
+/* Return a set, valid until the next request. NULL if D_AA is singular; with friction, if det A is
+ * not positive, so that several answers exist; and without memory. */
+const closed_set *get_closed_set(closed_sets *s, const signed char *closed);
+/* Find the set whose answers (p) to gaps s (p) are not negative, from a guess. All pairs with a
+ * negative answer change their state at once; if that cycles, only the first of them (sets.h). NULL
+ * if this does not end. */
+const closed_set *find_closed_set(closed_sets *s, const double *gap, signed char *closed,
+                                  double *answers);
+/* Set the answers (count, p) to gaps s (count, p), count at most TERMS: forces f = S s_A of the
+ * closed pairs, openings D_.A f - s of the others. */
+void make_answers(closed_sets *s, const closed_set *a, int count, const double *gaps,
+                  double *answers);
+/* With friction: set the forces lambda (count, r) of gaps s (count, r), and replace the gaps by s -
+ * D lambda. Sticking pairs are held at places h (p). */
+void solve_friction_forces(closed_sets *s, const closed_set *a, int count,
+                           const double *stick_places, double *gaps, double *forces);
+/* With friction: find the set of states for gaps s (r), from a guess, and its forces (r); replace
+ * the gaps by s - D lambda. stick_places (p): where pairs stuck until now. A pair sticks while its
+ * force is inside Coulomb's cone; else it slips. NULL as find_closed_set. */
+const closed_set *find_states(closed_sets *s, const double *stick_places, signed char *closed,
+                              double *gaps, double *forces);
+/* Do the same for one instant after the other: stick_places becomes the places from here on.
+ * Returns 0, or 1 if no set answers. */
+int step_friction(closed_sets *s, double *stick_places, signed char *closed, double *gaps,
+                  double *forces);
 
 #endif

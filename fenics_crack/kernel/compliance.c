@@ -7,39 +7,43 @@
 
 #include "lapack.h"
 
-const double SINGULAR = DBL_EPSILON * 4.0; /* the roundings of s, w and k w */
+const double SINGULARITY_TOLERANCE = DBL_EPSILON * 4.0; /* the roundings of s, w and k w */
 
 struct compliance {
-    seen_structure of;
-    int unknowns, formed; /* formed: whether `matrices` are those at the parameter */
+    structure_at_pairs parameters;
+    int unknowns, is_formed; /* is_formed: `matrices` belong to the parameter */
     double parameter;
     double *matrices, *linear, *receptance;
-    double *loads, *across;         /* l as coefficients (2H+1, modes), and P^T (pairs, modes) */
-    double *drive, *other, *answer; /* (2H+1, modes): P b - l of the last answer, and room */
-    double *rates, *scaled;         /* room: as h, as P complex */
-    double *room;
+    double *loads, *shapes_transposed; /* l as coefficients (2H+1, modes), and P^T (pairs, modes) */
+    double *modal_drive, *modal_work,
+        *modal_response;                  /* (2H+1, modes): P b - l of the last answer, and room */
+    double *rate_factors, *scaled_shapes; /* work space: shapes of h, and of complex P */
+    double *work;
 };
 
-/* h_kj at a parameter: 0, or 1 where the structure is singular. */
-static int set_receptance(compliance *at, double parameter)
+/* Set h_kj at a parameter. Returns 0, or 1 if the structure is singular. */
+static int set_receptance(compliance *self, double parameter)
 {
-    const seen_structure *of = &at->of;
-    const double omega = of->omega + parameter * of->omega_rate;
-    const double damping = of->damping + parameter * of->damping_rate;
-    const double nudge = sqrt(DBL_EPSILON); /* as much as rounding of what it then answers */
-    double *h = at->receptance;
-    const double *load = of->load;
-    for (int k = 0; k <= of->harmonics; k++) {
+    const structure_at_pairs *parameters = &self->parameters;
+    const double omega = parameters->omega + parameter * parameters->omega_rate;
+    const double damping = parameters->damping + parameter * parameters->damping_rate;
+    const double relative_shift =
+        sqrt(DBL_EPSILON); /* moves the response by as little as rounding does */
+    double *h = self->receptance;
+    const double *load = parameters->load;
+    for (int k = 0; k <= parameters->harmonics; k++) {
         const double w = k * omega;
-        for (int j = 0; j < of->modes; j++, h += 2, load += 2) {
-            double re = of->squares[j] - w * w, im = w * damping * of->rates[j];
-            const double scale = fabs(of->squares[j]) + w * w;
+        for (int j = 0; j < parameters->modes; j++, h += 2, load += 2) {
+            double re = parameters->squares[j] - w * w,
+                   im = w * damping * parameters->modal_damping[j];
+            const double scale = fabs(parameters->squares[j]) + w * w;
             double square = re * re + im * im;
-            if (square <= nudge * nudge * scale * scale) {
+            if (square <= relative_shift * relative_shift * scale * scale) {
                 if (load[0] == 0.0 && load[1] == 0.0 && w != 0.0) {
-                    re = nudge * scale, im = 0.0;
+                    re = relative_shift * scale, im = 0.0;
                     square = re * re;
-                } else if (square <= SINGULAR * SINGULAR * scale * scale) {
+                } else if (square <=
+                           SINGULARITY_TOLERANCE * SINGULARITY_TOLERANCE * scale * scale) {
                     return 1;
                 }
             }
@@ -50,52 +54,57 @@ static int set_receptance(compliance *at, double parameter)
     return 0;
 }
 
-int set_parameter(compliance *at, double parameter)
+int set_parameter(compliance *self, double parameter)
 {
-    const seen_structure *of = &at->of;
-    if (parameter == at->parameter) return 0;
-    at->parameter = NAN;
-    at->formed = 0;
-    for (int i = 0; i < at->unknowns; i++)
-        at->linear[i] = of->linear[i] + parameter * of->linear_rate[i];
-    if (of->modes && set_receptance(at, parameter)) return 1;
-    at->parameter = parameter;
+    const structure_at_pairs *parameters = &self->parameters;
+    if (parameter == self->parameter) return 0;
+    self->parameter = NAN;
+    self->is_formed = 0;
+    for (int i = 0; i < self->unknowns; i++)
+        self->linear[i] = parameters->linear[i] + parameter * parameters->linear_rate[i];
+    if (parameters->modes && set_receptance(self, parameter)) return 1;
+    self->parameter = parameter;
     return 0;
 }
 
-/* P^T h_k P of one pair. */
-static void seen_by_one(int modes, const double *h, const double *shape, double *found)
+/* Set P^T h_k P of one pair. */
+static void pair_compliance(int modes, const double *h, const double *shape, double *gap_out)
 {
-    found[0] = found[1] = 0.0;
+    gap_out[0] = gap_out[1] = 0.0;
     for (int j = 0; j < modes; j++, h += 2, shape++) {
-        found[0] += *shape * h[0] * *shape;
-        found[1] += *shape * h[1] * *shape;
+        gap_out[0] += *shape * h[0] * *shape;
+        gap_out[1] += *shape * h[1] * *shape;
     }
 }
 
-const double *matrices_of(compliance *at)
+const double *get_compliance_matrices(compliance *self)
 {
-    const int pairs = at->of.pairs, modes = at->of.modes;
-    if (!modes) return at->of.compliance;
-    for (int k = 0; k <= at->of.harmonics && !at->formed; k++) {
-        const double *h = at->receptance + 2 * k * modes, *shape = at->of.shapes;
-        double *block = at->matrices + 2 * (size_t)k * pairs * pairs, *scaled = at->scaled;
+    const int pairs = self->parameters.pairs, modes = self->parameters.modes;
+    if (!modes) return self->parameters.compliance;
+    for (int k = 0; k <= self->parameters.harmonics && !self->is_formed; k++) {
+        const double *h = self->receptance + 2 * k * modes, *shape = self->parameters.shapes;
+        double *block = self->matrices + 2 * (size_t)k * pairs * pairs,
+               *scaled = self->scaled_shapes;
         if (pairs == 1) {
-            seen_by_one(modes, h, shape, block);
+            pair_compliance(modes, h, shape, block);
         } else {
             for (int j = 0; j < modes; j++, h += 2)
                 for (int q = 0; q < pairs; q++, shape++, scaled += 2)
                     scaled[0] = h[0] * *shape, scaled[1] = h[1] * *shape;
-            multiply_matrices(pairs, modes, 2 * pairs, at->across, at->scaled, 0.0, block);
+            multiply_matrices(pairs, modes, 2 * pairs, self->shapes_transposed, self->scaled_shapes,
+                              0.0, block);
         }
-        for (int i = 0; i < pairs * pairs && at->of.at_once; i++) block[2 * i] += at->of.at_once[i];
+        for (int i = 0; i < pairs * pairs && self->parameters.static_compliance; i++)
+            block[2 * i] += self->parameters.static_compliance[i];
     }
-    at->formed = 1;
-    return at->matrices;
+    self->is_formed = 1;
+    return self->matrices;
 }
 
-/* x = f_k q_k of coefficients (2H+1, modes), a - i b for a - i b, with complex f_kj. */
-static void scale(int harmonics, int modes, const double *factors, const double *q, double *x)
+/* Set x_k = f_k q_k of coefficients (2H+1, modes), as complex numbers a - i b, with factors f_kj.
+ */
+static void multiply_modes(int harmonics, int modes, const double *factors, const double *q,
+                           double *x)
 {
     for (int j = 0; j < modes; j++) x[j] = factors[2 * j] * q[j];
     for (int k = 1; k <= harmonics; k++) {
@@ -127,63 +136,73 @@ void respond(int harmonics, int pairs, const double *matrices, const double *for
     }
 }
 
-/* found = P^T h q + at_once b with q = P b - loads, (2H+1, modes), which is left there. */
-static void respond_by_modes(compliance *at, const double *force, const double *loads, double *q,
-                             double *found)
+/* Set P^T h q + R_s b with q = P b - loads, (2H+1, modes), which stays in `q`. */
+static void respond_by_modes(compliance *self, const double *force, const double *loads, double *q,
+                             double *gap_out)
 {
-    const int rows = 2 * at->of.harmonics + 1, pairs = at->of.pairs, modes = at->of.modes;
-    const double *at_once = at->of.at_once;
-    multiply_matrices(rows, pairs, modes, force, at->across, 0.0, q);
+    const int rows = 2 * self->parameters.harmonics + 1, pairs = self->parameters.pairs,
+              modes = self->parameters.modes;
+    const double *at_once = self->parameters.static_compliance;
+    multiply_matrices(rows, pairs, modes, force, self->shapes_transposed, 0.0, q);
     for (int i = 0; i < rows * modes && loads; i++) q[i] -= loads[i];
-    scale(at->of.harmonics, modes, at->receptance, q, at->answer);
-    multiply_matrices(rows, modes, pairs, at->answer, at->of.shapes, 0.0, found);
-    if (at_once) multiply_matrices(rows, pairs, pairs, force, at_once, 1.0, found);
+    multiply_modes(self->parameters.harmonics, modes, self->receptance, q, self->modal_response);
+    multiply_matrices(rows, modes, pairs, self->modal_response, self->parameters.shapes, 0.0,
+                      gap_out);
+    if (at_once) multiply_matrices(rows, pairs, pairs, force, at_once, 1.0, gap_out);
 }
 
-void respond_at(compliance *at, const double *force, double *gap)
+void respond_at_parameter(compliance *self, const double *force, double *gap)
 {
-    if (at->of.modes) respond_by_modes(at, force, NULL, at->other, gap);
-    else respond(at->of.harmonics, at->of.pairs, matrices_of(at), force, gap);
+    if (self->parameters.modes) respond_by_modes(self, force, NULL, self->modal_work, gap);
+    else
+        respond(self->parameters.harmonics, self->parameters.pairs, get_compliance_matrices(self),
+                force, gap);
 }
 
-void answer_to(compliance *at, const double *force, double *found)
+void evaluate_response(compliance *self, const double *force, double *gap_out)
 {
-    if (at->of.modes) respond_by_modes(at, force, at->loads, at->drive, found);
-    else respond(at->of.harmonics, at->of.pairs, matrices_of(at), force, found);
-    for (int i = 0; i < at->unknowns; i++) found[i] -= at->linear[i];
+    if (self->parameters.modes)
+        respond_by_modes(self, force, self->loads, self->modal_drive, gap_out);
+    else
+        respond(self->parameters.harmonics, self->parameters.pairs, get_compliance_matrices(self),
+                force, gap_out);
+    for (int i = 0; i < self->unknowns; i++) gap_out[i] -= self->linear[i];
 }
 
-void rate_of_answer(compliance *at, double *found)
+void differentiate_response(compliance *self, double *gap_out)
 {
-    const seen_structure *of = &at->of;
-    const int pairs = of->pairs, modes = of->modes, rows = 2 * of->harmonics + 1;
-    const double omega = of->omega + at->parameter * of->omega_rate;
-    const double damping = of->damping + at->parameter * of->damping_rate;
-    for (int i = 0; i < at->unknowns; i++) found[i] = -of->linear_rate[i];
-    if (!modes || (of->omega_rate == 0.0 && of->damping_rate == 0.0)) return;
+    const structure_at_pairs *parameters = &self->parameters;
+    const int pairs = parameters->pairs, modes = parameters->modes,
+              rows = 2 * parameters->harmonics + 1;
+    const double omega = parameters->omega + self->parameter * parameters->omega_rate;
+    const double damping = parameters->damping + self->parameter * parameters->damping_rate;
+    for (int i = 0; i < self->unknowns; i++) gap_out[i] = -parameters->linear_rate[i];
+    if (!modes || (parameters->omega_rate == 0.0 && parameters->damping_rate == 0.0)) return;
     /* - P^T h_k (dZ_k/dp) h_k (P b - l), with dZ_kj/dp = -2 k^2 w w' + i k (w' d + w d') c_j. */
-    for (int k = 0; k <= of->harmonics; k++) {
-        const double *h = at->receptance + 2 * k * modes;
-        const double inert = -2.0 * k * k * omega * of->omega_rate;
-        const double viscous = k * (of->omega_rate * damping + omega * of->damping_rate);
-        double *rate = at->rates + 2 * k * modes;
+    for (int k = 0; k <= parameters->harmonics; k++) {
+        const double *h = self->receptance + 2 * k * modes;
+        const double inert = -2.0 * k * k * omega * parameters->omega_rate;
+        const double viscous =
+            k * (parameters->omega_rate * damping + omega * parameters->damping_rate);
+        double *rate = self->rate_factors + 2 * k * modes;
         for (int j = 0; j < modes; j++) {
-            const double drag = viscous * of->rates[j];
+            const double drag = viscous * parameters->modal_damping[j];
             const double re = h[2 * j] * h[2 * j] - h[2 * j + 1] * h[2 * j + 1];
             const double im = 2.0 * h[2 * j] * h[2 * j + 1];
             rate[2 * j] = im * drag - re * inert;
             rate[2 * j + 1] = -re * drag - im * inert;
         }
     }
-    scale(of->harmonics, modes, at->rates, at->drive, at->answer);
-    multiply_matrices(rows, modes, pairs, at->answer, of->shapes, 1.0, found);
+    multiply_modes(parameters->harmonics, modes, self->rate_factors, self->modal_drive,
+                   self->modal_response);
+    multiply_matrices(rows, modes, pairs, self->modal_response, parameters->shapes, 1.0, gap_out);
 }
 
-double largest_row(compliance *at, double parameter)
+double largest_row_sum(compliance *self, double parameter)
 {
-    if (set_parameter(at, parameter)) return INFINITY;
-    const int pairs = at->of.pairs, rows = (at->of.harmonics + 1) * pairs;
-    const double *matrices = matrices_of(at);
+    if (set_parameter(self, parameter)) return INFINITY;
+    const int pairs = self->parameters.pairs, rows = (self->parameters.harmonics + 1) * pairs;
+    const double *matrices = get_compliance_matrices(self);
     double largest = 0.0;
     for (int row = 0; row < rows; row++) {
         double sum = 0.0;
@@ -193,45 +212,53 @@ double largest_row(compliance *at, double parameter)
     return largest;
 }
 
-compliance *new_compliance(const seen_structure *given)
+compliance *new_compliance(const structure_at_pairs *parameters)
 {
-    compliance *at = calloc(1, sizeof(compliance));
-    if (!at) return NULL;
-    at->of = *given;
-    const size_t H = given->harmonics, p = given->pairs, m = given->modes, rows = 2 * H + 1;
+    compliance *self = calloc(1, sizeof(compliance));
+    if (!self) return NULL;
+    self->parameters = *parameters;
+    const size_t H = parameters->harmonics, p = parameters->pairs, m = parameters->modes,
+                 rows = 2 * H + 1;
     const size_t square = m ? 2 * (H + 1) * p * p : 0;
     const struct {
         double **array;
         size_t size;
-    } parts[] = {{&at->matrices, square},     {&at->linear, rows * p},
-                 {&at->receptance, 2 * (H + 1) * m}, {&at->rates, 2 * (H + 1) * m},
-                 {&at->loads, rows * m},      {&at->drive, rows * m},  {&at->other, rows * m},
-                 {&at->answer, rows * m},     {&at->across, m * p},    {&at->scaled, 2 * m * p}};
-    const size_t count = sizeof parts / sizeof parts[0];
+    } arrays[] = {{&self->matrices, square},
+                  {&self->linear, rows * p},
+                  {&self->receptance, 2 * (H + 1) * m},
+                  {&self->rate_factors, 2 * (H + 1) * m},
+                  {&self->loads, rows * m},
+                  {&self->modal_drive, rows * m},
+                  {&self->modal_work, rows * m},
+                  {&self->modal_response, rows * m},
+                  {&self->shapes_transposed, m * p},
+                  {&self->scaled_shapes, 2 * m * p}};
+    const size_t count = sizeof arrays / sizeof arrays[0];
     size_t size = 0;
-    for (size_t i = 0; i < count; i++) size += parts[i].size;
-    at->room = malloc(size * sizeof(double));
-    if (!at->room) {
-        free(at);
+    for (size_t i = 0; i < count; i++) size += arrays[i].size;
+    self->work = malloc(size * sizeof(double));
+    if (!self->work) {
+        free(self);
         return NULL;
     }
-    double *next = at->room;
-    for (size_t i = 0; i < count; next += parts[i++].size) *parts[i].array = next;
-    at->unknowns = (int)(rows * p);
+    double *next = self->work;
+    for (size_t i = 0; i < count; next += arrays[i++].size) *arrays[i].array = next;
+    self->unknowns = (int)(rows * p);
     for (size_t j = 0; j < m; j++) {
-        for (size_t q = 0; q < p; q++) at->across[q * m + j] = given->shapes[j * p + q];
+        for (size_t q = 0; q < p; q++)
+            self->shapes_transposed[q * m + j] = parameters->shapes[j * p + q];
         for (size_t k = 0; k <= H; k++) { /* a - i b */
-            const double *load = given->load + 2 * (k * m + j);
-            if (k) at->loads[2 * k * m + j] = -load[1];
-            at->loads[(k ? 2 * k - 1 : 0) * m + j] = load[0];
+            const double *load = parameters->load + 2 * (k * m + j);
+            if (k) self->loads[2 * k * m + j] = -load[1];
+            self->loads[(k ? 2 * k - 1 : 0) * m + j] = load[0];
         }
     }
-    at->parameter = NAN;
-    return at;
+    self->parameter = NAN;
+    return self;
 }
 
-void free_compliance(compliance *at)
+void free_compliance(compliance *self)
 {
-    if (at) free(at->room);
-    free(at);
+    if (self) free(self->work);
+    free(self);
 }

@@ -23,29 +23,29 @@
  * and stay.
  */
 typedef struct {
-    seen_structure seen;    /* R~ in the place of R */
+    structure_at_pairs structure; /* with R~ in the place of R */
     double growth, softness;
-    int coupled;            /* whether D has more than a diagonal */
-    const double *residual; /* R_inf: (p, p) */
-    const double *springs;  /* compliance in series with each pair: (p) */
-    int seen_gaps;          /* columns of U, or p */
-    const double *basis;    /* U: (p, seen_gaps); NULL where it is not needed */
-    int formed;             /* whether J is formed; else it is applied alone */
+    int has_coupled_pairs;             /* whether D is not diagonal */
+    const double *residual_compliance; /* R_inf: (p, p) */
+    const double *spring_compliances;  /* compliance in series with each pair: (p) */
+    int n_basis_gaps;                  /* columns of U, or p */
+    const double *basis;    /* U: (p, n_basis_gaps); NULL where it is not needed */
+    int forms_jacobian;     /* whether J is formed; else it is only applied */
 } contact_pairs;
 
 typedef struct contact_point contact_point;
 
 /* NULL without memory. */
-contact_point *new_contact_point(const contact_pairs *given);
-void free_contact_point(contact_point *at);
-/* Its equations; evaluating them returns FOUND, NOT_FOUND where an instant has no forces,
+contact_point *new_contact_point(const contact_pairs *parameters);
+void free_contact_point(contact_point *point);
+/* Return the equations. An evaluation returns FOUND, NOT_FOUND if an instant has no forces,
  * SINGULAR_STRUCTURE or NO_MEMORY. */
-equations *equations_of_contact(contact_point *at);
-/* Largest sum of |R~_k| over a row of it at a parameter; infinite where the structure is singular. */
-double largest_moving(contact_point *at, double parameter);
+equations *equations_of_contact(contact_point *point);
+/* Return the largest row sum of |R~_k| at a parameter; infinite if the structure is singular. */
+double largest_dynamic_row_sum(contact_point *point, double parameter);
 
-/* R T for unknowns ordered (row, pair), from R (H+1, pairs, pairs), complex, and
- * T (pairs, 2H+1, columns): (n, columns pairs), ordered (column, pair) too. */
+/* Set R T, (n, columns pairs), from R (H+1, pairs, pairs), complex, and T (pairs, 2H+1, columns).
+ * Rows are ordered (row, pair), columns (column, pair). */
 void respond_to_columns(int harmonics, int pairs, int columns, const double *matrices,
                         const double *tangent, double *product);
 

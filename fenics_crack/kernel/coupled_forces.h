@@ -11,19 +11,20 @@ typedef struct coupled_forces coupled_forces;
 
 /* NULL without memory. */
 coupled_forces *new_coupled_forces(int harmonics, int pairs);
-void free_coupled_forces(coupled_forces *at);
-/* b (2H+1, p) of waves s (2H+1, p) under the compliance D (p, p): FOUND, NOT_FOUND where an instant
- * has no forces, or NO_MEMORY. */
-int find_forces(coupled_forces *at, const double *compliance, const double *gap, double *force);
-/* T ds of a change ds (2H+1, p), where the forces have been found last. */
-void forces_by_gap(coupled_forces *at, const double *change, double *found);
-/* Derivative of b where the diagonal of D grows by rate (p): the coefficients of -S diag(rate) S s. */
-void forces_by_compliance(coupled_forces *at, const double *rate, double *found);
-/* Means c_m + i s_m of S exp(i m theta) over the period, m = 0 to 2H, as gaps U y see them: of U^T S U
- * with U (p, q), or of S itself with q = p and none. Rows c_0, c_1, s_1, ...: (4H+1, q, q). 0, or 1
+void free_coupled_forces(coupled_forces *self);
+/* Find b (2H+1, p) of waves s (2H+1, p) under the compliance D (p, p). Returns FOUND, NOT_FOUND if
+ * an instant has no forces, or NO_MEMORY. */
+int find_forces(coupled_forces *self, const double *compliance, const double *gap, double *force);
+/* Set T ds of a change ds (2H+1, p), with T at the forces found last. */
+void forces_by_gap(coupled_forces *self, const double *change, double *force_change_out);
+/* Set the derivative of b if the diagonal of D grows by rate (p): the coefficients of -S diag(rate)
+ * S s. */
+void forces_by_compliance(coupled_forces *self, const double *rate, double *force_rate_out);
+/* Set the means c_m + i s_m of U^T S U exp(i m theta) over the period, m = 0 to 2H, with U (p, q);
+ * without a basis (NULL), of S with q = p. Rows c_0, c_1, s_1, ...: (4H+1, q, q). Returns 0, or 1
  * without memory. */
-int means_of_stiffness(const coupled_forces *at, const double *basis, int q, double *means);
-/* The rows of T of harmonic k from these: (q or 2 q, n) for unknowns ordered (row, q). */
-void tangent_of_harmonic(int harmonics, int q, int k, const double *means, double *found);
+int means_of_stiffness(const coupled_forces *self, const double *basis, int q, double *means);
+/* Set the rows of T of harmonic k from these means: (q or 2 q, n) for unknowns ordered (row, q). */
+void tangent_of_harmonic(int harmonics, int q, int k, const double *means, double *tangent_out);
 
 #endif

@@ -4,39 +4,39 @@
 
 #include "lapack.h"
 
-int make_dense(dense *at, int size, void (*form)(dense *at))
+int make_dense(dense *point, int size, void (*form)(dense *point))
 {
     const size_t n = size;
-    at->size = size, at->form = form;
-    at->matrix = malloc((n * n + 1) * sizeof(double));
-    at->pivots = malloc((n + 1) * sizeof(int));
-    return !(at->matrix && at->pivots);
+    point->size = size, point->form_matrix = form;
+    point->matrix = malloc((n * n + 1) * sizeof(double));
+    point->pivots = malloc((n + 1) * sizeof(int));
+    return !(point->matrix && point->pivots);
 }
 
-void free_dense(dense *at)
+void free_dense(dense *point)
 {
-    free(at->matrix);
-    free(at->pivots);
+    free(point->matrix);
+    free(point->pivots);
 }
 
-void factor_dense(dense *at)
+void factor_dense(dense *point)
 {
-    if (at->factored) return;
-    at->form(at);
-    factor(at->size, at->matrix, at->pivots);
-    at->factored = 1;
+    if (point->factored) return;
+    point->form_matrix(point);
+    factor(point->size, point->matrix, point->pivots);
+    point->factored = 1;
 }
 
-void solve_dense(equations *own, double *x)
+void solve_dense(equations *system, double *x)
 {
-    dense *at = (dense *)own;
-    factor_dense(at);
-    solve_factored(at->size, 1, at->matrix, at->pivots, x);
+    dense *point = (dense *)system;
+    factor_dense(point);
+    solve_factored(point->size, 1, point->matrix, point->pivots, x);
 }
 
-double sign_of_dense(equations *own)
+double sign_of_dense(equations *system)
 {
-    dense *at = (dense *)own;
-    factor_dense(at);
-    return sign_of_factored(at->size, at->matrix, at->pivots);
+    dense *point = (dense *)system;
+    factor_dense(point);
+    return sign_of_factored(point->size, point->matrix, point->pivots);
 }

@@ -1,26 +1,26 @@
-/* Equations whose Jacobian is formed, and factored where it is asked for. */
+/* Equations with a Jacobian that is formed, and factored on demand. */
 #ifndef DENSE_H
 #define DENSE_H
 
 #include "equations.h"
 
-/* The points of such kinds begin with it. The factored matrix may be smaller than J, of the same
- * determinant: then the kind solves with it in its own way. */
+/* First member of a point with such equations. The factored matrix may be smaller than J, with the
+ * same determinant; then the point solves with it in its own way. */
 typedef struct dense {
-    equations own;
+    equations base;
     int size, factored;
     double *matrix; /* (size, size) */
     int *pivots;
-    void (*form)(struct dense *at);
+    void (*form_matrix)(struct dense *point);
 } dense;
 
-/* 0, or 1 without memory: room for (size, size). */
-int make_dense(dense *at, int size, void (*form)(dense *at));
-void free_dense(dense *at);
-/* The factors at the point that has been evaluated. */
-void factor_dense(dense *at);
-/* What vtables take. */
-void solve_dense(equations *own, double *x);
-double sign_of_dense(equations *own);
+/* Allocate a matrix (size, size). Returns 0, or 1 without memory. */
+int make_dense(dense *point, int size, void (*form)(dense *point));
+void free_dense(dense *point);
+/* Factor the matrix at the point evaluated last, unless this is done. */
+void factor_dense(dense *point);
+/* Functions for the table of equations. */
+void solve_dense(equations *system, double *x);
+double sign_of_dense(equations *system);
 
 #endif

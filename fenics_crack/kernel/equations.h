@@ -1,30 +1,37 @@
-/* Equations F(x, p) = 0 at a point, of whatever kind: what paths are followed with. */
+/* Equations F(x, p) = 0 at a point, of any kind, for Newton's method and path following. */
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
-/* What comes of an evaluation, or of a correction by Newton's method. */
+/* Outcomes of an evaluation, or of Newton's method. */
 enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
-/* Unknowns from which on factors of J are dear: solutions with it take products, and full steps from
- * the linear solution more time than beginning with fewer harmonics. */
-enum { MANY = 100 };
+/* Number of unknowns above which factors of J are expensive. Then solutions take products with J,
+ * and it is faster to begin with fewer harmonics than with full steps from the linear solution. */
+enum { MANY_UNKNOWNS = 100 };
 
-/* The points of each kind begin with it; `at` is such a point. */
+/* Table of functions, the first member of a point of any kind; `system` is such a point. */
 typedef struct equations {
     int unknowns;
-    int means; /* of these the first, which are means over time */
-    int (*evaluate)(struct equations *at, const double *x, double p); /* FOUND, or why not */
-    void (*residual)(const struct equations *at, double *found);      /* F there */
-    void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there, */
-    double sharp;                          /* to this relative residual where it takes products: */
-    int products;                          /* whether it does; the sign is dear then */
-    void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
-    double (*sign)(struct equations *at);  /* of det J there; NAN where it is not known: then turns */
-    const double *counts;                  /* are judged with unknowns that count so much (n) */
-    void *context; /* what equations in Python are made of (numerics/equations.py) */
-    void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
-    int records; /* numbers that paths may keep of each point: */
-    void (*record)(struct equations *at, double *found); /* those of a point with its tangent */
+    int means; /* number of leading unknowns that are means over time */
+    /* Evaluate the equations at a point, for the functions below; FOUND or a reason of failure. */
+    int (*evaluate)(struct equations *system, const double *x, double p);
+    /* Set F. */
+    void (*residual)(const struct equations *system, double *residual_out);
+    /* Set x = J^-1 x, by products with J up to a relative residual of solve_tolerance. */
+    void (*solve)(struct equations *system, double *x);
+    double solve_tolerance;
+    int uses_products; /* whether solutions take products with J; then the sign is expensive */
+    /* Set dF/dp. */
+    void (*by_parameter)(struct equations *system, double *derivative_out);
+    /* Return the sign of det J, or NAN if unknown; then angles between tangents replace it. */
+    double (*sign)(struct equations *system);
+    const double *angle_weights; /* (n) of the unknowns in these angles; NULL: the norm */
+    void *context;               /* state of equations in Python (numerics/equations.py) */
+    /* Set J x, for solutions by products. */
+    void (*apply)(struct equations *system, const double *x, double *product_out);
+    int records; /* how many numbers a path may keep of each point */
+    /* Set these numbers of a point, once its tangent is known. */
+    void (*record)(struct equations *system, double *record_out);
 } equations;
 
 #endif

@@ -22,25 +22,26 @@
  * its displacements; kicks that follow each other are added together. */
 struct exponentials {
     int modes, coupled;
-    double unit, rate; /* rate: of the damping, at most */
+    double unit, max_damping_rate; /* max_damping_rate: bound of the damping's row sums */
     double *squares;   /* (m) */
     double *damping;   /* (m) or (m, m) C */
     const closed_set *set;
     double *stiffness; /* (m, m) K */
-    double *through; /* (m, m) what passes the pairs of a set with few; H */
-    double *terms;     /* (3, m, m) of b's series */
-    double *upper;     /* (2, m, m) D + b C and -b K */
-    double *right;     /* (2, m, m) b and D */
-    double *other;     /* (2, m, m) these of twice the time */
+    double *pair_product;   /* (m, m) product with the few pairs of a set; H */
+    double *series_terms;   /* (3, m, m) of b's series */
+    double *upper_blocks;   /* (2, m, m) D + b C and -b K */
+    double *right_blocks;   /* (2, m, m) b and D */
+    double *doubled_blocks; /* (2, m, m) right_blocks at twice the time */
     double *change;    /* (2 m, 2 m) F */
     double *product;   /* (2 m, 2 m) */
-    int kicks;         /* that are still to be added, to a product that swings for */
-    double since;      /* this time */
-    double *kicked, *pulled; /* (kicks, 2 m) E(-s) [0; P], transposed, and the rows of E(s) */
+    int n_kicks;       /* kicks that wait, for a product that must swing for */
+    double swing_time; /* swing_time */
+    double *kick_columns,
+        *kick_rows; /* (kicks, 2 m) E(-s) [0; P], transposed, and the rows of E(s) */
 };
 
-/* Turn of what is fastest in a step by kicks, whose error is then 1e-14. */
-#define KICKED_STEP 0.01
+/* Largest angle of the fastest mode in a step by kicks; the error is then 1e-14. */
+#define MAX_KICK_ANGLE 0.01
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
@@ -60,21 +61,21 @@ exponentials *new_exponentials(int modes, int coupled, const double *squares,
     e->unit = unit;
     e->damping = e->squares + m;
     e->stiffness = e->damping + damped;
-    e->through = e->stiffness + square;
-    e->terms = e->through + square;
-    e->upper = e->terms + 3 * square;
-    e->right = e->upper + 2 * square;
-    e->other = e->right + 2 * square;
-    e->change = e->other + 2 * square;
+    e->pair_product = e->stiffness + square;
+    e->series_terms = e->pair_product + square;
+    e->upper_blocks = e->series_terms + 3 * square;
+    e->right_blocks = e->upper_blocks + 2 * square;
+    e->doubled_blocks = e->right_blocks + 2 * square;
+    e->change = e->doubled_blocks + 2 * square;
     e->product = e->change + 4 * square;
-    e->kicked = e->product + 4 * square;
-    e->pulled = e->kicked + 2 * square;
+    e->kick_columns = e->product + 4 * square;
+    e->kick_rows = e->kick_columns + 2 * square;
     for (long i = 0; i < m; i++) e->squares[i] = squares[i] / (unit * unit);
     for (long i = 0; i < damped; i++) e->damping[i] = damping[i] / unit;
     for (long i = 0; i < m; i++) {
         double sum = 0.0;
         for (long j = 0; j < damped / m; j++) sum += fabs(e->damping[i * (damped / m) + j]);
-        e->rate = fmax(e->rate, sum);
+        e->max_damping_rate = fmax(e->max_damping_rate, sum);
     }
     return e;
 }
@@ -86,7 +87,7 @@ void free_exponentials(exponentials *e)
 }
 
 /* sum += b C. */
-static void add_damped(const exponentials *e, const double *b, double *sum)
+static void add_damping_product(const exponentials *e, const double *b, double *sum)
 {
     const int m = e->modes;
     if (e->coupled) {
@@ -97,100 +98,104 @@ static void add_damped(const exponentials *e, const double *b, double *sum)
         for (int j = 0; j < m; j++) sum[i * m + j] += b[i * m + j] * e->damping[j];
 }
 
-/* Whether K is a diagonal and the products of few rows and columns. */
+/* Return whether K is a diagonal and products of few rows and columns. */
 static int has_few_pairs(const exponentials *e) { return !e->set->stiffness; }
 
-/* found = K x. */
-static void stiffness_times(const exponentials *e, const double *x, double *found)
+/* Set K x. */
+static void multiply_stiffness(const exponentials *e, const double *x, double *product_out)
 {
-    const int m = e->modes, a = e->set->size;
+    const int m = e->modes, n_closed = e->set->size;
     if (!has_few_pairs(e)) {
-        multiply_matrices(m, m, m, e->stiffness, x, 0.0, found);
+        multiply_matrices(m, m, m, e->stiffness, x, 0.0, product_out);
         return;
     }
-    multiply_matrices(a, m, m, e->set->pushed, x, 0.0, e->through);
-    multiply_matrices(m, a, m, e->set->pairs, e->through, 0.0, found);
+    multiply_matrices(n_closed, m, m, e->set->modal_push, x, 0.0, e->pair_product);
+    multiply_matrices(m, n_closed, m, e->set->mode_columns, e->pair_product, 0.0, product_out);
     const double unit = 1.0 / (e->unit * e->unit);
     for (int i = 0; i < m; i++)
         for (long j = (long)i * m; j < (long)(i + 1) * m; j++)
-            found[j] = unit * found[j] + e->squares[i] * x[j];
+            product_out[j] = unit * product_out[j] + e->squares[i] * x[j];
 }
 
-/* The term behind the n-th: next = -(K before t / (n + 1) + C now) t / (n + 2). */
-WIDE static void next_term(const exponentials *e, int n, double time, const double *before,
-                           const double *now, double *next)
+/* Set the term after the next: new = -(K term t / (n + 1) + C next) t / (n + 2). */
+WIDE static void set_next_term(const exponentials *e, int n, double time, const double *term,
+                               const double *next_term, double *new_term)
 {
     const int m = e->modes;
     const long square = (long)m * m;
     const double gain = -time * time / ((n + 1) * (n + 2)), loss = -time / (n + 2);
-    if (n > 1) stiffness_times(e, before, next);
+    if (n > 1) multiply_stiffness(e, term, new_term);
     else /* of b_0 = 0 and b_1 = time I */
-        for (long i = 0; i < square; i++) next[i] = n * time * e->stiffness[i];
+        for (long i = 0; i < square; i++) new_term[i] = n * time * e->stiffness[i];
     if (e->coupled) {
-        multiply_matrices(m, m, m, e->damping, now, gain / loss, next);
-        for (long i = 0; i < square; i++) next[i] *= loss;
+        multiply_matrices(m, m, m, e->damping, next_term, gain / loss, new_term);
+        for (long i = 0; i < square; i++) new_term[i] *= loss;
         return;
     }
     for (int i = 0; i < m; i++) {
         const double rate = loss * e->damping[i];
         for (long j = (long)i * m; j < (long)(i + 1) * m; j++)
-            next[j] = gain * next[j] + rate * now[j];
+            new_term[j] = gain * new_term[j] + rate * next_term[j];
     }
 }
 
-/* right = [b; D] of a short time in which what is fastest turns by an angle. */
-WIDE static void short_series(exponentials *e, double time, double turn)
+/* Set right_blocks = [b; D] of a short time, in which the fastest mode turns by an angle. */
+WIDE static void expand_short_time(exponentials *e, double time, double angle)
 {
     const int m = e->modes;
     const long square = (long)m * m;
-    double *before = e->terms, *now = before + square, *next = now + square;
-    double *b = e->right, *d = b + square, size = turn;
-    memset(before, 0, bytes(2 * square));
+    double *term = e->series_terms, *next_term = term + square, *new_term = next_term + square;
+    double *b = e->right_blocks, *d = b + square, term_size = angle;
+    memset(term, 0, bytes(2 * square));
     memset(b, 0, bytes(2 * square));
-    for (int i = 0; i < m; i++) now[(long)i * (m + 1)] = b[(long)i * (m + 1)] = time;
-    for (int n = 0; size > DBL_EPSILON; n++, size *= turn / (n + 1)) {
-        double *last = before;
-        next_term(e, n, time, before, now, next);
+    for (int i = 0; i < m; i++) next_term[(long)i * (m + 1)] = b[(long)i * (m + 1)] = time;
+    for (int n = 0; term_size > DBL_EPSILON; n++, term_size *= angle / (n + 1)) {
+        double *old_term = term;
+        set_next_term(e, n, time, term, next_term, new_term);
         for (long i = 0; i < square; i++) {
-            b[i] += next[i];
-            d[i] += (n + 2) / time * next[i];
+            b[i] += new_term[i];
+            d[i] += (n + 2) / time * new_term[i];
         }
-        before = now;
-        now = next;
-        next = last;
+        term = next_term;
+        next_term = new_term;
+        new_term = old_term;
     }
 }
 
-/* found = b, transposed, of coupled modes: only a symmetric C makes b symmetric, too. */
-static const double *transposed(const exponentials *e, const double *b, double *found)
+/* Return b, transposed if the modes are coupled: only a symmetric C makes b symmetric. */
+static const double *transpose_if_coupled(const exponentials *e, const double *b,
+                                          double *transpose_out)
 {
     const long m = e->modes;
     if (!e->coupled) return b;
     for (long i = 0; i < m; i++)
-        for (long j = 0; j < m; j++) found[j * m + i] = b[i * m + j];
-    return found;
+        for (long j = 0; j < m; j++) transpose_out[j * m + i] = b[i * m + j];
+    return transpose_out;
 }
 
-/* upper = [D + b C; -b K] of right = [b; D]: b K is K b^T, transposed, as b'' + b' C + b K = 0, too. */
-WIDE static void complete(exponentials *e)
+/* Set upper_blocks = [D + b C; -b K] from right_blocks = [b; D]. b K is K b^T, transposed, because
+ * b'' + b' C + b K = 0 as well. */
+WIDE static void complete_blocks(exponentials *e)
 {
     const int m = e->modes;
     const long square = (long)m * m;
-    memcpy(e->upper, e->right + square, bytes(square));
-    add_damped(e, e->right, e->upper);
-    stiffness_times(e, transposed(e, e->right, e->other + square), e->other);
+    memcpy(e->upper_blocks, e->right_blocks + square, bytes(square));
+    add_damping_product(e, e->right_blocks, e->upper_blocks);
+    multiply_stiffness(e, transpose_if_coupled(e, e->right_blocks, e->doubled_blocks + square),
+                       e->doubled_blocks);
     for (long i = 0; i < m; i++)
-        for (long j = 0; j < m; j++) e->upper[square + i * m + j] = -e->other[j * m + i];
+        for (long j = 0; j < m; j++)
+            e->upper_blocks[square + i * m + j] = -e->doubled_blocks[j * m + i];
 }
 
-/* K of a set; its largest sum of a row. */
-static double stiffness_of(exponentials *e, const closed_set *a)
+/* Set K of a set. Return its largest row sum. */
+static double set_stiffness(exponentials *e, const closed_set *a)
 {
     const int m = e->modes;
     double *k = e->stiffness, largest = 0.0;
     e->set = a;
     if (a->stiffness) memcpy(k, a->stiffness, bytes((long)m * m));
-    else multiply_matrices(m, a->size, m, a->pairs, a->pushed, 0.0, k);
+    else multiply_matrices(m, a->size, m, a->mode_columns, a->modal_push, 0.0, k);
     for (int i = 0; i < m; i++) {
         double sum = 0.0;
         for (int j = 0; j < m; j++) k[(long)i * m + j] /= e->unit * e->unit;
@@ -201,137 +206,143 @@ static double stiffness_of(exponentials *e, const closed_set *a)
     return largest;
 }
 
-/* doubled = [b; D] of twice the time, of right = [b; D]. Where each mode is damped by itself b and D
- * are symmetric, so that (D + b C) b + b D is H b and its transpose, H = D + b C / 2. */
-WIDE static void double_series(exponentials *e, const double *right, double *doubled)
+/* Set [b; D] of twice the time from [b; D]. If damping does not couple the modes, b and D are
+ * symmetric; then (D + b C) b + b D is H b and its transpose, with H = D + b C / 2. */
+WIDE static void double_time(exponentials *e, const double *right, double *doubled)
 {
     const int m = e->modes;
     const long square = (long)m * m;
     const double *d = right + square;
     for (long i = 0; i < 2 * square; i++) doubled[i] = 2.0 * right[i];
     if (e->coupled) {
-        multiply_matrices(m, m, m, e->upper, right, 1.0, doubled);
+        multiply_matrices(m, m, m, e->upper_blocks, right, 1.0, doubled);
         multiply_matrices(m, m, m, right, d, 1.0, doubled);
     } else {
-        for (long i = 0; i < square; i++) e->through[i] = 0.5 * (d[i] + e->upper[i]);
-        multiply_matrices(m, m, m, e->through, right, 0.0, e->product);
+        for (long i = 0; i < square; i++) e->pair_product[i] = 0.5 * (d[i] + e->upper_blocks[i]);
+        multiply_matrices(m, m, m, e->pair_product, right, 0.0, e->product);
         for (long i = 0; i < m; i++)
             for (long j = 0; j < m; j++)
                 doubled[i * m + j] += e->product[i * m + j] + e->product[j * m + i];
     }
-    multiply_matrices(m, m, m, e->upper + square, right, 1.0, doubled + square);
+    multiply_matrices(m, m, m, e->upper_blocks + square, right, 1.0, doubled + square);
     multiply_matrices(m, m, m, d, d, 1.0, doubled + square);
 }
 
-/* change = F of an interval. */
-static void exponential_of(exponentials *e, const closed_set *a, double length)
+/* Set change = F of an interval. */
+static void set_exponential(exponentials *e, const closed_set *a, double length)
 {
     const int m = e->modes;
     /* No set is faster than the unit. */
-    const double rate = e->rate + fmin(1.0, sqrt(stiffness_of(e, a)));
+    const double rate = e->max_damping_rate + fmin(1.0, sqrt(set_stiffness(e, a)));
     double time = e->unit * length;
-    int halved = 0;
-    for (; time * rate > 3.0; halved++) time *= 0.5; /* in that of a series it turns by 3 at most */
-    short_series(e, time, time * rate);
-    complete(e);
-    for (; halved; halved--) {
-        double *right = e->right, *doubled = e->other;
-        double_series(e, right, doubled);
-        e->right = doubled;
-        e->other = right;
-        complete(e);
+    int n_halvings = 0;
+    for (; time * rate > 3.0; n_halvings++)
+        time *= 0.5; /* within the series it turns by 3 at most */
+    expand_short_time(e, time, time * rate);
+    complete_blocks(e);
+    for (; n_halvings; n_halvings--) {
+        double *right = e->right_blocks, *doubled = e->doubled_blocks;
+        double_time(e, right, doubled);
+        e->right_blocks = doubled;
+        e->doubled_blocks = right;
+        complete_blocks(e);
     }
     for (long i = 0; i < 2L * m; i++) {
-        memcpy(e->change + i * 2 * m, e->upper + i * m, bytes(m));
-        memcpy(e->change + i * 2 * m + m, e->right + i * m, bytes(m));
+        memcpy(e->change + i * 2 * m, e->upper_blocks + i * m, bytes(m));
+        memcpy(e->change + i * 2 * m + m, e->right_blocks + i * m, bytes(m));
     }
 }
 
-/* Of a mode that swings by itself, b'' + c b' + k b = 0 with b(0) = 0, b'(0) = 1: b, its rate, and the
- * displacement from 1 at rest. */
+/* Free swing of one mode, b'' + c b' + k b = 0 with b(0) = 0, b'(0) = 1: b, its rate, and the
+ * displacement after a start from 1 at rest. */
 typedef struct {
-    double b, rate, stay;
-} swinging;
+    double b, rate, displacement;
+} swing_motion;
 
-static swinging swing_of(const exponentials *e, int mode, double time)
+static swing_motion mode_swing(const exponentials *e, int mode, double time)
 {
     const double c = e->damping[mode], k = e->squares[mode];
     const double square = k - 0.25 * c * c, w = sqrt(fabs(square));
-    const double fall = exp((square > 0.0 ? -0.5 * c : w - 0.5 * c) * time);
-    swinging found = {fall * time, fall, 0.0};
+    const double decay = exp((square > 0.0 ? -0.5 * c : w - 0.5 * c) * time);
+    swing_motion swing = {decay * time, decay, 0.0};
     if (square > 0.0) {
-        found.b = fall * sin(w * time) / w;
-        found.rate *= cos(w * time);
+        swing.b = decay * sin(w * time) / w;
+        swing.rate *= cos(w * time);
     } else if (w > 0.0) {
-        const double lost = expm1(-2.0 * w * time);
-        found.b = -fall * lost / (2.0 * w);
-        found.rate *= 1.0 + 0.5 * lost;
+        const double decay_change = expm1(-2.0 * w * time);
+        swing.b = -decay * decay_change / (2.0 * w);
+        swing.rate *= 1.0 + 0.5 * decay_change;
     }
-    found.rate -= 0.5 * c * found.b;
-    found.stay = found.rate + c * found.b;
-    return found;
+    swing.rate -= 0.5 * c * swing.b;
+    swing.displacement = swing.rate + c * swing.b;
+    return swing;
 }
 
-/* The same while no pair is closed. */
-WIDE static void swing(const exponentials *e, double time, double *product)
+/* Multiply by the exponential of the set without closed pairs. */
+WIDE static void apply_swing(const exponentials *e, double time, double *product)
 {
     const int m = e->modes;
     for (int i = 0; i < m; i++) {
-        const swinging of = swing_of(e, i, time);
-        const double back = -of.b * e->squares[i];
+        const swing_motion swing = mode_swing(e, i, time);
+        const double velocity_factor = -swing.b * e->squares[i];
         double *restrict q = product + (long)i * 2 * m, *restrict v = q + 2L * m * m;
         for (int j = 0; j < 2 * m; j++) {
-            const double before = q[j];
-            q[j] = of.stay * before + of.b * v[j];
-            v[j] = of.rate * v[j] + back * before;
+            const double displacement = q[j];
+            q[j] = swing.displacement * displacement + swing.b * v[j];
+            v[j] = swing.rate * v[j] + velocity_factor * displacement;
         }
     }
 }
 
-/* Kicks of a set, by so many steps. */
-static void kick(exponentials *e, const closed_set *a, double time, int steps)
+/* Append the kicks of a set in a number of steps. */
+static void append_kicks(exponentials *e, const closed_set *a, double time, int steps)
 {
     const int m = e->modes, size = a->size;
     const double unit = 1.0 / (e->unit * e->unit), t = time / steps, gauss = 0.5 / sqrt(3.0);
-    double *across = e->through, *force = e->terms;
-    multiply_matrices(size, m, size, a->pushed, a->pairs, 0.0, across);
-    for (int i = 0; i < size * size; i++) across[i] *= -(2.0 - sqrt(3.0)) / 12.0 * t * t * unit;
-    for (int i = 0; i < size; i++) across[i * (size + 1)] += 1.0;
-    multiply_matrices(size, size, m, across, a->pushed, 0.0, force);
-    for (int k = 0; k < 2 * steps; k++, e->kicks += size)
+    double *set_matrix = e->pair_product, *force = e->series_terms;
+    multiply_matrices(size, m, size, a->modal_push, a->mode_columns, 0.0, set_matrix);
+    for (int i = 0; i < size * size; i++) set_matrix[i] *= -(2.0 - sqrt(3.0)) / 12.0 * t * t * unit;
+    for (int i = 0; i < size; i++) set_matrix[i * (size + 1)] += 1.0;
+    multiply_matrices(size, size, m, set_matrix, a->modal_push, 0.0, force);
+    for (int k = 0; k < 2 * steps; k++, e->n_kicks += size)
         for (int j = 0; j < m; j++) {
-            const double instant = 0.5 + (k % 2 ? gauss : -gauss);
-            const swinging of = swing_of(e, j, e->since + t * (k / 2 + instant));
-            const double back = 1.0 / (of.stay * of.rate + of.b * of.b * e->squares[j]);
+            const double fraction = 0.5 + (k % 2 ? gauss : -gauss);
+            const swing_motion swing = mode_swing(e, j, e->swing_time + t * (k / 2 + fraction));
+            const double inverse_determinant =
+                1.0 / (swing.displacement * swing.rate + swing.b * swing.b * e->squares[j]);
             for (int i = 0; i < size; i++) {
-                const long at = (long)(e->kicks + i) * 2 * m + j;
-                const double own = a->pairs[j * size + i], pull = -0.5 * t * unit * force[i * m + j];
-                e->kicked[at] = -back * of.b * own, e->kicked[at + m] = back * of.stay * own;
-                e->pulled[at] = pull * of.stay, e->pulled[at + m] = pull * of.b;
+                const long index = (long)(e->n_kicks + i) * 2 * m + j;
+                const double mode_column = a->mode_columns[j * size + i],
+                             pull = -0.5 * t * unit * force[i * m + j];
+                e->kick_columns[index] = -inverse_determinant * swing.b * mode_column,
+                e->kick_columns[index + m] = inverse_determinant * swing.displacement * mode_column;
+                e->kick_rows[index] = pull * swing.displacement,
+                e->kick_rows[index + m] = pull * swing.b;
             }
         }
-    e->since += time;
+    e->swing_time += time;
 }
 
 void add_kicks(exponentials *e, double *product)
 {
-    const int size = 2 * e->modes, kicks = e->kicks;
-    double *across = e->terms, *added = e->product, *columns = e->change;
+    const int size = 2 * e->modes, kicks = e->n_kicks;
+    double *kick_product = e->series_terms, *kick_changes = e->product, *columns = e->change;
     if (!kicks) return;
-    multiply_matrices(kicks, size, size, e->pulled, product, 0.0, added);
-    multiply_transposed(kicks, size, kicks, e->pulled, e->kicked, across);
+    multiply_matrices(kicks, size, size, e->kick_rows, product, 0.0, kick_changes);
+    multiply_transposed(kicks, size, kicks, e->kick_rows, e->kick_columns, kick_product);
     for (int i = 0; i < kicks; i++) {
-        add_rows(i, size, added, across + (long)i * kicks, added + (long)i * size);
-        for (int j = 0; j < size; j++) columns[j * kicks + i] = e->kicked[(long)i * size + j];
+        add_rows(i, size, kick_changes, kick_product + (long)i * kicks,
+                 kick_changes + (long)i * size);
+        for (int j = 0; j < size; j++) columns[j * kicks + i] = e->kick_columns[(long)i * size + j];
     }
-    multiply_matrices(size, kicks, size, columns, added, 1.0, product);
-    swing(e, e->since, product);
-    e->kicks = 0, e->since = 0.0;
+    multiply_matrices(size, kicks, size, columns, kick_changes, 1.0, product);
+    apply_swing(e, e->swing_time, product);
+    e->n_kicks = 0, e->swing_time = 0.0;
 }
 
-/* product = (I + change) product, of a product in which modes are still apart: of each row and column
- * of its blocks only the diagonal's number is not zero. */
-static void multiply_apart(const exponentials *e, double *product)
+/* Set product = (I + change) product. The modes in the product are still apart: its blocks are
+ * diagonal. */
+static void multiply_diagonal_blocks(const exponentials *e, double *product)
 {
     const long m = e->modes, size = 2 * m;
     double *q = e->product, *v = q + m, *by_rate = v + m, *rate = by_rate + m;
@@ -351,25 +362,26 @@ static void multiply_apart(const exponentials *e, double *product)
     }
 }
 
-int multiply_exponential(exponentials *e, const closed_set *a, double length, int apart,
+int multiply_exponential(exponentials *e, const closed_set *a, double length, int are_modes_apart,
                          double *product)
 {
     const int size = 2 * e->modes;
-    const double time = e->unit * length, steps = ceil(time * (1.0 + e->rate) / KICKED_STEP);
-    const double kicks = 2.0 * steps * a->size;
-    const int few = a->size && !e->coupled && kicks < e->modes;
-    if (!few || e->kicks + kicks > e->modes) add_kicks(e, product);
-    if (few) {
-        kick(e, a, time, (int)steps);
+    const double time = e->unit * length,
+                 steps = ceil(time * (1.0 + e->max_damping_rate) / MAX_KICK_ANGLE);
+    const double n_new_kicks = 2.0 * steps * a->size;
+    const int uses_kicks = a->size && !e->coupled && n_new_kicks < e->modes;
+    if (!uses_kicks || e->n_kicks + n_new_kicks > e->modes) add_kicks(e, product);
+    if (uses_kicks) {
+        append_kicks(e, a, time, (int)steps);
         return 0;
     }
     if (!a->size && !e->coupled) {
-        swing(e, time, product);
-        return apart;
+        apply_swing(e, time, product);
+        return are_modes_apart;
     }
-    exponential_of(e, a, length);
-    if (apart) {
-        multiply_apart(e, product);
+    set_exponential(e, a, length);
+    if (are_modes_apart) {
+        multiply_diagonal_blocks(e, product);
         return 0;
     }
     memcpy(e->product, product, bytes((long)size * size));

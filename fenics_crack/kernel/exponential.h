@@ -1,4 +1,4 @@
-/* Exponentials of the motion while a set of closed pairs stays (flow.h). */
+/* Exponentials of the motion within a set of closed pairs (flow.h). */
 #ifndef EXPONENTIAL_H
 #define EXPONENTIAL_H
 
@@ -6,17 +6,17 @@
 
 typedef struct exponentials exponentials;
 
-/* Of modes with these squares (m) and damping (m), or where it couples them (m, m); unit: a
- * frequency [rad/s] that no set exceeds. NULL without memory. */
+/* Make the exponentials of modes with squares (m) and damping (m), or (m, m) if it couples the
+ * modes. unit: a frequency [rad/s] that no set exceeds. NULL without memory. */
 exponentials *new_exponentials(int modes, int coupled, const double *squares,
                                const double *damping, double unit);
 void free_exponentials(exponentials *e);
-/* product = exp(the set's matrix times a length) product, (2 m, 2 m), whose rows are displacements
- * times the unit, and velocities. `apart`: whether nothing couples the modes in the product given;
- * returned: in that found. */
-int multiply_exponential(exponentials *e, const closed_set *a, double length, int apart,
+/* Set product = exp(length times the set's matrix) product, (2 m, 2 m). Its rows are displacements
+ * times the unit, and velocities. are_modes_apart: whether nothing couples the modes in the product
+ * given; returned: whether this still holds. */
+int multiply_exponential(exponentials *e, const closed_set *a, double length, int are_modes_apart,
                          double *product);
-/* To the product what has been left to be added at once. */
+/* Apply the kicks that wait to be applied together. */
 void add_kicks(exponentials *e, double *product);
 
 #endif

@@ -35,37 +35,37 @@ typedef struct {
     int harmonics;            /* K > 0 */
     const double *force;      /* (2 K + 1, m) f */
     const double *gap;        /* (2 K + 1, r) l */
-    double fastest;           /* of the squares of all sets' frequencies the largest one's root, */
-    double apart;             /* and of those where all pairs are open */
-    long most;                /* numbers of sets of closed pairs that are kept */
+    double max_rate;          /* of the squares of all sets' frequencies the largest one's root, */
+    double max_open_rate;     /* and of those where all pairs are open */
+    long max_set_numbers;     /* numbers of sets of closed pairs that are kept */
 } flow_parts;
 
 typedef struct flow flow;
 
-/* All but the load is copied, which must stay. NULL without memory. */
-flow *new_flow(const flow_parts *given);
+/* Make a flow. All but the load is copied; the load must outlive the flow. NULL without memory. */
+flow *new_flow(const flow_parts *parts);
 void free_flow(flow *f);
 
-/* Another damping; with this no set may turn or decay faster than the bound given to the flow. */
-void flow_damp(flow *f, const double *damping);
+/* Set another damping. No set may then turn or decay faster than the bound given to the flow. */
+void flow_set_damping(flow *f, const double *damping);
 
-/* What comes of a motion: it has reached its end; takes more pieces, or more intervals, than
- * allowed; is not finite, or no set of closed pairs answers it; there is no memory. */
-enum { FLOW_DONE, FLOW_PIECES, FLOW_INTERVALS, FLOW_LOST, FLOW_MEMORY };
+/* Outcomes of a motion: it has reached its end; it takes more pieces, or more intervals, than
+ * allowed; it is not finite, or no set of closed pairs answers it; there is no memory. */
+enum { FLOW_DONE, FLOW_TOO_MANY_PIECES, FLOW_TOO_MANY_INTERVALS, FLOW_FAILED, FLOW_NO_MEMORY };
 
 typedef struct {
-    double omega, now, end;
+    double omega, time, end;
     double *state;           /* (n) q, q', here and at the end, and with friction (p) h */
-    int most_pieces, pieces; /* of the series, allowed and made */
-    int most, passed;        /* intervals between events, allowed and passed */
-    signed char *sets;       /* (most, p) their closed pairs */
-    double *lengths;         /* (most) */
-    int *causes;             /* (most) of the answers (r) the one that ended an interval, or -1; with
+    int max_pieces, n_pieces;       /* of the series, allowed and made */
+    int max_intervals, n_intervals; /* intervals between events, allowed and passed */
+    signed char *sets;       /* (max_intervals, p) their closed pairs */
+    double *lengths;         /* (max_intervals) */
+    int *causes;             /* (max_intervals) the answer that ended each one, or -1; with
                               * friction only, as the next two */
-    signed char *firsts;     /* (most) whether it fell before others at that instant */
-    double *ratios;          /* (most) g_t' of the pair over the slope of the first one */
-    int events;
-    int count, sampled;      /* instants at which the motion is kept, and how many are done */
+    signed char *is_first;   /* (max_intervals) whether it fell before others at that instant */
+    double *ratios;          /* (max_intervals) g_t' of the pair over the slope of the first one */
+    int n_events;
+    int n_instants, n_samples; /* instants at which the motion is kept, and how many are done */
     const double *instants;  /* (count) ascending, from now to end */
     double *states;          /* (count, 2 m) */
     double *answers;         /* (count, p) i, or with friction (count, 2 r) lambda and g */
@@ -77,45 +77,46 @@ int flow_advance(flow *f, flow_motion *m);
 /* Part of a motion that has been followed. */
 typedef struct {
     double omega, start;
-    int intervals;
+    int n_intervals;
     const signed char *sets;
     const double *lengths;
     const int *causes; /* friction only */
-    const signed char *firsts;
+    const signed char *is_first;
     const double *ratios;
 } flow_track;
 
-/* The derivative of the flow over a track, (n, n). Forces are continuous, so it is the product of
- * the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. With friction a pair begins to stick, as
- * an answer phi falls, at
+/* Set the derivative of the flow over a track, (n, n). Forces are continuous, so it is the product
+ * of the sets' exponentials. Returns FLOW_DONE, FLOW_FAILED or FLOW_NO_MEMORY. With friction a pair
+ * begins to stick, as an answer phi falls, at
  *
  *     dh = dg_t - g_t' / phi' dphi;
  *
- * one that sticks all the time keeps its place, whatever this is: its row is 0. */
+ * a pair that sticks all the time keeps its place, whatever this is: its row is 0. */
 int flow_tangent(flow *f, const flow_track *track, double *tangent);
-/* The derivative of the state by a parameter of the load, whose derivatives are given as the load
- * is, or with `by_time` those divided by the time: state (n) at the start and at the end of a
- * track. */
-int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
-                int by_time, double *state);
-/* The same by omega: state (n), from 0 at the start. */
+/* Carry the derivative of the state (n) by a parameter of the load from the start of a track to its
+ * end. force, gap: derivatives of the load, in the load's form; with `by_time` divided by the time.
+ */
+int flow_by_load(flow *f, const flow_track *track, const double *force, const double *gap,
+                 int by_time, double *state);
+/* Set the derivative of the state (n) by omega at the end; it is 0 at the start. */
 int flow_by_omega(flow *f, const flow_track *track, double *state);
-/* The same by a parameter of the structure: of a motion from the state `start`, given the derivatives of
- * the damping, as the flow's own, and of the diagonal of the compliance (p); NULL: it does not change. */
+/* Set the derivative of the state by a parameter of the structure, for a motion from the state
+ * `start`. damping: derivative of the flow's damping; compliance (p): derivative of the
+ * compliance's diagonal; NULL: no change. */
 int flow_by_structure(flow *f, const flow_track *track, const double *start, const double *damping,
                       const double *compliance, double *state);
-/* The state's derivative by the time (n), with friction of pairs in states `closed`: 0, or 1 where no
- * set of closed pairs answers it. */
+/* Set the state's derivative by the time (n), with friction for pairs in the states `closed`.
+ * Returns 0, or 1 if no set of closed pairs answers the state. */
 int flow_rate(flow *f, double omega, double time, const signed char *closed, const double *state,
               double *rate);
-/* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, n) at their
- * starts: moved (nodes, n), the states at their ends, and ends (nodes), the intervals passed up to
- * there. What is allowed, and the room for the tracks behind each other, are those of m. */
-int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
-              double *moved, int *ends);
-/* changes (nodes + 1, n) from the first one on, each carried to the next by the derivative of the
- * flow over that part of a track, and excess (nodes, n) added. */
-int flow_carry(flow *f, const flow_track *track, int nodes, const int *ends, const double *excess,
-               double *changes);
+/* Follow the motion over each of `n_parts` equal parts of a period, from states (n_parts, n) at
+ * their starts. end_states (n_parts, n): states at their ends; interval_counts (n_parts): intervals
+ * passed up to there. Limits and tracks are those of m. */
+int flow_advance_parts(flow *f, flow_motion *m, int n_parts, double period, const double *states,
+                       double *end_states, int *interval_counts);
+/* Carry changes (n_parts + 1, n) from the first one on: each next one is the present one, carried
+ * by the derivative of the flow over that part of a track, plus excess (n_parts, n). */
+int flow_carry_changes(flow *f, const flow_track *track, int n_parts, const int *interval_counts,
+                       const double *excess, double *changes);
 
 #endif

@@ -4,14 +4,17 @@
 
 #include "closed_sets.h"
 
-/* Of gaps s at `count` instants of a period (count, r), r = 2 p, marched from places h (p), which
- * are others behind, until the places repeat, through `turns` periods at most: forces lambda (count, r), states (count, p) of
- * the pairs, and places (count, p), of the last period; origins (p) are the instants at which pairs
- * did not stick last, or 0. 0, or 1 where an instant has no forces. */
-int march_friction(closed_sets *s, int count, int turns, const double *gaps, double *held,
-                   double *forces, signed char *states, double *places, int *origins);
-/* What changes ds (count, r) of the gaps change of the forces, (count, r), through the states of a
- * march; dh = ds at its origin of a pair that sticks at all instants. 0, or 1 without memory. */
+/* March through gaps s at `count` instants of a period (count, r), r = 2 p, from places h (p),
+ * which are updated, until the places repeat, through `max_periods` periods at most. Sets the
+ * forces lambda (count, r), the states of the pairs (count, p) and their places (count, p) in the
+ * last period; and origins (p), the last instants at which pairs did not stick, or 0. Returns 0, or
+ * 1 if an instant has no forces. */
+int march_friction(closed_sets *s, int count, int max_periods, const double *gaps,
+                   double *stick_places, double *forces, signed char *states, double *places,
+                   int *origins);
+/* Set the changes (count, r) of the forces due to changes ds (count, r) of the gaps, through the
+ * states of a march. A pair that always sticks has dh = ds at its origin. Returns 0, or 1 without
+ * memory. */
 int friction_changes(closed_sets *s, int count, const signed char *states, const int *origins,
                      const double *gaps, double *forces);
 /* The derivative of the coefficients of U^T lambda, rows a_0, a_1, b_1, ... of `rows` waves, by those

@@ -2,14 +2,14 @@
 
 #include <math.h>
 
-double length_at(const grading *around, double x, double y)
+double element_length_at(const grading *tips, double x, double y)
 {
-    double least = INFINITY;
-    const double up = around->height - y;
-    for (int i = 0; i < around->count; i++) {
-        const double aside = around->along[i] - x;
-        const double square = aside * aside + up * up;
-        if (square < least) least = square;
+    double min_square = INFINITY;
+    const double y_distance = tips->height - y;
+    for (int i = 0; i < tips->count; i++) {
+        const double x_distance = tips->x_positions[i] - x;
+        const double distance_squared = x_distance * x_distance + y_distance * y_distance;
+        if (distance_squared < min_square) min_square = distance_squared;
     }
-    return around->shortest + around->growth * sqrt(least);
+    return tips->min_length + tips->growth * sqrt(min_square);
 }

@@ -5,11 +5,11 @@
 /* h = shortest + growth d, d from the nearest of points on a line y = height: x (count). */
 typedef struct {
     int count;
-    double height, shortest, growth;
-    const double *along;
+    double height, min_length, growth;
+    const double *x_positions;
 } grading;
 
-/* h at a place. */
-double length_at(const grading *around, double x, double y);
+/* Return h at a point. */
+double element_length_at(const grading *tips, double x, double y);
 
 #endif

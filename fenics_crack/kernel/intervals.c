@@ -16,92 +16,99 @@ static double value_at(const double *c, int degree, double x)
     return sum;
 }
 
-/* A root in [low, high], at whose end the polynomial is negative; `low` where it is negative there
- * already. Newton's method, kept in a bracket by bisection. */
-static double root_of(const double *c, int degree, double low, double high)
+/* Return a root in [low, high], at whose end the polynomial is negative; `low` if it is negative
+ * there already. Newton's method, kept in a bracket by bisection. */
+static double polynomial_root(const double *c, int degree, double low, double high)
 {
     double slopes[DEGREE];
     for (int d = 1; d <= degree; d++) slopes[d - 1] = d * c[d];
     const double first = value_at(c, degree, low), last = value_at(c, degree, high);
     if (first <= 0.0) return low;
     double root = low + (high - low) * first / (first - last);
-    for (int turn = 0; turn < 60; turn++) {
-        const double now = value_at(c, degree, root);
-        if (now > 0.0) low = root; else high = root;
-        const double newton = root - now / value_at(slopes, degree - 1, root);
-        const double moved = newton >= low && newton <= high ? newton : 0.5 * (low + high);
-        const int done = fabs(moved - root) <= 1e-13;
-        root = moved;
-        if (done) break;
+    for (int iteration = 0; iteration < 60; iteration++) {
+        const double search = value_at(c, degree, root);
+        if (search > 0.0) low = root;
+        else high = root;
+        const double newton = root - search / value_at(slopes, degree - 1, root);
+        const double updated = newton >= low && newton <= high ? newton : 0.5 * (low + high);
+        const int has_converged = fabs(updated - root) <= 1e-13;
+        root = updated;
+        if (has_converged) break;
     }
     return root;
 }
 
-/* c / (x - root): behind its root the polynomial keeps its sign. Where it does not grow there, what
- * comes next is left to the set at the cell's end: 1. */
-static void without_root(double *c, double root)
+/* Divide by (x - root): after its root the polynomial keeps its sign. If the quotient is not
+ * positive at the root, set it to 1; the set at the cell's end shows what comes next. */
+static void divide_by_root(double *c, double root)
 {
-    double found[TERMS] = {0.0};
-    for (int d = DEGREE; d > 0; d--) found[d - 1] = c[d] + root * (d < DEGREE ? found[d] : 0.0);
-    if (value_at(found, DEGREE, root) <= 0.0) {
-        memset(found, 0, sizeof found);
-        found[0] = 1.0;
+    double quotient[TERMS] = {0.0};
+    for (int d = DEGREE; d > 0; d--)
+        quotient[d - 1] = c[d] + root * (d < DEGREE ? quotient[d] : 0.0);
+    if (value_at(quotient, DEGREE, root) <= 0.0) {
+        memset(quotient, 0, sizeof quotient);
+        quotient[0] = 1.0;
     }
-    memcpy(c, found, sizeof found);
+    memcpy(c, quotient, sizeof quotient);
 }
 
-/* The end of a bracket in which a polynomial becomes negative between two places: the later one, or
- * a minimum between them; NAN where it does not. */
-static double negative_in(const double *c, double low, double high)
+/* Return the end of a bracket in which a polynomial becomes negative: the later point, or a minimum
+ * between the two; NAN if it does not become negative. */
+static double negative_end(const double *c, double low, double high)
 {
-    double slopes[DEGREE], rising[DEGREE];
+    double slopes[DEGREE], negative_slopes[DEGREE];
     const double first = value_at(c, DEGREE, low), last = value_at(c, DEGREE, high);
     if (last < 0.0) return high;
     for (int d = 1; d <= DEGREE; d++) slopes[d - 1] = d * c[d];
-    const double fall = (high - low) * value_at(slopes, DEGREE - 1, low);
-    const double rise = (high - low) * value_at(slopes, DEGREE - 1, high);
-    if (!(fall < 0.0 && rise > 0.0)) return NAN;
+    const double first_rate = (high - low) * value_at(slopes, DEGREE - 1, low);
+    const double last_rate = (high - low) * value_at(slopes, DEGREE - 1, high);
+    if (!(first_rate < 0.0 && last_rate > 0.0)) return NAN;
     /* Tangents at both ends meet below zero. */
-    if (!((first * rise - fall * last + fall * rise) / (rise - fall) < 0.0)) return NAN;
-    for (int d = 0; d < DEGREE; d++) rising[d] = -slopes[d];
-    const double bottom = root_of(rising, DEGREE - 1, low, high);
+    if (!((first * last_rate - first_rate * last + first_rate * last_rate) /
+              (last_rate - first_rate) <
+          0.0))
+        return NAN;
+    for (int d = 0; d < DEGREE; d++) negative_slopes[d] = -slopes[d];
+    const double bottom = polynomial_root(negative_slopes, DEGREE - 1, low, high);
     return value_at(c, DEGREE, bottom) < 0.0 ? bottom : NAN;
 }
 
-/* The polynomials (TERMS, p) whose sign in [-1, 1] may be wrong: of the pairs `some`, as (TERMS)
- * numbers that are positive while the set is right. Returns how many. */
-static int candidates(const pivot_table *contact, const double *taylor, int *some, double *polynomials)
+/* Select the polynomials (TERMS, p) that may change sign in [-1, 1]. candidate_pairs: their pairs;
+ * polynomials: their terms, positive while the set is right. Returns their number. */
+static int find_candidates(const pivot_table *contact, const double *taylor, int *candidate_pairs,
+                           double *polynomials)
 {
     const int pairs = contact->pairs;
     int count = 0;
     for (int i = 0; i < pairs; i++) {
         const double sign = contact->closed[i] ? 1.0 : -1.0;
-        double others = 0.0;
-        for (int d = 1; d <= DEGREE; d++) others += fabs(taylor[(long)d * pairs + i]);
-        if (sign * taylor[i] > others) continue;
+        double bound = 0.0;
+        for (int d = 1; d <= DEGREE; d++) bound += fabs(taylor[(long)d * pairs + i]);
+        if (sign * taylor[i] > bound) continue;
         for (int d = 0; d <= DEGREE; d++)
             polynomials[(long)count * TERMS + d] = sign * taylor[(long)d * pairs + i];
-        some[count++] = i;
+        candidate_pairs[count++] = i;
     }
     return count;
 }
 
-/* The first event behind `begun` in a cell: its place among `count` polynomials, -1 if there is
- * none, and where. Looked for in as many parts as a polynomial may have roots. */
-static int first_event(int count, const double *polynomials, double begun, double *where)
+/* Return the index of the polynomial that falls first after `start` in a cell, and set the
+ * position; -1 if there is none. The search has as many parts as a polynomial may have roots. */
+static int find_first_event(int count, const double *polynomials, double start,
+                            double *position_out)
 {
     int first = -1;
     for (int part = 0; part < DEGREE && first < 0; part++) {
-        const double low = begun + (1.0 - begun) * part / DEGREE;
-        const double high = begun + (1.0 - begun) * (part + 1) / DEGREE;
+        const double low = start + (1.0 - start) * part / DEGREE;
+        const double high = start + (1.0 - start) * (part + 1) / DEGREE;
         for (int i = 0; i < count; i++) {
             const double *c = polynomials + (long)i * TERMS;
-            const double end = negative_in(c, low, high);
+            const double end = negative_end(c, low, high);
             if (isnan(end)) continue;
-            const double root = root_of(c, DEGREE, low, end);
-            if (first >= 0 && root >= *where) continue;
+            const double root = polynomial_root(c, DEGREE, low, end);
+            if (first >= 0 && root >= *position_out) continue;
             first = i;
-            *where = root;
+            *position_out = root;
         }
     }
     return first;
@@ -109,7 +116,7 @@ static int first_event(int count, const double *polynomials, double begun, doubl
 
 /* Taylor coefficients (TERMS, 2H+1) of 1, cos(k theta), sin(k theta), in x = 2 (theta - middle) /
  * width. */
-static void expand(int harmonics, double middle, double width, double *taylor)
+static void expand_waves(int harmonics, double middle, double width, double *taylor)
 {
     const long columns = 2L * harmonics + 1;
     for (long d = 0; d <= DEGREE; d++) taylor[d * columns] = d == 0;
@@ -119,144 +126,156 @@ static void expand(int harmonics, double middle, double width, double *taylor)
             taylor[d * columns + 2 * k - 1] = real;
             taylor[d * columns + 2 * k] = imaginary;
             /* exp(i k theta) times (i k width / 2) / (d + 1) */
-            const double rate = 0.5 * width * k / (d + 1), turned = -rate * imaginary;
+            const double rate = 0.5 * width * k / (d + 1), next_real = -rate * imaginary;
             imaginary = rate * real;
-            real = turned;
+            real = next_real;
         }
     }
 }
 
-/* What is known while a motion is followed. */
+/* State of a search. */
 typedef struct {
-    breathing *of;
-    int count, since;         /* events; changes since rounding was looked for */
-    int begin, end, next;     /* cells whose answers are known; none: end 0; how many come next */
-    double *gaps, *answers;   /* s at the beginnings of all cells and at the last one's end, (cells +
-                                 1, p), and X from `begin` on, (TERMS, p) */
-    double *bends;            /* (p) and (p): bounds of s'' and X'', per cell squared */
+    breathing_pairs *problem;
+    int n_events, n_changes; /* events; changes of sets since the last check of rounding */
+    int first_cell, end_cell,
+        n_next_cells;       /* cells with answers (end_cell 0: none), and how many come next */
+    double *gaps, *answers; /* s at the beginnings of all cells and at the last one's end, (cells +
+                                 1, p), and X from `first_cell` on, (TERMS, p) */
+    double *curvature_bounds; /* (p) and (p): bounds of s'' and X'', per cell squared */
     double *basis, *slopes;   /* (TERMS, 2H+1); (2, p) rates of X per cell at both ends of one */
-    double *taylor, *candidates; /* (TERMS, p), (p, TERMS) */
-    double *values, *room;    /* (TERMS, p) s; (TERMS, p) */
-    double *answered;         /* (2H+1, p) X of the waves' gaps s_j where waves are fewer than pairs,
+    double *taylor, *candidate_terms; /* (TERMS, p), (p, TERMS) */
+    double *gap_values, *work;        /* (TERMS, p) s; (TERMS, p) */
+    double *wave_answers; /* (2H+1, p) X of the waves' gaps s_j where waves are fewer than pairs,
                                  behind `taylor`; else NULL */
-    double *circle, *rows;    /* (cells) cosines and sines; (TERMS, 2H+1) waves */
-    int *some;                /* (p) */
-} walk;
+    double *cell_waves, *wave_rows; /* (cells) cosines and sines; (TERMS, 2H+1) waves */
+    int *candidate_pairs;           /* (p) */
+} interval_search;
 
-/* X of all s_j, where they are carried along. */
-static void answer_waves(walk *now)
+/* Update X of all s_j, if they are carried along. */
+static void update_wave_answers(interval_search *search)
 {
-    const breathing *m = now->of;
-    if (now->answered) /* as many rows at a time as there is room for */
-        for (int row = 0; row < m->columns; row += TERMS) {
-            const int count = m->columns - row < TERMS ? m->columns - row : TERMS;
+    const breathing_pairs *m = search->problem;
+    if (search->wave_answers) /* as many rows at a time as there is room for */
+        for (int row = 0; row < m->n_waves; row += TERMS) {
+            const int count = m->n_waves - row < TERMS ? m->n_waves - row : TERMS;
             const size_t first = (size_t)row * m->contact.pairs;
-            answers_to(&m->contact, count, m->gaps + first, now->room, now->answered + first);
+            transform_gaps(&m->contact, count, m->gaps + first, search->work,
+                           search->wave_answers + first);
         }
 }
 
-/* Bounds of how much waves bend, per cell squared, from their coefficients (2H+1, p). */
-static void bend(const breathing *m, const double *coefficients, double *bends)
+/* Bound the second derivative of waves, per cell squared, from their coefficients (2H+1, p). */
+static void bound_curvature(const breathing_pairs *m, const double *coefficients, double *bends)
 {
     const int pairs = m->contact.pairs;
     memset(bends, 0, pairs * sizeof(double));
-    for (int row = 1; row < m->columns; row++) {
+    for (int row = 1; row < m->n_waves; row++) {
         const double rate = TWO_PI / m->cells * ((row + 1) / 2);
         for (int i = 0; i < pairs; i++)
             bends[i] += rate * rate * fabs(coefficients[(long)row * pairs + i]);
     }
 }
 
-/* What answers where cells begin are found from: the answers to waves where these are fewer than
- * pairs; else all gaps there. */
-static void begin(walk *now)
+/* Prepare the answers at the starts of cells: answers to the waves if these are fewer than the
+ * pairs, else all gaps. */
+static void prepare_search(interval_search *search)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = search->problem;
     const int pairs = m->contact.pairs;
-    answer_waves(now);
-    if (now->answered) {
+    update_wave_answers(search);
+    if (search->wave_answers) {
         for (int i = 0; i < m->cells; i++) {
-            now->circle[2 * i] = cos(TWO_PI / m->cells * i);
-            now->circle[2 * i + 1] = sin(TWO_PI / m->cells * i);
+            search->cell_waves[2 * i] = cos(TWO_PI / m->cells * i);
+            search->cell_waves[2 * i + 1] = sin(TWO_PI / m->cells * i);
         }
         return;
     }
-    values_of(m->waves, pairs, m->gaps, now->gaps);
-    memcpy(now->gaps + (size_t)m->cells * pairs, now->gaps, pairs * sizeof(double));
-    bend(m, m->gaps, now->bends);
+    waves_to_values(m->waves, pairs, m->gaps, search->gaps);
+    memcpy(search->gaps + (size_t)m->cells * pairs, search->gaps, pairs * sizeof(double));
+    bound_curvature(m, m->gaps, search->curvature_bounds);
 }
 
-/* Answers (count, p) of combinations of the waves (count, 2H+1). */
-static void answer(walk *now, int count, const double *waves, double *found)
+/* Set the answers (count, p) to combinations of the waves (count, 2H+1). */
+static void evaluate_answers(interval_search *search, int count, const double *waves,
+                             double *answers_out)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = search->problem;
     const int pairs = m->contact.pairs;
-    const double *coefficients = now->answered ? now->answered : m->gaps;
-    double *combined = now->answered ? found : now->values;
-    multiply_matrices(count, m->columns, pairs, waves, coefficients, 0.0, combined);
-    if (!now->answered) answers_to(&m->contact, count, combined, now->room, found);
+    const double *coefficients = search->wave_answers ? search->wave_answers : m->gaps;
+    double *combined = search->wave_answers ? answers_out : search->gap_values;
+    multiply_matrices(count, m->n_waves, pairs, waves, coefficients, 0.0, combined);
+    if (!search->wave_answers)
+        transform_gaps(&m->contact, count, combined, search->work, answers_out);
 }
 
-/* The waves where cells begin. */
-static const double *waves_at(walk *now, int cell, int count)
+/* Return the waves at the starts of cells. */
+static const double *get_cell_waves(interval_search *search, int cell, int count)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = search->problem;
     for (int i = 0; i < count; i++) {
-        double *row = now->rows + (long)i * m->columns;
+        double *row = search->wave_rows + (long)i * m->n_waves;
         row[0] = 1.0;
-        for (int k = 1; 2 * k < m->columns; k++) {
-            const double *at = now->circle + 2 * ((long)k * (cell + i) % m->cells);
-            row[2 * k - 1] = at[0], row[2 * k] = at[1];
+        for (int k = 1; 2 * k < m->n_waves; k++) {
+            const double *cosine_and_sine =
+                search->cell_waves + 2 * ((long)k * (cell + i) % m->cells);
+            row[2 * k - 1] = cosine_and_sine[0], row[2 * k] = cosine_and_sine[1];
         }
     }
-    return now->rows;
+    return search->wave_rows;
 }
 
-/* The answers at both ends of a cell; those at its end stand behind the others. */
-static const double *look(walk *now, int cell)
+/* Return the answers at both ends of a cell, first those at its start. */
+static const double *get_cell_answers(interval_search *search, int cell)
 {
-    const breathing *m = now->of;
+    const breathing_pairs *m = search->problem;
     const int pairs = m->contact.pairs;
-    if (cell < now->begin || cell >= now->end) {
-        const int changed = !now->end;
-        now->begin = cell;
-        now->end = cell + now->next < m->cells ? cell + now->next : m->cells;
-        if (2 * now->next <= DEGREE) now->next *= 2;
-        const int count = now->end - cell + 1;
-        if (now->answered) {
-            if (changed) bend(m, now->answered, now->bends + pairs);
-            answer(now, count, waves_at(now, cell, count), now->answers);
+    if (cell < search->first_cell || cell >= search->end_cell) {
+        const int has_new_set = !search->end_cell;
+        search->first_cell = cell;
+        search->end_cell =
+            cell + search->n_next_cells < m->cells ? cell + search->n_next_cells : m->cells;
+        if (2 * search->n_next_cells <= DEGREE) search->n_next_cells *= 2;
+        const int count = search->end_cell - cell + 1;
+        if (search->wave_answers) {
+            if (has_new_set)
+                bound_curvature(m, search->wave_answers, search->curvature_bounds + pairs);
+            evaluate_answers(search, count, get_cell_waves(search, cell, count), search->answers);
         } else {
-            if (changed) bounds_of(&m->contact, now->bends, now->bends + pairs);
-            answers_to(&m->contact, count, now->gaps + (size_t)cell * pairs, now->room,
-                       now->answers);
+            if (has_new_set)
+                bound_answers(&m->contact, search->curvature_bounds,
+                              search->curvature_bounds + pairs);
+            transform_gaps(&m->contact, count, search->gaps + (size_t)cell * pairs, search->work,
+                           search->answers);
         }
     }
-    return now->answers + (size_t)(cell - now->begin) * pairs;
+    return search->answers + (size_t)(cell - search->first_cell) * pairs;
 }
 
-/* The set has changed. */
-static void forget(walk *now) { now->end = 0, now->next = 1; }
-
-/* Whether a pair with an answer is in its place: closed pairs press, others do not penetrate. */
-static int right(const breathing *m, int i, double answer)
+/* Discard answers of an earlier set. */
+static void discard_answers(interval_search *search)
 {
-    return m->contact.closed[i] ? answer > 0.0 : !(answer > m->allowed);
+    search->end_cell = 0, search->n_next_cells = 1;
 }
 
-static int all_right(const breathing *m, const double *answers)
+/* Return whether a pair is in the right state: closed pairs press, open pairs do not penetrate. */
+static int is_right(const breathing_pairs *m, int i, double answer)
+{
+    return m->contact.closed[i] ? answer > 0.0 : !(answer > m->tolerance);
+}
+
+static int are_all_right(const breathing_pairs *m, const double *answers)
 {
     for (int i = 0; i < m->contact.pairs; i++)
-        if (!right(m, i, answers[i])) return 0;
+        if (!is_right(m, i, answers[i])) return 0;
     return 1;
 }
 
-/* Rates of the answers, per cell, at both ends of one. */
-static void look_for_slopes(walk *now, int cell)
+/* Set the rates of the answers, per cell, at both ends of a cell. */
+static void evaluate_slopes(interval_search *search, int cell)
 {
-    const breathing *m = now->of;
-    const int columns = m->columns;
-    double *wave = now->basis;
+    const breathing_pairs *m = search->problem;
+    const int columns = m->n_waves;
+    double *wave = search->basis;
     for (int end = 0; end < 2; end++, wave += columns) {
         wave[0] = 0.0;
         for (int k = 1; 2 * k < columns; k++) {
@@ -264,159 +283,170 @@ static void look_for_slopes(walk *now, int cell)
             wave[2 * k - 1] = -rate * sin(phase), wave[2 * k] = rate * cos(phase);
         }
     }
-    answer(now, 2, now->basis, now->slopes);
+    evaluate_answers(search, 2, search->basis, search->slopes);
 }
 
-/* Whether two tangents at the ends of a cell meet on the wrong side of zero. An answer that keeps
- * its sign at both, and more distance from zero than it can bend, is not looked at. */
-static int grazes(walk *now, int cell, const double *answers)
+/* Return whether two tangents at the ends of a cell meet on the wrong side of zero. Answers with
+ * the right sign at both ends, further from zero than they can bend, are skipped. */
+static int tangents_cross_zero(interval_search *search, int cell, const double *answers)
 {
-    const pivot_table *contact = &now->of->contact;
+    const pivot_table *contact = &search->problem->contact;
     const int pairs = contact->pairs;
-    const double *slopes = now->slopes, *bends = now->bends + pairs;
-    int known = 0;
+    const double *slopes = search->slopes, *curvature_bounds = search->curvature_bounds + pairs;
+    int has_slopes = 0;
     for (int i = 0; i < pairs; i++) {
         const double sign = contact->closed[i] ? 1.0 : -1.0;
-        const double before = sign * answers[i], after = sign * answers[pairs + i];
-        if (fmin(before, after) > 0.125 * bends[i]) continue;
-        if (!known) look_for_slopes(now, cell);
-        known = 1;
-        const double fall = sign * slopes[i], rise = -sign * slopes[pairs + i];
-        if (!(fall < 0.0 && rise < 0.0)) continue;
-        if ((before * rise + after * fall + fall * rise) / (fall + rise) < 0.0) return 1;
+        const double first_answer = sign * answers[i], last_answer = sign * answers[pairs + i];
+        if (fmin(first_answer, last_answer) > 0.125 * curvature_bounds[i]) continue;
+        if (!has_slopes) evaluate_slopes(search, cell);
+        has_slopes = 1;
+        const double first_rate = sign * slopes[i], last_rate = -sign * slopes[pairs + i];
+        if (!(first_rate < 0.0 && last_rate < 0.0)) continue;
+        if ((first_answer * last_rate + last_answer * first_rate + first_rate * last_rate) /
+                (first_rate + last_rate) <
+            0.0)
+            return 1;
     }
     return 0;
 }
 
-/* Opens or closes a pair; with it go `terms` rows of `taylor`, and what else is carried along. */
-static int turn_and_carry(walk *now, int pair, int terms, double *v, double *gain)
+/* Open or close a pair, and update `n_terms` rows of `taylor` and the answers to waves. */
+static int toggle_and_update(interval_search *search, int pair, int n_terms, double *v,
+                             double *gain)
 {
-    pivot_table *contact = &now->of->contact;
-    double *first = now->taylor + (TERMS - terms) * contact->pairs;
-    const int carried = now->answered ? now->of->columns : 0;
-    const int failed = turn_pair(contact, pair, terms + carried, first, v, gain);
-    if (!failed) forget(now);
+    pivot_table *contact = &search->problem->contact;
+    double *first_terms = search->taylor + (TERMS - n_terms) * contact->pairs;
+    const int n_wave_rows = search->wave_answers ? search->problem->n_waves : 0;
+    const int failed = toggle_pair(contact, pair, n_terms + n_wave_rows, first_terms, v, gain);
+    if (!failed) discard_answers(search);
     return failed;
 }
 
-/* A pair opens or closes at a phase, with `terms` answers to be carried along. Returns 1 where that
- * cannot be done, -1 where there is no room for it. */
-static int record(walk *now, int pair, double theta, int terms)
+/* Record that a pair opens or closes at a phase, and update `terms` rows of answers. Returns 1 if
+ * this is impossible, -1 without space for the event. */
+static int record_event(interval_search *search, int pair, double theta, int terms)
 {
-    breathing *m = now->of;
-    if (now->count == m->most) return -1;
-    const long at = now->count;
-    double *v = m->vectors + at * m->contact.pairs;
-    if (turn_and_carry(now, pair, terms, v, m->gain + at)) return 1;
-    m->theta[at] = at ? fmax(m->theta[at - 1], theta) : theta;
-    m->pair[at] = pair;
-    now->count++;
-    now->since++;
+    breathing_pairs *m = search->problem;
+    if (search->n_events == m->max_events) return -1;
+    const long event_index = search->n_events;
+    double *v = m->vectors + event_index * m->contact.pairs;
+    if (toggle_and_update(search, pair, terms, v, m->gains + event_index)) return 1;
+    m->theta[event_index] = event_index ? fmax(m->theta[event_index - 1], theta) : theta;
+    m->event_pairs[event_index] = pair;
+    search->n_events++;
+    search->n_changes++;
     return 0;
 }
 
-/* Looks for rounding now and then. */
-static void keep_sharp(walk *now)
+/* Check for rounding after a number of changes. */
+static void check_rounding(interval_search *search)
 {
-    if (now->since < PIVOTS) return;
-    if (refresh(&now->of->contact)) answer_waves(now), forget(now);
-    now->since = 0;
+    if (search->n_changes < MAX_TRUSTED_PIVOTS) return;
+    if (recompute_if_inaccurate(&search->problem->contact))
+        update_wave_answers(search), discard_answers(search);
+    search->n_changes = 0;
 }
 
-/* The set where a cell begins: pairs in the wrong place are turned, all of them, or where that goes
- * round the first alone (sets.h). Only behind phase zero is it recorded. Returns 0, -1 without room,
- * or -2 where that does not end. */
-static int settle(walk *now, int cell, int recorded)
+/* Correct the set at the start of a cell: all pairs in the wrong state change it, or, if that
+ * cycles, the first of them alone (sets.h). The changes are recorded, except at phase zero. Returns
+ * 0, -1 without space for events, or -2 if this does not end. */
+static int correct_set(interval_search *search, int cell, int is_recorded)
 {
-    breathing *m = now->of;
+    breathing_pairs *m = search->problem;
     const long pairs = m->contact.pairs;
-    for (long turn = 0; turn < PIVOTS + 20L * pairs * pairs; turn++) {
-        int wrong = 0;
-        keep_sharp(now);
-        const double *answers = look(now, cell);
+    for (long iteration = 0; iteration < MAX_TRUSTED_PIVOTS + 20L * pairs * pairs; iteration++) {
+        int is_wrong = 0;
+        check_rounding(search);
+        const double *answers = get_cell_answers(search, cell);
         for (int i = 0; i < pairs; i++) {
-            if (right(m, i, answers[i]) || (wrong && turn >= PIVOTS)) continue;
-            const int failed = recorded ? record(now, i, cell * (TWO_PI / m->cells), 0)
-                                        : turn_and_carry(now, i, 0, NULL, NULL);
+            if (is_right(m, i, answers[i]) || (is_wrong && iteration >= MAX_TRUSTED_PIVOTS))
+                continue;
+            const int failed = is_recorded ? record_event(search, i, cell * (TWO_PI / m->cells), 0)
+                                           : toggle_and_update(search, i, 0, NULL, NULL);
             if (failed < 0) return -1;
-            wrong |= !failed;
-            now->since += !recorded;
+            is_wrong |= !failed;
+            search->n_changes += !is_recorded;
         }
-        if (!wrong) return 0;
+        if (!is_wrong) return 0;
     }
     return -2;
 }
 
-/* All events in a cell, in order. Returns 0, or -1 without room. */
-static int search(walk *now, int cell)
+/* Find all events in a cell, in order. Returns 0, or -1 without space. */
+static int search_cell(interval_search *search, int cell)
 {
-    breathing *m = now->of;
+    breathing_pairs *m = search->problem;
     const int pairs = m->contact.pairs;
     const double width = TWO_PI / m->cells, middle = (cell + 0.5) * width;
-    double begun = -1.0, place = 0.0;
-    int last = -1;
-    expand(m->columns / 2, middle, width, now->basis);
-    answer(now, TERMS, now->basis, now->taylor);
-    for (int turn = 0; turn < 4 * pairs + 8; turn++) {
-        const int count = candidates(&m->contact, now->taylor, now->some, now->candidates);
-        for (int i = 0; i < count && last >= 0; i++)
-            if (now->some[i] == last) without_root(now->candidates + (long)i * TERMS, begun);
-        const int first = first_event(count, now->candidates, begun, &place);
-        if (first < 0) break;
-        const int failed = record(now, now->some[first], middle + 0.5 * width * place, TERMS);
+    double start = -1.0, position = 0.0;
+    int last_pair = -1;
+    expand_waves(m->n_waves / 2, middle, width, search->basis);
+    evaluate_answers(search, TERMS, search->basis, search->taylor);
+    for (int iteration = 0; iteration < 4 * pairs + 8; iteration++) {
+        const int count = find_candidates(&m->contact, search->taylor, search->candidate_pairs,
+                                          search->candidate_terms);
+        for (int i = 0; i < count && last_pair >= 0; i++)
+            if (search->candidate_pairs[i] == last_pair)
+                divide_by_root(search->candidate_terms + (long)i * TERMS, start);
+        const int candidate_index =
+            find_first_event(count, search->candidate_terms, start, &position);
+        if (candidate_index < 0) break;
+        const int failed = record_event(search, search->candidate_pairs[candidate_index],
+                                        middle + 0.5 * width * position, TERMS);
         if (failed < 0) return -1;
         if (failed) break;
-        begun = place;
-        last = now->some[first];
+        start = position;
+        last_pair = search->candidate_pairs[candidate_index];
     }
     return 0;
 }
 
 int interval_cells(int harmonics, int pairs)
 {
-    const int waves = 16 * (harmonics + 1), least = 4 * pairs > waves ? 4 * pairs : waves;
+    const int waves = 16 * (harmonics + 1), min_cells = 4 * pairs > waves ? 4 * pairs : waves;
     int cells = 16;
-    while (cells < least) cells *= 2;
+    while (cells < min_cells) cells *= 2;
     return cells;
 }
 
-long intervals_room(int pairs, int harmonics, int cells)
+long interval_work_size(int pairs, int harmonics, int cells)
 {
     const long columns = 2L * harmonics + 1;
     return pairs * (cells + 5L * TERMS + 6L + columns) + 2L * cells +
            columns * 2L * TERMS;
 }
 
-int intervals(breathing *m)
+int find_intervals(breathing_pairs *m)
 {
     const long pairs = m->contact.pairs;
-    walk now = {.of = m, .next = 1, .gaps = m->work};
-    now.answers = now.gaps + (m->cells + 1) * pairs;
-    now.room = now.answers + TERMS * pairs;
-    now.bends = now.room + TERMS * pairs;
-    now.slopes = now.bends + 2 * pairs;
-    now.taylor = now.slopes + 2 * pairs;
-    now.answered = now.taylor + TERMS * pairs;
-    now.values = now.answered + m->columns * pairs;
-    now.candidates = now.values + TERMS * pairs;
-    now.basis = now.candidates + TERMS * pairs;
-    now.rows = now.basis + TERMS * m->columns;
-    now.circle = now.rows + TERMS * m->columns;
-    now.some = (int *)(now.circle + 2 * m->cells);
-    if (m->columns >= pairs) now.answered = NULL;
-    open_all(&m->contact);
-    begin(&now);
-    if (settle(&now, 0, 0)) return -2;
-    inverse_of(&m->contact, m->stiffness);
-    memcpy(m->first, m->contact.closed, pairs);
+    interval_search search = {.problem = m, .n_next_cells = 1, .gaps = m->work};
+    search.answers = search.gaps + (m->cells + 1) * pairs;
+    search.work = search.answers + TERMS * pairs;
+    search.curvature_bounds = search.work + TERMS * pairs;
+    search.slopes = search.curvature_bounds + 2 * pairs;
+    search.taylor = search.slopes + 2 * pairs;
+    search.wave_answers = search.taylor + TERMS * pairs;
+    search.gap_values = search.wave_answers + m->n_waves * pairs;
+    search.candidate_terms = search.gap_values + TERMS * pairs;
+    search.basis = search.candidate_terms + TERMS * pairs;
+    search.wave_rows = search.basis + TERMS * m->n_waves;
+    search.cell_waves = search.wave_rows + TERMS * m->n_waves;
+    search.candidate_pairs = (int *)(search.cell_waves + 2 * m->cells);
+    if (m->n_waves >= pairs) search.wave_answers = NULL;
+    open_all_pairs(&m->contact);
+    prepare_search(&search);
+    if (correct_set(&search, 0, 0)) return -2;
+    get_inverse(&m->contact, m->stiffness);
+    memcpy(m->first_set, m->contact.closed, pairs);
     for (int cell = 0; cell < m->cells; cell++) {
-        const double *answers = look(&now, cell);
-        if (all_right(m, answers + pairs) && !grazes(&now, cell, answers)) continue;
-        if (search(&now, cell)) return -1;
-        keep_sharp(&now);
+        const double *answers = get_cell_answers(&search, cell);
+        if (are_all_right(m, answers + pairs) && !tangents_cross_zero(&search, cell, answers))
+            continue;
+        if (search_cell(&search, cell)) return -1;
+        check_rounding(&search);
         if (cell + 1 == m->cells) break;
-        const int failed = settle(&now, cell + 1, 1);
+        const int failed = correct_set(&search, cell + 1, 1);
         if (failed) return failed;
     }
-    return now.count;
+    return search.n_events;
 }

@@ -1,4 +1,4 @@
-/* When which pairs are closed over a period, for contact that couples the pairs. */
+/* Closed pairs over a period, if contact couples the pairs. */
 #ifndef INTERVALS_H
 #define INTERVALS_H
 
@@ -21,26 +21,26 @@
  */
 typedef struct {
     pivot_table contact;
-    int cells, most, columns; /* columns: 2H+1 */
+    int cells, max_events, n_waves; /* n_waves: 2H+1 */
     const double *gaps;       /* (2H+1, p) s_j */
-    waves *waves;             /* of H harmonics where cells begin */
-    double allowed;           /* penetration that counts as none */
-    signed char *first;       /* (p) the set at phase zero */
-    double *stiffness;        /* (p, p) its S, zero outside */
-    double *theta;            /* (most) phase of each event, ascending */
-    int *pair;                /* (most) who opens or closes there */
-    double *vectors;          /* (most, p) v, */
-    double *gain;             /* (most) by which S changes there: S += gain v v^T */
-    double *work;             /* as many numbers as intervals_room says */
-} breathing;
+    waves *waves;             /* of H harmonics, at the starts of cells */
+    double tolerance;         /* largest gap that does not count as penetration */
+    signed char *first_set;   /* (p) closed pairs at phase zero */
+    double *stiffness;        /* (p, p) S of this set, zero outside */
+    double *theta;            /* (max_events) phases, ascending */
+    int *event_pairs;         /* (max_events) pair that opens or closes */
+    double *vectors;          /* (max_events, p) v and */
+    double *gains;            /* (max_events) gain of S += gain v v^T */
+    double *work;             /* interval_work_size() numbers */
+} breathing_pairs;
 
-/* Cells for H harmonics: 16 and more to the shortest wave, and in the period 4 and more to every
- * pair: few events in a cell. Of 1,500 random waves of 2 to 39 pairs, 4 and 128 cells to a pair give
- * the same events. */
+/* Return the number of cells for H harmonics: at least 16 for the shortest wave, and 4 in the
+ * period for every pair, so that a cell has few events. For 1,500 random waves of 2 to 39 pairs, 4
+ * and 128 cells for a pair give the same events. */
 int interval_cells(int harmonics, int pairs);
-/* Returns the number of events, -1 where that is more than `most`, or -2 where an instant has no
+/* Find all events. Returns their number, -1 if it exceeds `max_events`, or -2 if an instant has no
  * forces. */
-int intervals(breathing *m);
-long intervals_room(int pairs, int harmonics, int cells);
+int find_intervals(breathing_pairs *m);
+long interval_work_size(int pairs, int harmonics, int cells);
 
 #endif

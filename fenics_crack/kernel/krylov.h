@@ -15,13 +15,13 @@
  */
 typedef struct krylov krylov;
 
-enum { KRYLOV_MOST = 600 }; /* products of a solution, and vectors kept of former ones */
+enum { MAX_KRYLOV_VECTORS = 600 }; /* of a solution, and of former solutions together */
 
 /* For n unknowns; NULL without memory. */
 krylov *new_krylov(int n);
 void free_krylov(krylov *k);
-/* x = J^-1 x at the point that has been evaluated, to |J x - r| <= tolerance |r|, or the best of
- * KRYLOV_MOST products. */
-void solve_by_products(krylov *k, equations *at, double *x, double tolerance);
+/* Set x = J^-1 x at the point evaluated last, up to |J x - r| <= tolerance |r|, or the best result
+ * of MAX_KRYLOV_VECTORS products. */
+void solve_by_products(krylov *k, equations *system, double *x, double tolerance);
 
 #endif

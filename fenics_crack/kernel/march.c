@@ -4,8 +4,9 @@
 
 #include "lapack.h"
 
-/* y -= sum_i weight_i row_i with rows (p, n). */
-static void take(int p, int n, const double *rows, const double *weight, double *restrict y)
+/* Subtract weighted rows (p, n): y -= sum_i weight_i row_i. */
+static void subtract_rows(int p, int n, const double *rows, const double *weight,
+                          double *restrict y)
 {
     for (int i = 0; i < p; i++) {
         const double *row = rows + (size_t)i * n, w = weight[i];
@@ -14,14 +15,14 @@ static void take(int p, int n, const double *rows, const double *weight, double 
     }
 }
 
-/* y = P^T q - g0. */
-static void gaps_of(const vibration *v, const double *q, double *y)
+/* Set y = P^T q - g0. */
+static void compute_gaps(const vibration *v, const double *q, double *y)
 {
     for (int i = 0; i < v->pairs; i++)
         y[i] = dot(v->modes, v->rows + (size_t)i * v->modes, q) - v->clearance[i];
 }
 
-static void penalty(const vibration *v, const double *gap, double *force)
+static void penalty_forces(const vibration *v, const double *gap, double *force)
 {
     for (int i = 0; i < v->pairs; i++) force[i] = gap[i] > 0.0 ? v->springs[i] * gap[i] : 0.0;
 }
@@ -31,14 +32,14 @@ static void penalty(const vibration *v, const double *gap, double *force)
 int march_central(const central_differences *s, int first, int steps, double *gap, double *force,
                   double *shape)
 {
-    const vibration *v = &s->body;
+    const vibration *v = &s->vibration;
     const int n = v->modes, p = v->pairs;
-    double *restrict q = s->shape, *restrict d = s->increment;
-    double *restrict r = v->room, *restrict a = r + n, *restrict reached = a + n;
+    double *restrict q = s->displacements, *restrict d = s->increment;
+    double *restrict r = v->work, *restrict a = r + n, *restrict predicted_gaps = a + n;
     for (int step = 0; step < steps; step++, gap += p, force += p, shape += n) {
         const double *wave = v->waves + v->loads * (size_t)(first + step);
         memcpy(shape, q, n * sizeof(double));
-        gaps_of(v, q, gap);
+        compute_gaps(v, q, gap);
         /* r = f - w^2 q - P lambda. */
         memcpy(r, v->load, n * sizeof(double));
         for (int k = 1; k < v->loads; k++) {
@@ -48,10 +49,12 @@ int march_central(const central_differences *s, int first, int steps, double *ga
         for (int j = 0; j < n; j++) r[j] -= v->squares[j] * q[j];
         if (v->springs) {
             if (v->friction) {
-                memcpy(reached, gap, p * sizeof(double));
-                if (rub(v->friction, v->held, v->states, reached, force)) return step;
-            } else penalty(v, gap, force);
-            take(p, n, v->rows, force, r);
+                memcpy(predicted_gaps, gap, p * sizeof(double));
+                if (step_friction(v->friction, v->stick_places, v->pair_states, predicted_gaps,
+                                  force))
+                    return step;
+            } else penalty_forces(v, gap, force);
+            subtract_rows(p, n, v->rows, force, r);
         }
         /* d = keep d + gain r. */
         if (v->coupled) {
@@ -63,9 +66,9 @@ int march_central(const central_differences *s, int first, int steps, double *ga
         }
         if (!v->springs) {
             for (int i = 0; i < p; i++)
-                reached[i] = gap[i] + dot(n, v->rows + (size_t)i * n, d);
-            if (forces_at(s->contact, reached, NULL, s->closed, force)) return step;
-            take(p, n, s->push, force, d);
+                predicted_gaps[i] = gap[i] + dot(n, v->rows + (size_t)i * n, d);
+            if (solve_instant(s->contact, predicted_gaps, NULL, s->closed, force)) return step;
+            subtract_rows(p, n, s->push, force, d);
         }
         for (int j = 0; j < n; j++) q[j] += d[j];
     }
@@ -74,15 +77,15 @@ int march_central(const central_differences *s, int first, int steps, double *ga
 
 /* --- exponential steps ----------------------------------------------------------------------- */
 
-/* y = E x. */
-static void transition(const exponential *s, const double *restrict x, double *restrict y)
+/* Set y = E x. */
+static void apply_transition(const exponential *s, const double *restrict x, double *restrict y)
 {
     const int n = s->modes;
     if (s->coupled) {
-        multiply(2 * n, 2 * n, s->moved, x, y);
+        multiply(2 * n, 2 * n, s->transition, x, y);
         return;
     }
-    const double *qq = s->moved, *qv = qq + n, *vq = qv + n, *vv = vq + n;
+    const double *qq = s->transition, *qv = qq + n, *vq = qv + n, *vv = vq + n;
     for (int j = 0; j < n; j++) {
         y[j] = qq[j] * x[j] + qv[j] * x[n + j];
         y[n + j] = vq[j] * x[j] + vv[j] * x[n + j];
@@ -93,31 +96,32 @@ int march_exponential(const exponential *s, int steps, double *states, double *f
                       signed char *closed)
 {
     const int n = s->modes, p = s->pairs, pairs = s->friction ? p / 2 : p;
-    double *restrict z = s->room, *restrict reached = z + 2 * n, *restrict gap = reached + 2 * n;
-    double *restrict both = gap + p;
+    double *restrict z = s->work, *restrict predicted_state = z + 2 * n,
+                     *restrict gap = predicted_state + 2 * n;
+    double *restrict force_sum = gap + p;
     for (int j = 0; j < 2 * n; j++) z[j] = states[j] - s->steady[j];
     for (int step = 1; step <= steps; step++) {
         const size_t phase = step % s->instants;
-        const double *before = forces, *linear = s->linear + phase * p;
+        const double *last_forces = forces, *linear = s->linear + phase * p;
         const double *steady = s->steady + phase * 2 * n;
         const signed char *guess = closed;
         states += 2 * n;
         forces += p;
         closed += pairs;
         /* s = Q (E z - G lambda) + l. */
-        transition(s, z, reached);
+        apply_transition(s, z, predicted_state);
         for (int i = 0; i < p; i++) {
-            gap[i] = linear[i] + dot(n, s->rows + (size_t)i * n, reached)
-                     - dot(p, s->gaps + (size_t)i * p, before);
+            gap[i] = linear[i] + dot(n, s->rows + (size_t)i * n, predicted_state) -
+                     dot(p, s->gap_response + (size_t)i * p, last_forces);
         }
         memcpy(closed, guess, (size_t)pairs);
-        if (s->friction ? rub(s->friction, s->held, closed, gap, forces)
-                        : forces_at(s->contact, gap, NULL, closed, forces))
+        if (s->friction ? step_friction(s->friction, s->stick_places, closed, gap, forces)
+                        : solve_instant(s->contact, gap, NULL, closed, forces))
             return step - 1;
-        for (int i = 0; i < p; i++) both[i] = before[i] + forces[i];
-        take(p, 2 * n, s->pushed, both, reached);
+        for (int i = 0; i < p; i++) force_sum[i] = last_forces[i] + forces[i];
+        subtract_rows(p, 2 * n, s->force_response, force_sum, predicted_state);
         for (int j = 0; j < 2 * n; j++) {
-            z[j] = reached[j];
+            z[j] = predicted_state[j];
             states[j] = z[j] + steady[j];
         }
     }

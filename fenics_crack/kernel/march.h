@@ -19,12 +19,12 @@ typedef struct {
     const double *clearance; /* (p) g0 */
     const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
     closed_sets *friction;   /* of springs alone; NULL: none, else p rows are normals, then tangents */
-    double *held;            /* (p / 2) where pairs stick or are, here and at the end */
-    signed char *states;     /* (p / 2) their states */
+    double *stick_places;    /* (p / 2) where pairs stick or are, here and at the end */
+    signed char *pair_states; /* (p / 2) their states */
     int loads;               /* rows of the load: its mean, then a cosine and a sine of each order */
     const double *load;      /* (loads, n) */
     const double *waves;     /* (instants, loads) 1, cos, sin ... of a period */
-    double *room;            /* (2 n + p) */
+    double *work;            /* (2 n + p) */
 } vibration;
 
 /* Central differences in increments d_m = q_m - q_{m-1}, with r = f - w^2 q - P lambda:
@@ -35,16 +35,17 @@ typedef struct {
  * complementary, where gap_{m+1} falls by P^T gain P lambda.
  */
 typedef struct {
-    vibration body;
+    vibration vibration;
     const double *keep, *gain; /* by mode */
     const double *push;        /* (p, n) columns of gain P */
     sets *contact;             /* of P^T gain P; rigid only */
-    double *shape, *increment; /* (n) q, d */
+    double *displacements, *increment; /* (n) q, d */
     signed char *closed;       /* (p) of the last step; rigid only */
 } central_differences;
 
-/* March `steps` steps from instant `first` of the period; gap, force (steps, p) and shape (steps,
- * n) are those at their starts. Returns the steps made: fewer if forces were not found. */
+/* March `steps` steps from instant `first` of the period. gap, force (steps, p) and shape (steps,
+ * n) are values at the starts of steps. Returns the number of steps made: fewer if forces were not
+ * found. */
 int march_central(const central_differences *s, int first, int steps, double *gap, double *force,
                   double *shape);
 
@@ -56,21 +57,22 @@ int march_central(const central_differences *s, int first, int steps, double *ga
 typedef struct {
     int modes, pairs, instants;
     int coupled;           /* whether the damping couples the modes */
-    const double *moved;   /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
+    const double
+        *transition;       /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
     const double *rows;    /* (p, n) P^T */
-    const double *pushed;  /* (p, 2 n) G^T */
-    const double *gaps;    /* (p, p) [P^T 0] G */
+    const double *force_response; /* (p, 2 n) G^T */
+    const double *gap_response;   /* (p, p) [P^T 0] G */
     const double *linear;  /* (instants, p) l: the gap of the steady motion */
     const double *steady;  /* (instants, 2 n) */
     sets *contact;         /* of D; NULL with friction */
     closed_sets *friction; /* of D; NULL: none, else p rows are normals, then tangents */
-    double *held;          /* (p / 2) where pairs stick or are, here and at the end */
-    double *room;          /* (4 n + 2 p) */
+    double *stick_places;  /* (p / 2) where pairs stick or are, here and at the end */
+    double *work;          /* (4 n + 2 p) */
 } exponential;
 
-/* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p), with
- * friction (steps + 1, p / 2) states of pairs: their first rows are given. Returns the steps made:
- * fewer if forces were not found. */
+/* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p),
+ * or with friction the pairs' states (steps + 1, p / 2); the first rows are given. Returns the
+ * number of steps made: fewer if forces were not found. */
 int march_exponential(const exponential *s, int steps, double *states, double *forces,
                       signed char *closed);
 

@@ -7,98 +7,107 @@
 
 #include "lapack.h"
 
-/* Room of a pair of neighbours. */
+/* Eigenvalues of a matrix, and the next matrix in its eigenvectors. */
 typedef struct {
     int n, *pivots;
     double *real, *imaginary; /* parts of the multipliers, (n) */
     double *vectors;          /* their eigenvectors V, or real and imaginary parts of pairs, in rows */
     double *matrix, *products;
-    double complex *after; /* (n, n) */
-} neighbours;
+    double complex *next_matrix; /* (n, n) */
+} decomposition;
 
-/* The eigenvalues of a matrix, and its eigenvectors: 0, or 1 without them. */
-static int decompose(neighbours *in, const double *matrix)
+/* Set the eigenvalues and eigenvectors of a matrix. Returns 0, or 1 without them. */
+static int decompose(decomposition *work, const double *matrix)
 {
-    const int n = in->n;
+    const int n = work->n;
     for (int i = 0; i < n; i++) /* as LAPACK sees it */
-        for (int j = 0; j < n; j++) in->matrix[j * n + i] = matrix[i * n + j];
-    return eigenvectors(n, in->matrix, in->real, in->imaginary, in->vectors);
+        for (int j = 0; j < n; j++) work->matrix[j * n + i] = matrix[i * n + j];
+    return eigenvectors(n, work->matrix, work->real, work->imaginary, work->vectors);
 }
 
-/* B = V^-1 M V. */
-static void transform(neighbours *in, const double *matrix)
+/* Set B = V^-1 M V. */
+static void transform(decomposition *work, const double *matrix)
 {
-    const int n = in->n;
-    double complex *after = in->after;
-    multiply_transposed(n, n, n, in->vectors, matrix, in->products);
+    const int n = work->n;
+    double complex *next_matrix = work->next_matrix;
+    multiply_transposed(n, n, n, work->vectors, matrix, work->products);
     for (int i = 0; i < n; i++) {
-        for (int j = 0; j < n; j++) in->matrix[i * n + j] = in->vectors[j * n + i];
-        in->matrix[i * n + i] += DBL_EPSILON; /* those of a double one may be the same */
+        for (int j = 0; j < n; j++) work->matrix[i * n + j] = work->vectors[j * n + i];
+        work->matrix[i * n + i] += DBL_EPSILON; /* those of a double one may be the same */
     }
-    factor(n, in->matrix, in->pivots);
-    solve_factored(n, n, in->matrix, in->pivots, in->products);
+    factor(n, work->matrix, work->pivots);
+    solve_factored(n, n, work->matrix, work->pivots, work->products);
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < n; j++) after[i * n + j] = in->products[j * n + i];
+        for (int j = 0; j < n; j++) next_matrix[i * n + j] = work->products[j * n + i];
     for (int j = 0; j < n; j++) { /* v = re + i im, and its conjugate */
-        if (!(in->imaginary[j] > 0.0)) continue;
+        if (!(work->imaginary[j] > 0.0)) continue;
         for (int i = 0; i < n; i++) {
-            const double complex re = after[i * n + j], im = I * after[i * n + j + 1];
-            after[i * n + j] = re + im, after[i * n + j + 1] = re - im;
+            const double complex re = next_matrix[i * n + j], im = I * next_matrix[i * n + j + 1];
+            next_matrix[i * n + j] = re + im, next_matrix[i * n + j + 1] = re - im;
         }
     }
     for (int i = 0; i < n; i++) {
-        if (!(in->imaginary[i] > 0.0)) continue;
+        if (!(work->imaginary[i] > 0.0)) continue;
         for (int j = 0; j < n; j++) {
-            const double complex re = after[i * n + j], im = I * after[(i + 1) * n + j];
-            after[i * n + j] = 0.5 * (re - im), after[(i + 1) * n + j] = 0.5 * (re + im);
+            const double complex re = next_matrix[i * n + j], im = I * next_matrix[(i + 1) * n + j];
+            next_matrix[i * n + j] = 0.5 * (re - im),
+                                next_matrix[(i + 1) * n + j] = 0.5 * (re + im);
         }
     }
 }
 
-/* The square of how far the multipliers j and k part; not a positive number where they do not. */
-static double parting_of(const neighbours *in, int j, int k, double known)
+/* Return the squared severity of the collision of multipliers j and k; not positive without a
+ * collision. */
+static double severity_squared(const decomposition *work, int j, int k, double min_modulus)
 {
-    const int n = in->n;
-    const double complex *after = in->after;
-    const double complex first = in->real[j] + I * in->imaginary[j];
-    const double complex second = in->real[k] + I * in->imaginary[k];
-    const double size = cabs(first), other = cabs(second);
-    const double allowed = fmax(-log(size), 0.0) * fmax(-log(other), 0.0);
-    const double complex both = after[j * n + k] * after[k * n + j];
-    const double strength = cabs(both) / (size * other);
-    if (!(size > known && other > known && allowed > 0.25 * known * known)) return 0.0;
+    const int n = work->n;
+    const double complex *next_matrix = work->next_matrix;
+    const double complex multiplier_j = work->real[j] + I * work->imaginary[j];
+    const double complex multiplier_k = work->real[k] + I * work->imaginary[k];
+    const double modulus_j = cabs(multiplier_j), modulus_k = cabs(multiplier_k);
+    const double damping_product = fmax(-log(modulus_j), 0.0) * fmax(-log(modulus_k), 0.0);
+    const double complex coupling_product = next_matrix[j * n + k] * next_matrix[k * n + j];
+    const double coupling = cabs(coupling_product) / (modulus_j * modulus_k);
+    if (!(modulus_j > min_modulus && modulus_k > min_modulus &&
+          damping_product > 0.25 * min_modulus * min_modulus))
+        return 0.0;
     /* Few are coupled by more than an eighth of what lets one leave the circle. */
-    if (!(strength > allowed / 64.0)) return 0.0;
+    if (!(coupling > damping_product / 64.0)) return 0.0;
     /* Two that are real have parted already. */
-    if (in->imaginary[j] == 0.0 && in->imaginary[k] == 0.0) return 0.0;
-    const double complex end = after[j * n + j] - after[k * n + k];
-    if (!(creal(both * conj(end) * conj(end)) < 0.0)) return 0.0;
-    const double angle = carg(first / second);
-    const double turn = carg(after[j * n + j] / after[k * n + k] * second / first);
-    if (!(angle * (angle + turn) <= 0.0)) return 0.0; /* they do not meet */
-    const double unit = sqrt(size * other), gap = cabs(first - second) / unit, b = cabs(end) / unit;
-    const double way = gap + b, coupled = 4.0 * strength;
-    const double share = coupled < way * b ? way * gap / (way * way - coupled) : 1.0;
-    const double apart = share * way - gap;
-    return (coupled * share * share - apart * apart) / (4.0 * allowed);
+    if (work->imaginary[j] == 0.0 && work->imaginary[k] == 0.0) return 0.0;
+    const double complex next_difference = next_matrix[j * n + j] - next_matrix[k * n + k];
+    if (!(creal(coupling_product * conj(next_difference) * conj(next_difference)) < 0.0))
+        return 0.0;
+    const double angle = carg(multiplier_j / multiplier_k);
+    const double rotation =
+        carg(next_matrix[j * n + j] / next_matrix[k * n + k] * multiplier_k / multiplier_j);
+    if (!(angle * (angle + rotation) <= 0.0)) return 0.0; /* they do not meet */
+    const double scale = sqrt(modulus_j * modulus_k), g = cabs(multiplier_j - multiplier_k) / scale,
+                 b = cabs(next_difference) / scale;
+    const double total = g + b, c_squared = 4.0 * coupling;
+    const double fraction = c_squared < total * b ? total * g / (total * total - c_squared) : 1.0;
+    const double distance = fraction * total - g;
+    return (c_squared * fraction * fraction - distance * distance) / (4.0 * damping_product);
 }
 
-void partings(int count, int n, const double *monodromy, double known, double *parting)
+void collision_severities(int count, int n, const double *monodromy, double min_modulus,
+                          double *severity_out)
 {
     const size_t square = (size_t)n * n;
-    neighbours in = {.n = n};
-    double *room = malloc((2 * n + 3 * square) * sizeof(double));
-    in.after = malloc(square * sizeof(double complex));
-    in.pivots = malloc(n * sizeof(int));
-    const int ready = room && in.after && in.pivots;
-    in.real = room, in.imaginary = room + n, in.vectors = room + 2 * n;
-    in.matrix = in.vectors + square, in.products = in.matrix + square;
+    decomposition work = {.n = n};
+    double *arrays = malloc((2 * n + 3 * square) * sizeof(double));
+    work.next_matrix = malloc(square * sizeof(double complex));
+    work.pivots = malloc(n * sizeof(int));
+    const int has_memory = arrays && work.next_matrix && work.pivots;
+    work.real = arrays, work.imaginary = arrays + n, work.vectors = arrays + 2 * n;
+    work.matrix = work.vectors + square, work.products = work.matrix + square;
     for (int i = 0; i + 1 < count; i++, monodromy += square) {
-        double largest = ready && !decompose(&in, monodromy) ? 0.0 : INFINITY;
-        if (largest == 0.0) transform(&in, monodromy + square);
-        for (int j = 0; j < n && largest < INFINITY; j++)
-            for (int k = j + 1; k < n; k++) largest = fmax(largest, parting_of(&in, j, k, known));
-        parting[i] = sqrt(largest);
+        double max_squared = has_memory && !decompose(&work, monodromy) ? 0.0 : INFINITY;
+        if (max_squared == 0.0) transform(&work, monodromy + square);
+        for (int j = 0; j < n && max_squared < INFINITY; j++)
+            for (int k = j + 1; k < n; k++)
+                max_squared = fmax(max_squared, severity_squared(&work, j, k, min_modulus));
+        severity_out[i] = sqrt(max_squared);
     }
-    free(room), free(in.after), free(in.pivots);
+    free(arrays), free(work.next_matrix), free(work.pivots);
 }

@@ -2,10 +2,11 @@
 #ifndef MULTIPLIERS_H
 #define MULTIPLIERS_H
 
-/* How far two multipliers part where they meet between neighbours, relative to the distance at which
- * one leaves the unit circle: (count - 1), of monodromy matrices (count, n, n) in C's order. What is
- * compared and why is said in fenics_crack/curves/orbit_events.py. Multipliers up to `known` are
- * rounding; infinite where they are not found. */
-void partings(int count, int n, const double *monodromy, double known, double *parting);
+/* Set how far colliding multipliers separate between neighbouring points, relative to the distance
+ * at which one leaves the unit circle: (count - 1), of monodromy matrices (count, n, n) in C's
+ * order; infinite if multipliers are not found. Multipliers up to `min_modulus` are rounding.
+ * Equations: fenics_crack/curves/orbit_events.py. */
+void collision_severities(int count, int n, const double *monodromy, double min_modulus,
+                          double *severity_out);
 
 #endif

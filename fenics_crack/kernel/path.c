@@ -6,331 +6,365 @@
 #include <string.h>
 
 enum {
-    DOUBTED = FAILED + 1, /* of points: they do not go with the next sign */
-    UNSURE = 8            /* points without a sign in a row: a branch that crosses twice is missed */
+    SIGN_LOST = FAILED + 1, /* points have the other sign of det J */
+    /* points without a check: two crossings within are missed */
+    MAX_UNCHECKED_POINTS = 8
 };
-/* Of the longest step: within as little a path that changes its sign straight on crosses a branch, and
- * a corner is passed. CORNER: the shortest step around one. */
-#define LOCAL 1e-2
-#define CORNER 1e-7
+/* Fractions of the longest step. Within LOCAL_STEP_RATIO, a path that changes its sign straight on
+ * crosses a branch, and a corner is passed. CORNER_STEP_RATIO: shortest step around a corner. */
+#define LOCAL_STEP_RATIO 1e-2
+#define CORNER_STEP_RATIO 1e-7
 
-/* The norm of a point's tangent. */
-static norm norm_of(const path *points, int place)
+/* Return the norm of a point's tangent. */
+static norm metric_at(const path *points, int place)
 {
-    return (norm){points->weights[place], points->of_means[place]};
+    return (norm){points->weights[place], points->mean_weights[place]};
 }
 
-/* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
- * distance along the last tangent; none where these could not help. */
-static void bend(const equations *at, const path *points, double step, double *x, double *p,
-                 double *room)
+/* Add the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
+ * distance along the last tangent; none if they could not help. */
+static void add_curvature(const equations *system, const path *points, double step, double *x,
+                          double *p, double *work)
 {
-    if (points->known < 2) return;
-    const int n = at->unknowns, last = points->known - 1;
-    const double *here = points->unknowns + (size_t)last * n, *before = here - n;
-    const double *tangent = points->tangents + (size_t)last * n, *old = tangent - n;
-    const double slope = points->slopes[last], old_slope = points->slopes[last - 1];
-    const norm own = norm_of(points, last);
-    const double rise = points->parameters[last] - points->parameters[last - 1];
-    for (int i = 0; i < n; i++) room[i] = here[i] - before[i];
-    const double back = product(at, own, room, tangent) + rise * slope;
-    const double size = sqrt(product(at, own, old, old) + old_slope * old_slope);
-    const double along = (product(at, own, old, tangent) + old_slope * slope) / size;
-    if (!(back > 0.0 && along > 0.5)) return;
+    if (points->n_known < 2) return;
+    const int n = system->unknowns, last = points->n_known - 1;
+    const double *point = points->unknowns + (size_t)last * n, *previous_point = point - n;
+    const double *tangent = points->tangents + (size_t)last * n, *previous_tangent = tangent - n;
+    const double slope = points->slopes[last], previous_slope = points->slopes[last - 1];
+    const norm metric = metric_at(points, last);
+    const double parameter_change = points->parameters[last] - points->parameters[last - 1];
+    for (int i = 0; i < n; i++) work[i] = point[i] - previous_point[i];
+    const double back_distance = product(system, metric, work, tangent) + parameter_change * slope;
+    const double size = sqrt(product(system, metric, previous_tangent, previous_tangent) +
+                             previous_slope * previous_slope);
+    const double cosine =
+        (product(system, metric, previous_tangent, tangent) + previous_slope * slope) / size;
+    if (!(back_distance > 0.0 && cosine > 0.5)) return;
     /* x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes. */
     for (int i = 0; i <= n; i++) {
-        const double end = i < n ? tangent[i] : slope, start = i < n ? old[i] : old_slope;
-        const double mean = (i < n ? room[i] : rise) / back, second = (end - mean) / back;
-        const double third = (second - (mean - start / (size * along)) / back) / back;
-        room[i] = step * step * (second + (step + back) * third);
+        const double end = i < n ? tangent[i] : slope,
+                     start = i < n ? previous_tangent[i] : previous_slope;
+        const double mean = (i < n ? work[i] : parameter_change) / back_distance,
+                     second = (end - mean) / back_distance;
+        const double third =
+            (second - (mean - start / (size * cosine)) / back_distance) / back_distance;
+        work[i] = step * step * (second + (step + back_distance) * third);
     }
-    const double far = product(at, own, room, room) + room[n] * room[n];
-    if (far < 0.1 * step * step) add_to(n, x, 1.0, room), *p += room[n];
+    const double correction_squared = product(system, metric, work, work) + work[n] * work[n];
+    if (correction_squared < 0.1 * step * step) add_scaled(n, x, 1.0, work), *p += work[n];
 }
 
-/* Where solutions take products with J, the sign of det J is dear, and asked for now and then. Where
- * it is wrong, the points since the last one are followed again, each with its own. */
+/* Checks of the sign of det J, which is expensive if solutions take products with J. If a check
+ * fails, the points since the last check are followed again, each with its own. */
 typedef struct {
-    int sure;    /* the last point with its sign, */
-    double step; /* and the step behind it */
-    int own;     /* points before this one need their own */
-    int spent;   /* iterations since the last point, those of steps that were too long, too */
-} trust;
+    int last_checked; /* last point with a check, */
+    double step; /* step after this point */
+    int checked_end;  /* points before this one need a check */
+    int n_iterations; /* iterations since the last point, too long steps included */
+} sign_check;
 
-/* Of two directions y and z, the second with its norm, as turns are judged. */
-static double along_of(const equations *at, norm own, const double *y, double y_p, const double *z,
-                       double z_p)
+/* Return the product of two directions for angles; the norm is that of z. */
+static double direction_product(const equations *system, norm metric, const double *y, double y_p,
+                                const double *z, double z_p)
 {
-    const double *counts = at->counts;
+    const double *weights = system->angle_weights;
     double sum = 0.0;
-    if (!counts) return product(at, own, y, z) + y_p * z_p;
-    for (int i = 0; i < at->unknowns; i++) sum += counts[i] * y[i] * z[i];
-    return own.weight * sum + y_p * z_p;
+    if (!weights) return product(system, metric, y, z) + y_p * z_p;
+    for (int i = 0; i < system->unknowns; i++) sum += weights[i] * y[i] * z[i];
+    return metric.weight * sum + y_p * z_p;
 }
 
-/* Cosine of the angle between them. */
-static double cosine_of(const equations *at, norm own, const double *y, double y_p,
-                        const double *z, double z_p)
+/* Return the cosine of the angle between two directions. */
+static double direction_cosine(const equations *system, norm metric, const double *y, double y_p,
+                               const double *z, double z_p)
 {
-    const double square = along_of(at, own, y, y_p, y, y_p) * along_of(at, own, z, z_p, z, z_p);
-    return square > 0.0 ? along_of(at, own, y, y_p, z, z_p) / sqrt(square) : 0.0;
+    const double product_of_squares = direction_product(system, metric, y, y_p, y, y_p) *
+                                      direction_product(system, metric, z, z_p, z, z_p);
+    return product_of_squares > 0.0
+               ? direction_product(system, metric, y, y_p, z, z_p) / sqrt(product_of_squares)
+               : 0.0;
 }
 
-/* The exact tangent at a point that has been evaluated. The determinant of the bordered matrix
- * keeps its sign along a path: it shows where the path goes on. Where it is not known the tangent
- * is taken that goes on at the smaller angle to the one before, with its slope. */
-static double tangent_onwards(equations *at, int n, double orientation, const double *x,
-                              const double *before, double old_slope, double *tangent,
-                              norm *own)
+/* Set the exact tangent at the point evaluated last; return its slope. The determinant of the
+ * bordered matrix keeps its sign along a path: it shows the forward direction. If the sign is
+ * unknown, the tangent with the smaller angle to the last one is taken. */
+static double forward_tangent(equations *system, int n, double orientation, const double *x,
+                              const double *last_tangent, double last_slope, double *tangent,
+                              norm *metric)
 {
-    double slope = unit_tangent(at, n, x, tangent, own);
-    const double sign = isnan(orientation) ? NAN : at->sign(at);
-    const int onwards = isnan(sign) ? along_of(at, *own, tangent, slope, before, old_slope) >= 0.0
-                                    : sign == orientation;
-    if (!onwards) turn_round(n, tangent, &slope);
+    double slope = unit_tangent(system, n, x, tangent, metric);
+    const double sign = isnan(orientation) ? NAN : system->sign(system);
+    const int is_forward = isnan(sign) ? direction_product(system, *metric, tangent, slope,
+                                                           last_tangent, last_slope) >= 0.0
+                                       : sign == orientation;
+    if (!is_forward) reverse_tangent(n, tangent, &slope);
     return slope;
 }
 
-/* Forget the points behind the last one that is sure; 0 where there are none. */
-static int go_back(trust *in, path *points)
+/* Discard the points after the last check; return 0 if there are none. */
+static int discard_unchecked(sign_check *check, path *points)
 {
-    if (in->sure == points->known - 1) return 0;
-    in->own = points->known, points->known = in->sure + 1, points->step = in->step;
+    if (check->last_checked == points->n_known - 1) return 0;
+    check->checked_end = points->n_known, points->n_known = check->last_checked + 1,
+    points->step = check->step;
     return 1;
 }
 
-/* The prediction x, p of the next point. */
-static void predict(const equations *at, const path *points, double *x, double *p, double *room)
+/* Predict the next point x, p. */
+static void predict(const equations *system, const path *points, double *x, double *p, double *work)
 {
-    const int n = at->unknowns, last = points->known - 1;
+    const int n = system->unknowns, last = points->n_known - 1;
     memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
-    add_to(n, x, points->step, points->tangents + (size_t)last * n);
+    add_scaled(n, x, points->step, points->tangents + (size_t)last * n);
     *p = points->parameters[last] + points->step * points->slopes[last];
-    bend(at, points, points->step, x, p, room);
+    add_curvature(system, points, points->step, x, p, work);
 }
 
-/* How the end of a step is corrected: points must be known better than steps are long. */
-static correction correction_of(const stepping *how, double step)
+/* Return the options of a correction after a step: the error must be far smaller than the step. */
+static correction step_correction(const stepping *options, double step)
 {
-    correction found = how->newton;
-    found.tolerance = fmax(how->rounding, fmin(found.tolerance, 1e-4 * step));
-    found.reach *= step;
-    return found;
+    correction correction_options = options->correction;
+    correction_options.tolerance =
+        fmax(options->rounding, fmin(correction_options.tolerance, 1e-4 * step));
+    correction_options.max_parameter_change *= step;
+    return correction_options;
 }
 
-/* One more point, whose unknowns and tangent are in their places. */
-static void append(equations *at, path *points, double p, double slope, norm own,
-                   int taken, int crossing, double *room)
+/* Append a point whose unknowns and tangent are already in the arrays. */
+static void append(equations *system, path *points, double p, double slope, norm metric,
+                   int n_iterations, int crosses_branch, double *work)
 {
-    const int n = at->unknowns, next = points->known++;
-    const double *x = points->unknowns + (size_t)next * n, rise = p - points->parameters[next - 1];
-    for (int i = 0; i < n; i++) room[i] = x[i] - x[i - n];
+    const int n = system->unknowns, next = points->n_known++;
+    const double *x = points->unknowns + (size_t)next * n,
+                 parameter_change = p - points->parameters[next - 1];
+    for (int i = 0; i < n; i++) work[i] = x[i] - x[i - n];
     points->parameters[next] = p, points->slopes[next] = slope;
-    points->weights[next] = own.weight, points->of_means[next] = own.of_means;
-    points->iterations[next] = taken, points->crossings[next] = crossing;
-    if (points->records) at->record(at, points->records + (size_t)next * at->records);
-    const double square = product(at, norm_of(points, next - 1), room, room);
-    points->lengths[next] = sqrt(square + rise * rise);
+    points->weights[next] = metric.weight, points->mean_weights[next] = metric.mean_weight;
+    points->iterations[next] = n_iterations, points->crossings[next] = crosses_branch;
+    if (points->records) system->record(system, points->records + (size_t)next * system->records);
+    const double square = product(system, metric_at(points, next - 1), work, work);
+    points->lengths[next] = sqrt(square + parameter_change * parameter_change);
 }
 
-/* Leaves the last point where the path turns more sharply than steps can resolve, as where stiff
- * contact begins to graze and J changes by orders of magnitude over the smallest distance. The path
- * goes on as the tangent just behind the point says; where the sign of det J is not known, that or
- * its opposite, unless this leads straight back. FOUND, or NOT_FOUND where it ends. */
-static int round_corner(equations *at, int n, const stepping *how, path *points, trust *in,
-                        double *room)
+/* Pass a corner after the last point, which steps cannot resolve, as when stiff contact begins to
+ * graze and J changes by orders of magnitude over the smallest distance. The path goes on along the
+ * tangent just after the point. If the sign of det J is unknown, its opposite is tried as well,
+ * unless this leads straight back. Returns FOUND, or NOT_FOUND if the path ends. */
+static int pass_corner(equations *system, int n, const stepping *options, path *points,
+                       sign_check *check, double *work)
 {
-    const int last = points->known - 1;
-    const double *here = points->unknowns + (size_t)last * n;
-    const double *old = points->tangents + (size_t)last * n, old_slope = points->slopes[last];
-    double *x = points->unknowns + (size_t)points->known * n;
-    double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
-    double step = fmax(CORNER * how->longest, how->shortest);
-    for (; step <= LOCAL * how->longest; step *= sqrt(10.0)) {
-        double p = points->parameters[last] + step * old_slope;
-        norm of_way, own;
-        memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
-        const int outcome = at->evaluate(at, x, p);
-        in->spent++;
+    const int last = points->n_known - 1;
+    const double *point = points->unknowns + (size_t)last * n;
+    const double *last_tangent = points->tangents + (size_t)last * n,
+                 last_slope = points->slopes[last];
+    double *x = points->unknowns + (size_t)points->n_known * n;
+    double *tangent = points->tangents + (size_t)points->n_known * n,
+           *corner_tangent = work + 3 * (n + 1);
+    double step = fmax(CORNER_STEP_RATIO * options->max_step, options->min_step);
+    for (; step <= LOCAL_STEP_RATIO * options->max_step; step *= sqrt(10.0)) {
+        double p = points->parameters[last] + step * last_slope;
+        norm corner_metric, metric;
+        memcpy(x, point, n * sizeof(double)), add_scaled(n, x, step, last_tangent);
+        const int outcome = system->evaluate(system, x, p);
+        check->n_iterations++;
         if (outcome != FOUND) return outcome;
-        double slope_of_way =
-            tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &of_way);
-        const double straight =
-            cosine_of(at, norm_of(points, last), way, slope_of_way, old, old_slope);
-        const int unsure = isnan(points->orientation) && straight < how->least_cosine;
-        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &slope_of_way)) {
-            int taken;
-            memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
-            p = points->parameters[last] + step * slope_of_way;
-            const plane across = {way, slope_of_way, of_way};
-            const correction newton = correction_of(how, step);
-            const int corrected = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
-            in->spent += taken;
-            if (corrected != FOUND) continue;
-            const double slope =
-                tangent_onwards(at, n, points->orientation, x, way, slope_of_way, tangent, &own);
-            if (!(cosine_of(at, of_way, tangent, slope, way, slope_of_way) > 0.5)) continue;
-            append(at, points, p, slope, own, in->spent, 0, room);
-            points->step = step, in->spent = 0;
+        double corner_slope = forward_tangent(system, n, points->orientation, x, last_tangent,
+                                              last_slope, corner_tangent, &corner_metric);
+        const double corner_cosine =
+            direction_cosine(system, metric_at(points, last), corner_tangent, corner_slope,
+                             last_tangent, last_slope);
+        const int has_two_ways = isnan(points->orientation) && corner_cosine < options->min_cosine;
+        for (int way = 0; way <= has_two_ways;
+             way++, reverse_tangent(n, corner_tangent, &corner_slope)) {
+            int n_iterations;
+            memcpy(x, point, n * sizeof(double)), add_scaled(n, x, step, corner_tangent);
+            p = points->parameters[last] + step * corner_slope;
+            const plane border = {corner_tangent, corner_slope, corner_metric};
+            const correction correction_options = step_correction(options, step);
+            const int correction_outcome =
+                correct_in_plane(system, &border, &correction_options, x, &p, &n_iterations, work);
+            check->n_iterations += n_iterations;
+            if (correction_outcome != FOUND) continue;
+            const double slope = forward_tangent(system, n, points->orientation, x, corner_tangent,
+                                                 corner_slope, tangent, &metric);
+            if (!(direction_cosine(system, corner_metric, tangent, slope, corner_tangent,
+                                   corner_slope) > 0.5))
+                continue;
+            append(system, points, p, slope, metric, check->n_iterations, 0, work);
+            points->step = step, check->n_iterations = 0;
             return FOUND;
         }
     }
     return NOT_FOUND;
 }
 
-/* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
- * points before it must be followed again. */
-static int advance(equations *at, int n, const stepping *how, path *points, trust *in, double *room)
+/* Take one step. Returns FOUND, NOT_FOUND if the step is too long, SINGULAR_STRUCTURE, or SIGN_LOST
+ * if points before it must be followed again. */
+static int advance(equations *system, int n, const stepping *options, path *points,
+                   sign_check *check, double *work)
 {
-    const int last = points->known - 1;
+    const int last = points->n_known - 1;
     const double step = points->step;
-    const norm of_last = norm_of(points, last);
-    const double old_slope = points->slopes[last];
-    const double *here = points->unknowns + (size_t)last * n;
-    const double *old = points->tangents + (size_t)last * n;
-    double *x = points->unknowns + (size_t)points->known * n, p;
-    double *tangent = points->tangents + (size_t)points->known * n;
-    const correction newton = correction_of(how, step);
-    const plane across = {old, old_slope, of_last};
-    int taken, crossing = 0;
-    norm own;
-    predict(at, points, x, &p, room);
-    const int outcome = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
-    in->spent += taken;
+    const norm last_metric = metric_at(points, last);
+    const double last_slope = points->slopes[last];
+    const double *last_point = points->unknowns + (size_t)last * n;
+    const double *last_tangent = points->tangents + (size_t)last * n;
+    double *x = points->unknowns + (size_t)points->n_known * n, p;
+    double *tangent = points->tangents + (size_t)points->n_known * n;
+    const correction correction_options = step_correction(options, step);
+    const plane border = {last_tangent, last_slope, last_metric};
+    int n_iterations, crosses_branch = 0;
+    norm metric;
+    predict(system, points, x, &p, work);
+    const int outcome =
+        correct_in_plane(system, &border, &correction_options, x, &p, &n_iterations, work);
+    check->n_iterations += n_iterations;
     if (outcome != FOUND) return outcome;
-    const int ends = points->known + 1 == points->room || p < how->lowest || p > how->highest;
-    const int sure = !at->products || ends || points->known <= in->own ||
-                     points->known - in->sure >= UNSURE;
-    double slope =
-        tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent, &own);
+    const int is_last = points->n_known + 1 == points->capacity || p < options->min_parameter ||
+                        p > options->max_parameter;
+    const int knows_sign = !system->uses_products || is_last ||
+                           points->n_known <= check->checked_end ||
+                           points->n_known - check->last_checked >= MAX_UNCHECKED_POINTS;
+    double slope = forward_tangent(system, n, knows_sign ? points->orientation : NAN, x,
+                                   last_tangent, last_slope, tangent, &metric);
     /* The angle shows whether the step has left the path. */
-    const double cosine = cosine_of(at, of_last, tangent, slope, old, old_slope);
-    if (!(cosine > how->least_cosine)) {
-        if (in->sure < last && cosine < 0.0) return DOUBTED;
-        if (!(cosine < -0.999 && step < LOCAL * how->longest)) return NOT_FOUND;
+    const double cosine =
+        direction_cosine(system, last_metric, tangent, slope, last_tangent, last_slope);
+    if (!(cosine > options->min_cosine)) {
+        if (check->last_checked < last && cosine < 0.0) return SIGN_LOST;
+        if (!(cosine < -0.999 && step < LOCAL_STEP_RATIO * options->max_step)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
-        crossing = 1, points->orientation = -points->orientation;
-        turn_round(n, tangent, &slope);
+        crosses_branch = 1, points->orientation = -points->orientation;
+        reverse_tangent(n, tangent, &slope);
     }
-    for (int i = 0; i < n; i++) room[i] = x[i] - here[i];
-    const double rise = p - points->parameters[last];
+    for (int i = 0; i < n; i++) work[i] = x[i] - last_point[i];
+    const double parameter_change = p - points->parameters[last];
     if (isnan(points->orientation) && /* lest a step across a narrow turn leads back */
-        !(cosine_of(at, of_last, room, rise, old, old_slope) > how->least_cosine &&
-          cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
+        !(direction_cosine(system, last_metric, work, parameter_change, last_tangent, last_slope) >
+              options->min_cosine &&
+          direction_cosine(system, metric, work, parameter_change, tangent, slope) >
+              options->min_cosine))
         return NOT_FOUND;
-    append(at, points, p, slope, own, in->spent, crossing, room);
-    in->spent = 0;
-    if (taken <= 3) points->step = fmin(how->longest, 1.7 * step);
-    else if (taken > 5) points->step *= 0.7;
-    if (sure) in->sure = points->known - 1, in->step = points->step;
+    append(system, points, p, slope, metric, check->n_iterations, crosses_branch, work);
+    check->n_iterations = 0;
+    if (n_iterations <= 3) points->step = fmin(options->max_step, 1.7 * step);
+    else if (n_iterations > 5) points->step *= 0.7;
+    if (knows_sign) check->last_checked = points->n_known - 1, check->step = points->step;
     return FOUND;
 }
 
-int follow(equations *at, const stepping *how, path *points)
+int follow_path(equations *system, const stepping *options, path *points)
 {
-    const int n = at->unknowns;
-    double *room = malloc(4 * ((size_t)n + 1) * sizeof(double));
-    int outcome = room ? FOUND : NO_MEMORY, inside = 1;
-    trust in = {points->known - 1, points->step, 0, 0};
+    const int n = system->unknowns;
+    double *work = malloc(4 * ((size_t)n + 1) * sizeof(double));
+    int outcome = work ? FOUND : NO_MEMORY, is_inside = 1;
+    sign_check check = {points->n_known - 1, points->step, 0, 0};
     if (outcome == FOUND && points->orientation == 0.0) {
-        const double *x = points->unknowns + (size_t)(points->known - 1) * n;
-        outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
-        const double sign = outcome == FOUND ? at->sign(at) : NAN;
-        points->orientation = points->slopes[points->known - 1] > 0.0 ? sign : -sign;
+        const double *x = points->unknowns + (size_t)(points->n_known - 1) * n;
+        outcome = system->evaluate(system, x, points->parameters[points->n_known - 1]);
+        const double sign = outcome == FOUND ? system->sign(system) : NAN;
+        points->orientation = points->slopes[points->n_known - 1] > 0.0 ? sign : -sign;
     }
-    while (outcome == FOUND && points->known < points->room && inside) {
-        do outcome = advance(at, n, how, points, &in, room);
-        while (outcome == NOT_FOUND && (points->step *= 0.5) >= how->shortest);
-        if (outcome != FOUND && go_back(&in, points)) outcome = FOUND;
-        if (outcome == NOT_FOUND && (outcome = round_corner(at, n, how, points, &in, room)) == FOUND)
-            in.sure = points->known - 1, in.step = points->step;
-        const double p = points->parameters[points->known - 1];
-        inside = p >= how->lowest && p <= how->highest;
+    while (outcome == FOUND && points->n_known < points->capacity && is_inside) {
+        do outcome = advance(system, n, options, points, &check, work);
+        while (outcome == NOT_FOUND && (points->step *= 0.5) >= options->min_step);
+        if (outcome != FOUND && discard_unchecked(&check, points)) outcome = FOUND;
+        if (outcome == NOT_FOUND &&
+            (outcome = pass_corner(system, n, options, points, &check, work)) == FOUND)
+            check.last_checked = points->n_known - 1, check.step = points->step;
+        const double p = points->parameters[points->n_known - 1];
+        is_inside = p >= options->min_parameter && p <= options->max_parameter;
     }
-    free(room);
+    free(work);
     return outcome;
 }
 
-static double polynomial(const double *cubic, double s)
+static double evaluate_cubic(const double *cubic, double s)
 {
     return ((cubic[0] * s + cubic[1]) * s + cubic[2]) * s + cubic[3];
 }
 
-/* A root of a cubic polynomial between 0 and 1, by halves; the nearer end where rounding has hidden
- * the change of sign. */
-static double root_within(const double *cubic)
+/* Return a root of a cubic polynomial between 0 and 1, by bisection; the nearer end if rounding has
+ * hidden the change of sign. */
+static double cubic_root(const double *cubic)
 {
-    double first = 0.0, last = 1.0;
-    const double begin = polynomial(cubic, first), end = polynomial(cubic, last);
-    if (begin == 0.0 || end == 0.0 || (begin > 0.0) == (end > 0.0))
-        return fabs(begin) < fabs(end) ? first : last;
+    double low = 0.0, high = 1.0;
+    const double low_value = evaluate_cubic(cubic, low), high_value = evaluate_cubic(cubic, high);
+    if (low_value == 0.0 || high_value == 0.0 || (low_value > 0.0) == (high_value > 0.0))
+        return fabs(low_value) < fabs(high_value) ? low : high;
     for (int i = 0; i < DBL_MANT_DIG; i++) {
-        const double middle = 0.5 * (first + last);
-        if ((polynomial(cubic, middle) > 0.0) == (begin > 0.0)) first = middle;
-        else last = middle;
+        const double middle = 0.5 * (low + high);
+        if ((evaluate_cubic(cubic, middle) > 0.0) == (low_value > 0.0)) low = middle;
+        else high = middle;
     }
-    return 0.5 * (first + last);
+    return 0.5 * (low + high);
 }
 
-/* The same with room (3, n). */
-static int between(equations *at, int n, const stepping *how, const double *target, path *ends,
-                   double *room)
+/* find_point_between with work space (3, n). */
+static int search_between(equations *system, int n, const stepping *options, const double *target,
+                          path *ends, double *work)
 {
-    int first = 0, last = 1, next = 2, halve = 0;
+    int first = 0, last = 1, next = 2, must_halve = 0;
     for (int count = 0; count < DBL_MANT_DIG; count++) {
-        const double *here = ends->unknowns + (size_t)first * n;
-        const double *there = ends->unknowns + (size_t)last * n;
+        const double *first_point = ends->unknowns + (size_t)first * n;
+        const double *last_point = ends->unknowns + (size_t)last * n;
         const double *tangent = ends->tangents + (size_t)first * n;
         const double slope = ends->slopes[first];
-        const norm own = norm_of(ends, first);
-        const double p = ends->parameters[first], rise = ends->parameters[last] - p;
-        for (int i = 0; i < n; i++) room[i] = there[i] - here[i];
-        const double length = product(at, own, room, tangent) + rise * slope;
-        const double *after = ends->tangents + (size_t)last * n;
-        const double onwards = product(at, own, after, tangent) + ends->slopes[last] * slope;
-        if (!(length > 0.0 && onwards > 0.0)) return NOT_FOUND;
+        const norm metric = metric_at(ends, first);
+        const double p = ends->parameters[first], parameter_change = ends->parameters[last] - p;
+        for (int i = 0; i < n; i++) work[i] = last_point[i] - first_point[i];
+        const double length = product(system, metric, work, tangent) + parameter_change * slope;
+        const double *last_tangent = ends->tangents + (size_t)last * n;
+        const double tangent_cosine =
+            product(system, metric, last_tangent, tangent) + ends->slopes[last] * slope;
+        if (!(length > 0.0 && tangent_cosine > 0.0)) return NOT_FOUND;
         /* p(s) or dp/ds, of s / length */
-        const double begin = length * slope, end = length * ends->slopes[last] / onwards;
-        const double third = begin + end - 2.0 * rise, second = 3.0 * rise - 2.0 * begin - end;
-        const double turns[4] = {0.0, 3.0 * third, 2.0 * second, begin};
-        const double meets[4] = {third, second, begin, target ? p - *target : 0.0};
-        double share = root_within(target ? meets : turns);
-        ends->known = share < 0.5 ? first : last;
-        if (fmin(share, 1.0 - share) * length <= how->shortest) return FOUND;
-        if (halve) share = 0.5;
-        const double step = share * length;
-        double *x = ends->unknowns + (size_t)next * n, *ahead = ends->tangents + (size_t)next * n;
+        const double first_rate = length * slope,
+                     last_rate = length * ends->slopes[last] / tangent_cosine;
+        const double cubic_term = first_rate + last_rate - 2.0 * parameter_change,
+                     square_term = 3.0 * parameter_change - 2.0 * first_rate - last_rate;
+        const double slope_cubic[4] = {0.0, 3.0 * cubic_term, 2.0 * square_term, first_rate};
+        const double value_cubic[4] = {cubic_term, square_term, first_rate,
+                                       target ? p - *target : 0.0};
+        double fraction = cubic_root(target ? value_cubic : slope_cubic);
+        ends->n_known = fraction < 0.5 ? first : last;
+        if (fmin(fraction, 1.0 - fraction) * length <= options->min_step) return FOUND;
+        if (must_halve) fraction = 0.5;
+        const double step = fraction * length;
+        double *x = ends->unknowns + (size_t)next * n,
+               *next_tangent = ends->tangents + (size_t)next * n;
         ends->parameters[next] = p + step * slope;
-        memcpy(x, here, n * sizeof(double));
-        add_to(n, x, step, tangent);
-        const plane in = {tangent, slope, own};
-        correction newton = how->newton;
-        newton.reach *= step;
+        memcpy(x, first_point, n * sizeof(double));
+        add_scaled(n, x, step, tangent);
+        const plane border = {tangent, slope, metric};
+        correction correction_options = options->correction;
+        correction_options.max_parameter_change *= step;
         const int outcome =
-            correct_in_plane(at, &in, &newton, x, ends->parameters + next,
-                             ends->iterations + next, room);
+            correct_in_plane(system, &border, &correction_options, x, ends->parameters + next,
+                             ends->iterations + next, work);
         if (outcome != FOUND) return outcome;
-        norm of_next;
-        ends->slopes[next] = unit_tangent(at, n, x, ahead, &of_next);
-        ends->weights[next] = of_next.weight, ends->of_means[next] = of_next.of_means;
-        if (product(at, own, ahead, tangent) + ends->slopes[next] * slope < 0.0)
-            turn_round(n, ahead, ends->slopes + next);
-        const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
-                                  : ends->slopes[next] * slope > 0.0;
-        const int replaced = before ? first : last;
-        if (before) first = next;
+        norm next_metric;
+        ends->slopes[next] = unit_tangent(system, n, x, next_tangent, &next_metric);
+        ends->weights[next] = next_metric.weight,
+        ends->mean_weights[next] = next_metric.mean_weight;
+        if (product(system, metric, next_tangent, tangent) + ends->slopes[next] * slope < 0.0)
+            reverse_tangent(n, next_tangent, ends->slopes + next);
+        const int is_before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
+                                     : ends->slopes[next] * slope > 0.0;
+        const int replaced_index = is_before ? first : last;
+        if (is_before) first = next;
         else last = next;
-        next = replaced;
-        halve = count >= 3 && (before ? 1.0 - share : share) > 0.5 && !halve;
+        next = replaced_index;
+        must_halve = count >= 3 && (is_before ? 1.0 - fraction : fraction) > 0.5 && !must_halve;
     }
     return NOT_FOUND;
 }
 
-int find_between(equations *at, const stepping *how, const double *target, path *ends)
+int find_point_between(equations *system, const stepping *options, const double *target, path *ends)
 {
-    const int n = at->unknowns;
-    double *room = malloc(3 * (size_t)n * sizeof(double));
-    const int outcome = room ? between(at, n, how, target, ends, room) : NO_MEMORY;
-    free(room);
+    const int n = system->unknowns;
+    double *work = malloc(3 * (size_t)n * sizeof(double));
+    const int outcome = work ? search_between(system, n, options, target, ends, work) : NO_MEMORY;
+    free(work);
     return outcome;
 }

@@ -2,9 +2,9 @@
 #ifndef PIVOTS_H
 #define PIVOTS_H
 
-/* Changes of a set, one after the other, that are trusted: behind as many pivots rounding is looked
- * for, and behind as many turns of all wrong pairs at once the first one goes alone. */
-enum { PIVOTS = 32 };
+/* Number of changes of a set after which rounding is checked, and number of iterations with all
+ * wrong pairs at once, before the first one changes alone. */
+enum { MAX_TRUSTED_PIVOTS = 32 };
 
 /* With the pairs of A closed, B the others, and S = (D_AA)^-1, gaps s have the answer X = S s_A, the
  * forces, in the rows of A, and X = s_B - D_BA f, less than nothing where a pair is open, in the
@@ -22,25 +22,25 @@ enum { PIVOTS = 32 };
  */
 typedef struct {
     int pairs;
-    const double *d;      /* (p, p) D */
+    const double *compliance; /* (p, p) D */
     double *table;        /* (p, p) T */
     signed char *closed;  /* (p) */
-    double *room;         /* (4 p) */
+    double *work;         /* (4 p) */
 } pivot_table;
 
-/* All pairs open. */
-void open_all(pivot_table *s);
-/* Opens or closes one pair; carries `count` answers X along, (count, p). v (p) and gain
- * 1 / d: how S changes; v: or NULL. Returns 0, or 1, with nothing done, where D_AA would be singular.
- */
-int turn_pair(pivot_table *s, int pair, int count, double *answers, double *v, double *gain);
-/* Leaves rounding behind where it has grown: T from D again. Returns 1 where it did. */
-int refresh(pivot_table *s);
-/* S (p, p), zero outside A. */
-void inverse_of(const pivot_table *s, double *inverse);
-/* X (count, p) of gaps (count, p), with room for as many numbers. */
-void answers_to(const pivot_table *s, int count, const double *gaps, double *room, double *answers);
-/* Bounds of |X| where those of the gaps are known, (p) each. */
-void bounds_of(const pivot_table *s, const double *gaps, double *answers);
+/* Open all pairs. */
+void open_all_pairs(pivot_table *s);
+/* Open or close one pair, and update `count` answers X, (count, p). v (p) and gain = 1 / d: the
+ * change of S; v may be NULL. Returns 0, or 1 without any change if D_AA would be singular. */
+int toggle_pair(pivot_table *s, int pair, int count, double *answers, double *v, double *gain);
+/* Compute T from D again if it has lost accuracy. Returns 1 if so. */
+int recompute_if_inaccurate(pivot_table *s);
+/* Set S (p, p), zero outside A. */
+void get_inverse(const pivot_table *s, double *inverse);
+/* Set X (count, p) of gaps (count, p), with as much work space. */
+void transform_gaps(const pivot_table *s, int count, const double *gaps, double *work,
+                    double *answers);
+/* Set bounds (p) of |X| from bounds (p) of the gaps. */
+void bound_answers(const pivot_table *s, const double *gaps, double *answers);
 
 #endif

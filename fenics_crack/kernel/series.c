@@ -31,12 +31,12 @@ WIDE void add_rows(int count, int n, const double *restrict rows, const double *
         for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
 }
 
-/* Numbers of a register, and so many of these at once: a processor works on the others while it waits
- * for the first. More, or longer ones, would not stay in registers. */
-enum { LANES = 4, AT_ONCE = 6 };
+/* Numbers in a register, and registers in use at once: a processor works on the others while it
+ * waits for the first. More or longer ones would not stay in registers. */
+enum { LANES = 4, N_BLOCKS = 6 };
 typedef double block __attribute__((vector_size(LANES * sizeof(double))));
 
-/* Those behind the last function are the last block once more. */
+/* Numbers after the last function are the last block once more. */
 WIDE void series_at(int n, int order, const double *restrict terms, double time,
                     double *restrict value, double *restrict slope)
 {
@@ -44,52 +44,52 @@ WIDE void series_at(int n, int order, const double *restrict terms, double time,
         for (int i = 0; i < n; i++) value[i] = column_at(n, order, terms, i, 0, time, slope + i);
         return;
     }
-    for (int first = 0; first < n; first += AT_ONCE * LANES) {
-        block v[AT_ONCE] = {{0.0}}, d[AT_ONCE] = {{0.0}}, term;
-        int at[AT_ONCE];
-        for (int j = 0; j < AT_ONCE; j++)
-            at[j] = first + (j + 1) * LANES <= n ? first + j * LANES : n - LANES;
+    for (int block_start = 0; block_start < n; block_start += N_BLOCKS * LANES) {
+        block values[N_BLOCKS] = {{0.0}}, slopes[N_BLOCKS] = {{0.0}}, term;
+        int offsets[N_BLOCKS];
+        for (int j = 0; j < N_BLOCKS; j++)
+            offsets[j] = block_start + (j + 1) * LANES <= n ? block_start + j * LANES : n - LANES;
         const double *row = terms + (long)order * n;
         for (int k = order; k >= 0; k--, row -= n)
-            for (int j = 0; j < AT_ONCE; j++) {
-                memcpy(&term, row + at[j], sizeof term);
-                d[j] = d[j] * time + v[j];
-                v[j] = v[j] * time + term;
+            for (int j = 0; j < N_BLOCKS; j++) {
+                memcpy(&term, row + offsets[j], sizeof term);
+                slopes[j] = slopes[j] * time + values[j];
+                values[j] = values[j] * time + term;
             }
-        for (int j = 0; j < AT_ONCE; j++) {
-            memcpy(value + at[j], v + j, sizeof term);
-            memcpy(slope + at[j], d + j, sizeof term);
+        for (int j = 0; j < N_BLOCKS; j++) {
+            memcpy(value + offsets[j], values + j, sizeof term);
+            memcpy(slope + offsets[j], slopes + j, sizeof term);
         }
     }
 }
 
-/* Of few functions, at all times at once. */
+/* Evaluate few functions at all times at once. */
 WIDE static void values_of_few(int n, int order, const double *restrict terms, int count,
                                const double *restrict times, double *restrict values)
 {
-    double at[TIMES] = {0.0};
-    memcpy(at, times, (size_t)count * sizeof(double));
+    double padded_times[MAX_TIMES] = {0.0};
+    memcpy(padded_times, times, (size_t)count * sizeof(double));
     for (int i = 0; i < n; i++) {
         const double *row = terms + (long)order * n + i;
-        double v[TIMES] = {0.0};
+        double sums[MAX_TIMES] = {0.0};
         for (int k = order; k >= 0; k--, row -= n)
-            for (int j = 0; j < TIMES; j++) v[j] = v[j] * at[j] + *row;
-        for (int j = 0; j < count; j++) values[(long)j * n + i] = v[j];
+            for (int j = 0; j < MAX_TIMES; j++) sums[j] = sums[j] * padded_times[j] + *row;
+        for (int j = 0; j < count; j++) values[(long)j * n + i] = sums[j];
     }
 }
 
 void values_at(int n, int order, const double *terms, int count, const double *times,
                double *values)
 {
-    double powers[TIMES * TERMS];
+    double powers[MAX_TIMES * TERMS];
     if (n < BLOCK) {
         values_of_few(n, order, terms, count, times, values);
         return;
     }
     for (int k = 0; k <= order; k++)
         for (int j = 0; j < count; j++) {
-            double *own = powers + j * (order + 1) + k;
-            *own = k ? own[-1] * times[j] : 1.0;
+            double *power = powers + j * (order + 1) + k;
+            *power = k ? power[-1] * times[j] : 1.0;
         }
     multiply_matrices(count, order + 1, n, powers, terms, 0.0, values);
 }
@@ -110,49 +110,51 @@ double column_at(int n, int order, const double *terms, int column, int slopes, 
 double column_zero(int n, int order, const double *terms, int column, int slopes, double low,
                    double high)
 {
-    double slope, zero = 0.5 * (low + high);
-    for (int turn = 0; turn < DBL_MANT_DIG && high - low > 0.5 * DBL_EPSILON * high; turn++) {
-        const double now = column_at(n, order, terms, column, slopes, zero, &slope);
-        const double newton = zero - now / slope;
-        if (now == 0.0) return zero;
-        if ((now > 0.0) == !slopes) low = zero;
-        else high = zero;
-        if (fabs(newton - zero) <= 4.0 * DBL_EPSILON * high) return zero;
-        zero = newton > low && newton < high ? newton : 0.5 * (low + high);
+    double slope, root = 0.5 * (low + high);
+    for (int iteration = 0; iteration < DBL_MANT_DIG && high - low > 0.5 * DBL_EPSILON * high;
+         iteration++) {
+        const double current_value = column_at(n, order, terms, column, slopes, root, &slope);
+        const double newton = root - current_value / slope;
+        if (current_value == 0.0) return root;
+        if ((current_value > 0.0) == !slopes) low = root;
+        else high = root;
+        if (fabs(newton - root) <= 4.0 * DBL_EPSILON * high) return root;
+        root = newton > low && newton < high ? newton : 0.5 * (low + high);
     }
-    return zero;
+    return root;
 }
 
-/* The largest number's size, by its bits: compilers do not take the largest of doubles in blocks. */
-WIDE static double largest_of(long count, const double *x)
+/* Return the largest modulus, by its bits: compilers do not find the largest double in blocks. */
+WIDE static double max_modulus(long count, const double *x)
 {
-    int64_t most = 0;
-    double found;
+    int64_t max_bits = 0;
+    double largest;
     for (long i = 0; i < count; i++) {
         int64_t bits;
         memcpy(&bits, x + i, sizeof bits);
         bits &= INT64_MAX; /* without the sign */
-        most = bits > most ? bits : most;
+        max_bits = bits > max_bits ? bits : max_bits;
     }
-    memcpy(&found, &most, sizeof found);
-    return found;
+    memcpy(&largest, &max_bits, sizeof largest);
+    return largest;
 }
 
 double series_size(int n, int order, const double *terms, double time)
 {
     double largest = 0.0, power = 1.0;
     for (int k = 0; k <= order; k++, power *= time, terms += n)
-        largest = fmax(power * largest_of(n, terms), largest);
+        largest = fmax(power * max_modulus(n, terms), largest);
     return largest;
 }
 
-double series_reach(int n, int order, const double *terms, double within)
+double series_reach(int n, int order, const double *terms, double max_time)
 {
     /* The last terms are to be less than the largest one's rounding. */
-    const int last = ORDER - 1;
-    if (order < last) return within;
-    const double least = 0.5 * DBL_EPSILON * largest_of((long)n * (order + 1), terms);
-    const double tail = largest_of((long)n * (order + 1 - last), terms + (long)n * last);
-    if (tail * pow(within, last) <= least) return within;
-    return fmin(within, pow(least / tail, 1.0 / last));
+    const int last_order = ORDER - 1;
+    if (order < last_order) return max_time;
+    const double max_tail = 0.5 * DBL_EPSILON * max_modulus((long)n * (order + 1), terms);
+    const double tail =
+        max_modulus((long)n * (order + 1 - last_order), terms + (long)n * last_order);
+    if (tail * pow(max_time, last_order) <= max_tail) return max_time;
+    return fmin(max_time, pow(max_tail / tail, 1.0 / last_order));
 }

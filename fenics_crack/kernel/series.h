@@ -1,5 +1,5 @@
-/* Taylor series of several functions of the time: columns of coefficients (TERMS, n), for times in
- * parts of a length. */
+/* Taylor series of several functions of time: coefficients (TERMS, n), for times in units of a
+ * length. */
 #ifndef SERIES_H
 #define SERIES_H
 
@@ -9,31 +9,33 @@
 #define WIDE
 #endif
 
-/* ORDER: of the polynomials, at most. BLOCK: numbers that a processor works on together.
- * FLOW_REACH: how far what is fastest turns in a piece of the flow, at most; GRID: steps of a piece
- * while it turns by 1. TIMES: as many numbers as those at the ends of all steps, in whole blocks. */
-enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, FLOW_REACH = 10, GRID = 2 };
-enum { TIMES = (GRID * FLOW_REACH + BLOCK) / BLOCK * BLOCK };
+/* ORDER: highest order of the polynomials. BLOCK: numbers that a processor works on together.
+ * MAX_PIECE_ANGLE: largest angle by which the fastest mode turns in a piece of the flow.
+ * STEPS_PER_RADIAN: steps of the search for events, for each radian of this angle. MAX_TIMES:
+ * number of ends of all steps, in whole blocks. */
+enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8, MAX_PIECE_ANGLE = 10, STEPS_PER_RADIAN = 2 };
+enum { MAX_TIMES = (STEPS_PER_RADIAN * MAX_PIECE_ANGLE + BLOCK) / BLOCK * BLOCK };
 
 /* sum (n) += weights (count) times rows (count, n). */
 void add_rows(int count, int n, const double *rows, const double *weights, double *sum);
 
-/* Of polynomials of an order, values (n) and slopes (n) at a time. */
+/* Set values (n) and slopes (n) of polynomials at a time. */
 void series_at(int n, int order, const double *terms, double time, double *value, double *slope);
-/* Values (count, n) at so many times. */
+/* Set values (count, n) at several times. */
 void values_at(int n, int order, const double *terms, int count, const double *times,
                double *values);
-/* Value of one function, or with `slopes` of its slope, and the slope of that. */
+/* Return the value of one function and set its slope; with `slopes`, return the slope and set the
+ * slope of that. */
 double column_at(int n, int order, const double *terms, int column, int slopes, double time,
                  double *slope);
-/* Where one function falls through zero, or its slope rises through it, between two times: Newton's
- * method, kept between by bisection. */
+/* Return the time between two times at which one function falls through zero or, with `slopes`, its
+ * slope rises through zero. Newton's method, kept in a bracket by bisection. */
 double column_zero(int n, int order, const double *terms, int column, int slopes, double low,
                    double high);
 
-/* The largest term of all at a time. */
+/* Return the largest term of all series at a time. */
 double series_size(int n, int order, const double *terms, double time);
-/* Up to which time series hold, at most `within`. */
-double series_reach(int n, int order, const double *terms, double within);
+/* Return the time up to which the series hold, at most `max_time`. */
+double series_reach(int n, int order, const double *terms, double max_time);
 
 #endif

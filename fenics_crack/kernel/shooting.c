@@ -8,201 +8,227 @@
 
 struct shooting_point {
     dense common;
-    shooting_equations of;
-    flow_motion moved;
-    int rows;  /* of contact, r */
-    int loads; /* rows of the load */
-    int known; /* whether M is */
+    shooting_equations parameters;
+    flow_motion motion;
+    int n_rows;        /* of contact, r */
+    int n_loads;       /* rows of the load */
+    int has_monodromy; /* whether M has been computed */
     double parameter;
-    double *scale, *residual, *state, *rate, *tangent;
-    double *force, *gap; /* load_0 */
-    double *start, *damping;
+    double *scale, *residual, *state, *state_rate, *monodromy;
+    double *initial_force, *initial_gap; /* load_0 */
+    double *start_state, *current_damping;
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
-/* The load at a parameter. */
-static void change_load(const shooting_point *at, double p)
+/* Set the load at a parameter. */
+static void set_load(const shooting_point *point, double p)
 {
-    const shooting_equations *of = &at->of;
-    for (int i = 0; i < at->loads * of->modes; i++) of->force[i] = at->force[i] + p * of->force_by[i];
-    for (int i = 0; i < at->loads * at->rows; i++) of->gap[i] = at->gap[i] + p * of->gap_by[i];
+    const shooting_equations *parameters = &point->parameters;
+    for (int i = 0; i < point->n_loads * parameters->modes; i++)
+        parameters->force[i] = point->initial_force[i] + p * parameters->force_rate[i];
+    for (int i = 0; i < point->n_loads * point->n_rows; i++)
+        parameters->gap[i] = point->initial_gap[i] + p * parameters->gap_rate[i];
 }
 
-static int evaluate(equations *own, const double *x, double p)
+static int evaluate_period(equations *system, const double *x, double p)
 {
-    shooting_point *at = (shooting_point *)own;
-    const int n = own->unknowns;
-    flow_motion *m = &at->moved;
-    at->known = at->common.factored = 0;
-    at->parameter = p;
+    shooting_point *point = (shooting_point *)system;
+    const int n = system->unknowns;
+    flow_motion *m = &point->motion;
+    point->has_monodromy = point->common.factored = 0;
+    point->parameter = p;
     for (int i = 0; i < n; i++) {
-        const double rest = at->of.rest ? at->of.rest[i] + p * at->of.rest[n + i] : 0.0;
-        at->start[i] = at->state[i] = (x[i] + rest) / at->scale[i];
+        const double rest =
+            point->parameters.rest_states
+                ? point->parameters.rest_states[i] + p * point->parameters.rest_states[n + i]
+                : 0.0;
+        point->start_state[i] = point->state[i] = (x[i] + rest) / point->scale[i];
     }
-    if (at->of.force) change_load(at, p);
-    if (at->of.rates) {
-        for (int i = 0; i < at->of.rates; i++)
-            at->damping[i] = at->of.damping[i] + p * at->of.damping_by[i];
-        flow_damp(at->of.flow, at->damping);
+    if (point->parameters.force) set_load(point, p);
+    if (point->parameters.n_damping) {
+        for (int i = 0; i < point->parameters.n_damping; i++)
+            point->current_damping[i] =
+                point->parameters.damping[i] + p * point->parameters.damping_rate[i];
+        flow_set_damping(point->parameters.flow, point->current_damping);
     }
-    m->omega = at->of.base + p * at->of.rate;
-    m->now = 0.0;
-    m->end = at->of.turns / m->omega;
-    m->state = at->state;
-    m->pieces = m->passed = m->events = 0;
-    const int outcome = m->omega > 0.0 ? flow_advance(at->of.flow, m) : FLOW_LOST;
-    if (outcome == FLOW_MEMORY) return NO_MEMORY;
+    m->omega = point->parameters.base + p * point->parameters.rate;
+    m->time = 0.0;
+    m->end = point->parameters.turns / m->omega;
+    m->state = point->state;
+    m->n_pieces = m->n_intervals = m->n_events = 0;
+    const int outcome = m->omega > 0.0 ? flow_advance(point->parameters.flow, m) : FLOW_FAILED;
+    if (outcome == FLOW_NO_MEMORY) return NO_MEMORY;
     if (outcome != FLOW_DONE) return NOT_FOUND;
-    for (int i = 0; i < n; i++) at->residual[i] = at->scale[i] * (at->state[i] - at->start[i]);
+    for (int i = 0; i < n; i++)
+        point->residual[i] = point->scale[i] * (point->state[i] - point->start_state[i]);
     return FOUND;
 }
 
-static void residual(const equations *own, double *found)
+static void copy_residual(const equations *system, double *residual_out)
 {
-    memcpy(found, ((const shooting_point *)own)->residual, bytes(own->unknowns));
+    memcpy(residual_out, ((const shooting_point *)system)->residual, bytes(system->unknowns));
 }
 
-static flow_track track_of(const shooting_point *at)
+static flow_track track_of(const shooting_point *point)
 {
-    const flow_motion *m = &at->moved;
-    return (flow_track){.omega = m->omega, .intervals = m->passed, .sets = m->sets,
-                        .lengths = m->lengths, .causes = m->causes, .firsts = m->firsts,
+    const flow_motion *m = &point->motion;
+    return (flow_track){.omega = m->omega,
+                        .n_intervals = m->n_intervals,
+                        .sets = m->sets,
+                        .lengths = m->lengths,
+                        .causes = m->causes,
+                        .is_first = m->is_first,
                         .ratios = m->ratios};
 }
 
-/* M in the unknowns; not a number where it is not known. */
-static void know(shooting_point *at)
+/* Compute M in the unknowns; NAN if it is not known. */
+static void compute_monodromy(shooting_point *point)
 {
-    const int n = at->common.size;
-    if (at->known) return;
-    const flow_track track = track_of(at);
-    const int outcome = flow_tangent(at->of.flow, &track, at->tangent);
+    const int n = point->common.size;
+    if (point->has_monodromy) return;
+    const flow_track track = track_of(point);
+    const int outcome = flow_tangent(point->parameters.flow, &track, point->monodromy);
     for (long i = 0; i < n; i++)
         for (long j = 0; j < n; j++)
-            at->tangent[i * n + j] *= outcome == FLOW_DONE ? at->scale[i] / at->scale[j] : NAN;
-    at->known = 1;
+            point->monodromy[i * n + j] *=
+                outcome == FLOW_DONE ? point->scale[i] / point->scale[j] : NAN;
+    point->has_monodromy = 1;
 }
 
 static void form_jacobian(dense *common)
 {
-    shooting_point *at = (shooting_point *)common;
+    shooting_point *point = (shooting_point *)common;
     const long n = common->size;
-    know(at);
-    memcpy(common->matrix, at->tangent, bytes(n * n));
+    compute_monodromy(point);
+    memcpy(common->matrix, point->monodromy, bytes(n * n));
     for (long i = 0; i < n; i++) common->matrix[i * (n + 1)] -= 1.0;
 }
 
-/* What omega does to the load, and to when the period ends; 0, or 1 where that is not known. */
-static int by_omega(shooting_point *at, const flow_track *track, double *found)
+/* Set the derivative of the end state by omega, which changes the load and the period's end.
+ * Returns 0, or 1 if it is not known. */
+static int differentiate_by_omega(shooting_point *point, const flow_track *track,
+                                  double *derivative_out)
 {
-    const flow_motion *m = &at->moved;
-    if (flow_by_omega(at->of.flow, track, found)) return 1;
-    const signed char *closed = m->sets + (long)(m->passed - 1) * at->of.pairs;
-    if (flow_rate(at->of.flow, m->omega, m->end, closed, m->state, at->rate)) return 1;
-    for (int i = 0; i < at->common.size; i++)
-        found[i] = at->of.rate * (found[i] - m->end / m->omega * at->rate[i]);
+    const flow_motion *m = &point->motion;
+    if (flow_by_omega(point->parameters.flow, track, derivative_out)) return 1;
+    const signed char *closed = m->sets + (long)(m->n_intervals - 1) * point->parameters.pairs;
+    if (flow_rate(point->parameters.flow, m->omega, m->end, closed, m->state, point->state_rate))
+        return 1;
+    for (int i = 0; i < point->common.size; i++)
+        derivative_out[i] =
+            point->parameters.rate * (derivative_out[i] - m->end / m->omega * point->state_rate[i]);
     return 0;
 }
 
-static void by_parameter(equations *own, double *found)
+static void differentiate_by_parameter(equations *system, double *derivative_out)
 {
-    shooting_point *at = (shooting_point *)own;
-    const int n = own->unknowns;
-    const flow_track track = track_of(at);
-    const shooting_equations *of = &at->of;
-    memset(found, 0, bytes(n));
+    shooting_point *point = (shooting_point *)system;
+    const int n = system->unknowns;
+    const flow_track track = track_of(point);
+    const shooting_equations *parameters = &point->parameters;
+    memset(derivative_out, 0, bytes(n));
     const int failed =
-        of->force   ? flow_column(of->flow, &track, of->force_by, of->gap_by, 0, found)
-        : of->rates ? flow_by_structure(of->flow, &track, at->start, of->damping_by, NULL, found)
-                    : by_omega(at, &track, found);
-    for (int i = 0; i < n; i++) found[i] = failed ? NAN : at->scale[i] * found[i];
-    if (!of->rest) return;
-    const double *moved = of->rest + n; /* (M - I) x_1 */
-    know(at);
+        parameters->force       ? flow_by_load(parameters->flow, &track, parameters->force_rate,
+                                               parameters->gap_rate, 0, derivative_out)
+        : parameters->n_damping ? flow_by_structure(parameters->flow, &track, point->start_state,
+                                                    parameters->damping_rate, NULL, derivative_out)
+                                : differentiate_by_omega(point, &track, derivative_out);
+    for (int i = 0; i < n; i++)
+        derivative_out[i] = failed ? NAN : point->scale[i] * derivative_out[i];
+    if (!parameters->rest_states) return;
+    const double *rest_rate = parameters->rest_states + n; /* (M - I) x_1 */
+    compute_monodromy(point);
     for (long i = 0; i < n; i++) {
-        found[i] -= moved[i];
-        for (long j = 0; j < n; j++) found[i] += at->tangent[i * n + j] * moved[j];
+        derivative_out[i] -= rest_rate[i];
+        for (long j = 0; j < n; j++)
+            derivative_out[i] += point->monodromy[i * n + j] * rest_rate[j];
     }
 }
 
-static void record(equations *own, double *found)
+static void copy_monodromy(equations *system, double *record_out)
 {
-    shooting_point *at = (shooting_point *)own;
-    know(at);
-    memcpy(found, at->tangent, bytes(own->records));
+    shooting_point *point = (shooting_point *)system;
+    compute_monodromy(point);
+    memcpy(record_out, point->monodromy, bytes(system->records));
 }
 
-shooting_point *new_shooting_point(const shooting_equations *given)
+shooting_point *new_shooting_point(const shooting_equations *parameters)
 {
-    const long pairs = given->pairs, intervals = given->intervals;
-    const long n = 2L * given->modes + (given->friction ? pairs : 0);
-    const long rows = given->friction ? 2 * pairs : pairs, loads = 2L * given->harmonics + 1;
-    shooting_point *at = calloc(1, sizeof(shooting_point));
-    if (!at) return NULL;
-    at->of = *given;
-    at->rows = (int)rows;
-    at->loads = (int)loads;
-    at->common.own = (equations){
-        .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
-        .by_parameter = by_parameter, .sign = sign_of_dense,
-        .records = (int)(n * n), .record = record};
-    const int failed = make_dense(&at->common, (int)n, form_jacobian);
-    const long load = given->force ? loads * (given->modes + rows) : 0;
-    at->scale = malloc(bytes(5 * n + n * n + load + given->rates));
-    at->moved.most_pieces = given->pieces;
-    at->moved.most = given->intervals;
-    at->moved.sets = malloc((size_t)(intervals * pairs + 1));
-    at->moved.lengths = malloc(bytes(intervals));
-    if (given->friction) {
-        at->moved.causes = malloc((size_t)intervals * sizeof(int));
-        at->moved.firsts = malloc((size_t)intervals);
-        at->moved.ratios = malloc(bytes(intervals));
+    const long pairs = parameters->pairs, intervals = parameters->max_intervals;
+    const long n = 2L * parameters->modes + (parameters->friction ? pairs : 0);
+    const long n_rows = parameters->friction ? 2 * pairs : pairs,
+               n_loads = 2L * parameters->harmonics + 1;
+    shooting_point *point = calloc(1, sizeof(shooting_point));
+    if (!point) return NULL;
+    point->parameters = *parameters;
+    point->n_rows = (int)n_rows;
+    point->n_loads = (int)n_loads;
+    point->common.base = (equations){.unknowns = (int)n,
+                                     .evaluate = evaluate_period,
+                                     .residual = copy_residual,
+                                     .solve = solve_dense,
+                                     .by_parameter = differentiate_by_parameter,
+                                     .sign = sign_of_dense,
+                                     .records = (int)(n * n),
+                                     .record = copy_monodromy};
+    const int failed = make_dense(&point->common, (int)n, form_jacobian);
+    const long load_size = parameters->force ? n_loads * (parameters->modes + n_rows) : 0;
+    point->scale = malloc(bytes(5 * n + n * n + load_size + parameters->n_damping));
+    point->motion.max_pieces = parameters->max_pieces;
+    point->motion.max_intervals = parameters->max_intervals;
+    point->motion.sets = malloc((size_t)(intervals * pairs + 1));
+    point->motion.lengths = malloc(bytes(intervals));
+    if (parameters->friction) {
+        point->motion.causes = malloc((size_t)intervals * sizeof(int));
+        point->motion.is_first = malloc((size_t)intervals);
+        point->motion.ratios = malloc(bytes(intervals));
     }
-    const int recorded = at->moved.causes && at->moved.firsts && at->moved.ratios;
-    if (failed || !(at->scale && at->moved.sets && at->moved.lengths)
-        || (given->friction && !recorded)) {
-        free_shooting_point(at);
+    const int has_causes = point->motion.causes && point->motion.is_first && point->motion.ratios;
+    if (failed || !(point->scale && point->motion.sets && point->motion.lengths) ||
+        (parameters->friction && !has_causes)) {
+        free_shooting_point(point);
         return NULL;
     }
-    memcpy(at->scale, given->scale, bytes(n));
-    at->of.scale = at->scale;
-    at->residual = at->scale + n;
-    at->state = at->residual + n;
-    at->rate = at->state + n;
-    at->tangent = at->rate + n;
-    at->start = at->tangent + n * n;
-    at->damping = at->start + n;
-    if (load) {
-        at->force = at->damping + given->rates, at->gap = at->force + loads * given->modes;
-        memcpy(at->force, given->force, bytes(loads * given->modes));
-        memcpy(at->gap, given->gap, bytes(loads * rows));
+    memcpy(point->scale, parameters->scale, bytes(n));
+    point->parameters.scale = point->scale;
+    point->residual = point->scale + n;
+    point->state = point->residual + n;
+    point->state_rate = point->state + n;
+    point->monodromy = point->state_rate + n;
+    point->start_state = point->monodromy + n * n;
+    point->current_damping = point->start_state + n;
+    if (load_size) {
+        point->initial_force = point->current_damping + parameters->n_damping,
+        point->initial_gap = point->initial_force + n_loads * parameters->modes;
+        memcpy(point->initial_force, parameters->force, bytes(n_loads * parameters->modes));
+        memcpy(point->initial_gap, parameters->gap, bytes(n_loads * n_rows));
     }
-    return at;
+    return point;
 }
 
-void free_shooting_point(shooting_point *at)
+void free_shooting_point(shooting_point *point)
 {
-    free_dense(&at->common);
-    free(at->scale);
-    free(at->moved.sets);
-    free(at->moved.lengths);
-    free(at->moved.causes);
-    free(at->moved.firsts);
-    free(at->moved.ratios);
-    free(at);
+    free_dense(&point->common);
+    free(point->scale);
+    free(point->motion.sets);
+    free(point->motion.lengths);
+    free(point->motion.causes);
+    free(point->motion.is_first);
+    free(point->motion.ratios);
+    free(point);
 }
 
-equations *equations_of_shooting(shooting_point *at) { return &at->common.own; }
+equations *equations_of_shooting(shooting_point *point) { return &point->common.base; }
 
-int switches_of(const shooting_point *at) { return at->moved.events; }
+int count_events(const shooting_point *point) { return point->motion.n_events; }
 
-int pieces_of(const shooting_point *at) { return at->moved.pieces; }
+int count_pieces(const shooting_point *point) { return point->motion.n_pieces; }
 
-int tangent_of(shooting_point *at, double *found)
+int get_monodromy(shooting_point *point, double *monodromy_out)
 {
-    const long n = at->common.size;
-    know(at);
-    memcpy(found, at->tangent, bytes(n * n));
-    return isnan(found[0]);
+    const long n = point->common.size;
+    compute_monodromy(point);
+    memcpy(monodromy_out, point->monodromy, bytes(n * n));
+    return isnan(monodromy_out[0]);
 }

@@ -17,22 +17,22 @@
 #include "rounding.h"
 #include "waves.h"
 
-#define DEEPEST DBL_MANT_DIG /* halvings of a cell: long before, it is shorter than rounding */
+#define MAX_HALVINGS DBL_MANT_DIG /* halvings of a cell; much earlier it is shorter than rounding */
 
 typedef struct {
     double left, width, low, high; /* [left, left + width], g at both ends */
 } cell;
 
 typedef struct {
-    int harmonics, stride; /* of the coefficients of one pair */
+    int harmonics, n_pairs; /* of the coefficients of one pair */
     const double *gap;
-    double *values, *sums; /* g on the first grid (cells + 1), room (4, cells / 4 + 1) */
-    int cells, next;       /* of the first grid */
-    double curvature;      /* M = sum_k k^2 (|a_k| + |b_k|) >= |g''| */
+    double *values, *quarter_sums; /* g on the first grid (cells + 1), room (4, cells / 4 + 1) */
+    int cells, next_cell;          /* of the first grid */
+    double max_curvature;          /* M = sum_k k^2 (|a_k| + |b_k|) >= |g''| */
     double resolution;
-    int open; /* cells still to be looked at, the leftmost one last */
-    cell waiting[DEEPEST + 2];
-} search;
+    int n_waiting; /* number of cells that wait for a decision, the leftmost one last */
+    cell waiting_cells[MAX_HALVINGS + 2];
+} change_search;
 
 int switching_cells(int harmonics)
 {
@@ -52,40 +52,40 @@ void switching_waves(int harmonics, double *waves)
         }
 }
 
-static int prepare(search *s, int harmonics, int pairs)
+static int allocate_search(change_search *s, int harmonics, int pairs)
 {
     s->harmonics = harmonics;
-    s->stride = pairs;
+    s->n_pairs = pairs;
     s->cells = switching_cells(harmonics);
     s->values = malloc((s->cells + 1) * sizeof(double));
-    s->sums = malloc((s->cells + 4) * sizeof(double));
-    return s->values && s->sums ? 0 : -1;
+    s->quarter_sums = malloc((s->cells + 4) * sizeof(double));
+    return s->values && s->quarter_sums ? 0 : -1;
 }
 
-static void finish(search *s)
+static void free_search(change_search *s)
 {
     free(s->values);
-    free(s->sums);
+    free(s->quarter_sums);
 }
 
 /* Values on the first grid. The quarters of a period share their waves: with the sums over even
  * and odd k of a_k cos(k theta) and b_k sin(k theta),
  *     g(theta), g(pi - theta), g(pi + theta), g(-theta) = a0 + ce +- co +- se +- so. */
-static void begin(search *s, const double *gap, const double *waves)
+static void evaluate_grid(change_search *s, const double *gap, const double *waves)
 {
     const int quarter = s->cells / 4 + 1, half = s->cells / 2;
-    double *even[2] = {s->sums, s->sums + quarter};
-    double *odd[2] = {s->sums + 2 * quarter, s->sums + 3 * quarter};
+    double *even[2] = {s->quarter_sums, s->quarter_sums + quarter};
+    double *odd[2] = {s->quarter_sums + 2 * quarter, s->quarter_sums + 3 * quarter};
     s->gap = gap;
-    s->next = s->open = 0;
-    s->curvature = 0.0;
-    for (int i = 0; i < 4 * quarter; i++) s->sums[i] = 0.0;
+    s->next_cell = s->n_waiting = 0;
+    s->max_curvature = 0.0;
+    for (int i = 0; i < 4 * quarter; i++) s->quarter_sums[i] = 0.0;
     for (int k = 1; k <= s->harmonics; k++, waves += 2 * quarter) {
-        const double a = gap[(2 * k - 1) * s->stride], b = gap[2 * k * s->stride];
+        const double a = gap[(2 * k - 1) * s->n_pairs], b = gap[2 * k * s->n_pairs];
         double *c = k % 2 ? odd[0] : even[0], *d = k % 2 ? odd[1] : even[1];
         for (int i = 0; i < quarter; i++) c[i] += a * waves[i];
         for (int i = 0; i < quarter; i++) d[i] += b * waves[quarter + i];
-        s->curvature += (double)k * k * (fabs(a) + fabs(b));
+        s->max_curvature += (double)k * k * (fabs(a) + fabs(b));
     }
     double largest = 0.0, *g = s->values;
     for (int i = 0; i < quarter; i++) {
@@ -97,54 +97,57 @@ static void begin(search *s, const double *gap, const double *waves)
     }
     for (int i = 0; i <= s->cells; i++)
         if (fabs(g[i]) > largest) largest = fabs(g[i]);
-    s->resolution = AS_ZERO * largest;
-    if (!isfinite(s->curvature + gap[0])) { /* a diverged iterate: no roots, but the search ends */
-        s->next = s->cells;
+    s->resolution = ZERO_TOLERANCE * largest;
+    if (!isfinite(s->max_curvature +
+                  gap[0])) { /* a diverged iterate: no roots, but the search ends */
+        s->next_cell = s->cells;
         g[0] = 0.0;
     }
 }
 
-/* g, g' and g'' at a phase. */
-static void derivatives(const search *s, double theta, double *found)
+/* Set g, g' and g'' at a phase. */
+static void evaluate_derivatives(const change_search *s, double theta, double *derivatives_out)
 {
     const double c1 = cos(theta), s1 = sin(theta);
-    double c = 1.0, d = 0.0, value = s->gap[0], slope = 0.0, bend = 0.0;
-    const double *at = s->gap + s->stride;
-    for (int k = 1; k <= s->harmonics; k++, at += 2 * s->stride) {
-        const double turned = c * c1 - d * s1, a = at[0], b = at[s->stride];
-        d = d * c1 + c * s1;
-        c = turned;
-        const double wave = a * c + b * d;
+    double cosine = 1.0, sine = 0.0, value = s->gap[0], slope = 0.0, bend = 0.0;
+    const double *coefficients = s->gap + s->n_pairs;
+    for (int k = 1; k <= s->harmonics; k++, coefficients += 2 * s->n_pairs) {
+        const double next_cosine = cosine * c1 - sine * s1, a = coefficients[0],
+                     b = coefficients[s->n_pairs];
+        sine = sine * c1 + cosine * s1;
+        cosine = next_cosine;
+        const double wave = a * cosine + b * sine;
         value += wave;
-        slope += k * (b * c - a * d);
+        slope += k * (b * cosine - a * sine);
         bend -= (double)k * k * wave;
     }
-    found[0] = value;
-    found[1] = slope;
-    found[2] = bend;
+    derivatives_out[0] = value;
+    derivatives_out[1] = slope;
+    derivatives_out[2] = bend;
 }
 
-/* g at a phase. */
-static double value_at(const search *s, double theta)
+/* Return g at a phase. */
+static double value_at(const change_search *s, double theta)
 {
-    const double c1 = cos(theta), s1 = sin(theta), *at = s->gap + s->stride;
-    double c = c1, d = s1, value = s->gap[0];
-    for (int k = 1; k <= s->harmonics; k++, at += 2 * s->stride) {
-        value += at[0] * c + at[s->stride] * d;
-        const double turned = c * c1 - d * s1;
-        d = d * c1 + c * s1;
-        c = turned;
+    const double c1 = cos(theta), s1 = sin(theta), *coefficients = s->gap + s->n_pairs;
+    double cosine = c1, sine = s1, value = s->gap[0];
+    for (int k = 1; k <= s->harmonics; k++, coefficients += 2 * s->n_pairs) {
+        value += coefficients[0] * cosine + coefficients[s->n_pairs] * sine;
+        const double next_cosine = cosine * c1 - sine * s1;
+        sine = sine * c1 + cosine * s1;
+        cosine = next_cosine;
     }
     return value;
 }
 
-/* Newton's method kept inside a bracket, from its middle. */
-static double bracketed(const search *s, double left, double right, double low)
+/* Return a root by Newton's method, kept in a bracket, from its middle. */
+static double find_bracketed_root(const change_search *s, double left, double right,
+                                  double left_value)
 {
     double theta = 0.5 * (left + right), g[3];
     for (int i = 0; i < 100; i++) {
-        derivatives(s, theta, g);
-        if ((g[0] > 0.0) == (low > 0.0)) left = theta;
+        evaluate_derivatives(s, theta, g);
+        if ((g[0] > 0.0) == (left_value > 0.0)) left = theta;
         else right = theta;
         const double newton = theta - g[0] / g[1]; /* not finite where g' = 0 */
         const double updated = newton >= left && newton <= right ? newton : 0.5 * (left + right);
@@ -154,107 +157,111 @@ static double bracketed(const search *s, double left, double right, double low)
     return theta;
 }
 
-/* Halley's method from the chord's root; where it strays, Newton's with bisection. A step d leaves
- * an error of about d (M d / g')^2; after the last one only rounding is left. */
-static double polished(const search *s, const cell *at)
+/* Return a root by Halley's method from the chord's root; if it leaves the cell, by Newton's method
+ * with bisection. A step d leaves an error of about d (M d / g')^2: after the last step only
+ * rounding is left. */
+static double find_root(const change_search *s, const cell *bracket)
 {
-    const double right = at->left + at->width;
-    double theta = at->left - at->width * at->low / (at->high - at->low), g[3];
+    const double right = bracket->left + bracket->width;
+    double theta = bracket->left - bracket->width * bracket->low / (bracket->high - bracket->low),
+           g[3];
     for (int i = 0; i < 6; i++) {
-        derivatives(s, theta, g);
+        evaluate_derivatives(s, theta, g);
         const double step = g[0] * g[1] / (g[1] * g[1] - 0.5 * g[0] * g[2]);
         theta -= step;
-        if (fabs(step) * s->curvature <= 1e-5 * fabs(g[1])) {
-            if (theta >= at->left && theta <= right) return theta;
+        if (fabs(step) * s->max_curvature <= 1e-5 * fabs(g[1])) {
+            if (theta >= bracket->left && theta <= right) return theta;
             break;
         }
     }
-    return bracketed(s, at->left, right, at->low);
+    return find_bracketed_root(s, bracket->left, right, bracket->low);
 }
 
-/* The next sign change: +1 or -1, or 0 where there is no more. */
-static int next_change(search *s, double *theta)
+/* Find the next sign change: +1 or -1, or 0 if there is none. */
+static int find_next_change(change_search *s, double *theta)
 {
-    const double first = TWO_PI / s->cells;
+    const double cell_width = TWO_PI / s->cells;
     for (;;) {
-        cell at;
-        if (s->open) {
-            at = s->waiting[--s->open];
-        } else if (s->next < s->cells) {
-            const int i = s->next++;
-            at = (cell){i * first, first, s->values[i], s->values[i + 1]};
+        cell current;
+        if (s->n_waiting) {
+            current = s->waiting_cells[--s->n_waiting];
+        } else if (s->next_cell < s->cells) {
+            const int i = s->next_cell++;
+            current = (cell){i * cell_width, cell_width, s->values[i], s->values[i + 1]};
         } else {
             return 0;
         }
-        const double bound = s->curvature * at.width * at.width;
-        const int change = (at.low > 0.0) != (at.high > 0.0);
+        const double bound = s->max_curvature * current.width * current.width;
+        const int has_change = (current.low > 0.0) != (current.high > 0.0);
         /* One sign change or none is certain: g' keeps its sign, or g lies close to its chord. */
-        const int certain = change ? fabs(at.high - at.low) > 0.5 * bound
-                                   : fmin(fabs(at.low), fabs(at.high)) > 0.125 * bound;
-        if (certain || bound <= 8.0 * s->resolution || s->open > DEEPEST) {
-            if (!change) continue;
-            *theta = polished(s, &at);
-            return at.high > at.low ? 1 : -1;
+        const int is_certain = has_change
+                                   ? fabs(current.high - current.low) > 0.5 * bound
+                                   : fmin(fabs(current.low), fabs(current.high)) > 0.125 * bound;
+        if (is_certain || bound <= 8.0 * s->resolution || s->n_waiting > MAX_HALVINGS) {
+            if (!has_change) continue;
+            *theta = find_root(s, &current);
+            return current.high > current.low ? 1 : -1;
         }
-        const double width = 0.5 * at.width, middle = at.left + width, g = value_at(s, middle);
-        s->waiting[s->open++] = (cell){middle, width, g, at.high};
-        s->waiting[s->open++] = (cell){at.left, width, at.low, g};
+        const double width = 0.5 * current.width, middle = current.left + width,
+                     g = value_at(s, middle);
+        s->waiting_cells[s->n_waiting++] = (cell){middle, width, g, current.high};
+        s->waiting_cells[s->n_waiting++] = (cell){current.left, width, current.low, g};
     }
 }
 
-int switching_instants(int harmonics, int pairs, const double *gap, const double *waves, int room,
-                       double *theta, double *closing, signed char *closed)
+int switching_instants(int harmonics, int pairs, const double *gap, const double *waves,
+                       int capacity, double *theta, double *closing, signed char *closed)
 {
-    search s;
-    int count = 0, failed = prepare(&s, harmonics, pairs), change;
+    change_search s;
+    int count = 0, failed = allocate_search(&s, harmonics, pairs), change;
     if (!failed) {
-        double at;
-        begin(&s, gap, waves);
+        double instant;
+        evaluate_grid(&s, gap, waves);
         *closed = s.values[0] > 0.0;
-        for (; (change = next_change(&s, &at)); count++)
-            if (count < room) {
-                theta[count] = at;
+        for (; (change = find_next_change(&s, &instant)); count++)
+            if (count < capacity) {
+                theta[count] = instant;
                 closing[count] = change;
             }
     }
-    finish(&s);
+    free_search(&s);
     return failed ? -1 : count;
 }
 
-/* Means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex numbers
- * (pairs, highest + 1). Returns -1 without memory. */
+/* Set the means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex
+ * numbers (pairs, highest + 1). Returns -1 without memory. */
 static int closed_means(int harmonics, int pairs, const double *gap, const double *waves,
                         int highest, double *means)
 {
-    search s;
-    const int failed = prepare(&s, harmonics, pairs);
+    change_search s;
+    const int failed = allocate_search(&s, harmonics, pairs);
     for (int pair = 0; pair < pairs && !failed; pair++, means += 2 * (highest + 1)) {
         double theta;
-        int change;
+        int direction;
         for (int m = 0; m < 2 * (highest + 1); m++) means[m] = 0.0;
-        begin(&s, gap + pair, waves);
+        evaluate_grid(&s, gap + pair, waves);
         means[0] = s.values[0] > 0.0 ? TWO_PI : 0.0;
-        while ((change = next_change(&s, &theta))) {
+        while ((direction = find_next_change(&s, &theta))) {
             /* int exp(i m theta) = exp(i m theta) / (i m): + where the pair opens, - where it
              * closes. */
             const double c1 = cos(theta), s1 = sin(theta);
             double c = 1.0, d = 0.0;
-            means[0] -= change * theta;
+            means[0] -= direction * theta;
             for (int m = 1; m <= highest; m++) {
-                const double turned = c * c1 - d * s1;
+                const double next_cosine = c * c1 - d * s1;
                 d = d * c1 + c * s1;
-                c = turned;
-                means[2 * m] -= change * d / m;
-                means[2 * m + 1] += change * c / m;
+                c = next_cosine;
+                means[2 * m] -= direction * d / m;
+                means[2 * m + 1] += direction * c / m;
             }
         }
         for (int m = 0; m < 2 * (highest + 1); m++) means[m] *= 1.0 / TWO_PI;
     }
-    finish(&s);
+    free_search(&s);
     return failed;
 }
 
-/* k times the Toeplitz plus Hankel matrix of c_m + i s_m, (2H+1, 2H+1):
+/* Set k times the Toeplitz plus Hankel matrix of c_m + i s_m, (2H+1, 2H+1):
  *
  *     d a_i/d a_j:  c_{i-j} + c_{i+j}      d a_i/d b_j:  s_{i+j} - s_{i-j}
  *     d b_i/d a_j:  s_{i+j} + s_{i-j}      d b_i/d b_j:  c_{i-j} - c_{i+j},

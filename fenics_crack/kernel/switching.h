@@ -7,21 +7,21 @@
  *     g(theta) = a0 + sum_k a_k cos(k theta) + b_k sin(k theta),      theta in [0, 2 pi].
  */
 
-/* Cells of the first grid, a multiple of 4. */
+/* Return the number of cells of the first grid, a multiple of 4. */
 int switching_cells(int harmonics);
-/* What the search evaluates the first grid with: cos(k theta), sin(k theta) for k = 1 to H at the
- * instants of the first quarter of the period, (H, 2, cells / 4 + 1). */
+/* Set the waves of the first grid: cos(k theta), sin(k theta) for k = 1 to H at the instants of the
+ * first quarter of the period, (H, 2, cells / 4 + 1). */
 void switching_waves(int harmonics, double *waves);
 
-/* All sign changes of the gap of one pair, in order. theta: (room), phases; closing: (room), +1
- * where the gap becomes positive, -1 where it ceases to be; closed: whether it is positive at 0.
- * Returns their number, of which no more than `room` are written, or -1 without memory. */
-int switching_instants(int harmonics, int pairs, const double *gap, const double *waves, int room,
-                       double *theta, double *closing, signed char *closed);
+/* Find all sign changes of the gap of one pair, in order. theta (capacity): phases; closing
+ * (capacity): +1 if the gap becomes positive, else -1; closed: whether the gap is positive at 0.
+ * Returns their number, of which at most `capacity` are written, or -1 without memory. */
+int switching_instants(int harmonics, int pairs, const double *gap, const double *waves,
+                       int capacity, double *theta, double *closing, signed char *closed);
 
-/* Coefficients of the forces k max(g, 0), (2H+1, pairs), and their derivative by the gap's
- * coefficients, (pairs, 2H+1, 2H+1). stiffness: (pairs); means: room for (pairs, 2H+1) complex
- * numbers. Returns -1 without memory. */
+/* Set the coefficients of the forces k max(g, 0), (2H+1, pairs), and their derivatives by the gap's
+ * coefficients, (pairs, 2H+1, 2H+1). stiffness: (pairs); means: work space for (pairs, 2H+1)
+ * complex numbers. Returns -1 without memory. */
 int contact_integrals(int harmonics, int pairs, const double *gap, const double *stiffness,
                       const double *waves, double *means, double *force, double *tangent);
 

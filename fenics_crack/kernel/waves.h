@@ -13,11 +13,11 @@
  */
 typedef struct waves waves;
 
-/* instants: a multiple of 4; columns: the most at once. NULL without memory. */
+/* instants: a multiple of 4; columns: the largest number at once. NULL without memory. */
 waves *new_waves(int harmonics, int instants, int columns);
-void free_waves(waves *at);
-void values_of(waves *at, int columns, const double *coefficients, double *values);
-/* More than 2H instants. */
-void coefficients_of(waves *at, int columns, const double *values, double *coefficients);
+void free_waves(waves *self);
+void waves_to_values(waves *self, int columns, const double *coefficients, double *values);
+/* More than 2H instants are needed. */
+void values_to_waves(waves *self, int columns, const double *values, double *coefficients);
 
 #endif

@@ -38,7 +38,7 @@ class Body(ReadOnlyArrays):
     rotation: Any = None
     comm: MPI.Comm = None
     result_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
-    """Results of :meth:`Structure.cached_result` by the function that computes them."""
+    """Results of :meth:`Structure.compute_once` by the function that computes them."""
     matrix_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
     """Cached results that depend on mass, stiffness and pairs alone.
 

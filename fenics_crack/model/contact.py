@@ -49,7 +49,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.kernel import kernel, owned, pointer, shaped
+from fenics_crack.kernel import attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, MACHINE_EPSILON, ROUNDING
@@ -438,7 +438,7 @@ class FrictionSets:
 
     def __init__(self, compliance: np.ndarray, coefficient: float | np.ndarray) -> None:
         n_gaps = len(compliance)
-        self.compliance = compliance = shaped(compliance, n_gaps, n_gaps)
+        self.compliance = compliance = require_shape(compliance, n_gaps, n_gaps)
         mu = np.ascontiguousarray(np.broadcast_to(coefficient, n_gaps // 2), dtype=float)
         # The kernel does not copy all of these.
         self._kernel_arrays = np.zeros((n_gaps, 1)), compliance, mu
@@ -446,7 +446,7 @@ class FrictionSets:
         new_handle = kernel.new_closed_sets(
             1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_doubles
         )
-        self.handle = owned(new_handle, kernel.free_closed_sets)
+        self.handle = attach_destructor(new_handle, kernel.free_closed_sets)
         """The kernel's own object."""
 
     def solve(
@@ -480,7 +480,7 @@ class FrictionSets:
             An instant has no forces, or more than one solution.
         """
         n_instants, n_gaps = gap.shape
-        gap = shaped(gap, n_instants, n_gaps)
+        gap = require_shape(gap, n_instants, n_gaps)
         start_positions = np.array(slider_positions, dtype=float)
         forces, positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
         states = np.empty(positions.shape, dtype=np.int8)
@@ -499,7 +499,7 @@ motion.
 """
 MAX_NEWTON_SMOOTH = 200
 """Maximum number of iterations for forces that are not piecewise linear in the gaps."""
-REGULAR: float = kernel.REGULAR
+REGULAR_EIGENVALUE_RATIO: float = kernel.REGULAR_EIGENVALUE_RATIO
 """Minimum relative eigenvalue of R_inf for which a constraint is solved.
 
 It is relative to the largest eigenvalue. A penalty that replaces a constraint has this softness.
@@ -509,7 +509,9 @@ It is relative to the largest eigenvalue. A penalty that replaces a constraint h
 def is_regular(matrix: np.ndarray) -> bool:
     """Return True if a symmetric matrix is positive definite and well scaled."""
     eigenvalues = np.linalg.eigvalsh(matrix)
-    return not len(eigenvalues) or bool(eigenvalues[0] > REGULAR * eigenvalues[-1] > 0.0)
+    return not len(eigenvalues) or bool(
+        eigenvalues[0] > REGULAR_EIGENVALUE_RATIO * eigenvalues[-1] > 0.0
+    )
 
 
 class ActiveSets:
@@ -522,10 +524,10 @@ class ActiveSets:
     """
 
     def __init__(self, compliance: np.ndarray) -> None:
-        self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
+        self.compliance = compliance = require_shape(compliance, len(compliance), len(compliance))
         max_inverses = int(SETS_MEMORY_FRACTION * machine_memory()) // max(compliance.nbytes, 8)
         n_pairs = len(compliance)
-        self.handle = owned(
+        self.handle = attach_destructor(
             kernel.new_sets(n_pairs, pointer(compliance), max_inverses), kernel.free_sets
         )
         """The kernel's own object."""
@@ -541,9 +543,9 @@ class ActiveSets:
         -------
         (m, n_pairs, n_pairs) [N/m]
         """
-        is_closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
+        is_closed = require_shape(sets, len(sets), len(self.compliance), kind=bool)
         inverses = np.empty((*is_closed.shape, is_closed.shape[1]))
-        if kernel.inverses_of(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
+        if kernel.invert_sets(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
         return inverses
 
@@ -566,11 +568,11 @@ class ActiveSets:
         (n, n_pairs) bool
             Closed pairs.
         """
-        gap = shaped(gap, len(gap), len(self.compliance))
+        gap = require_shape(gap, len(gap), len(self.compliance))
         guess = gap > 0.0 if is_closed is None else np.array(is_closed)
-        is_closed = shaped(guess, *gap.shape, kind=bool)
+        is_closed = require_shape(guess, *gap.shape, kind=bool)
         force, has_failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
-        kernel.forces_of(
+        kernel.solve_instants(
             self.handle,
             len(gap),
             pointer(gap),
@@ -609,7 +611,7 @@ def solve_complementarity(
         There is no solution, or none was found.
     """
     guess = None if is_closed is None else np.array(is_closed)[None]
-    return np.asarray(ActiveSets(matrix).solve(shaped(gap, len(matrix))[None], guess)[0][0])
+    return np.asarray(ActiveSets(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0])
 
 
 def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:

@@ -24,8 +24,8 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import (
-    AS_ZERO,
     NEGLIGIBLE,
+    ZERO_TOLERANCE,
     damped_modes,
     damping_on_modes,
     solve_modes,
@@ -124,7 +124,7 @@ class AllModes:
                 nudge = math.sqrt(MACHINE_EPSILON) * size
                 is_near_resonance = (np.abs(impedance) <= nudge) & ~is_loaded & (square > 0.0)
                 impedance = np.where(is_near_resonance, nudge, impedance)
-            is_singular |= (np.abs(impedance) <= kernel.SINGULAR * size).any(axis=1)
+            is_singular |= (np.abs(impedance) <= kernel.SINGULARITY_TOLERANCE * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping
             mode_range = np.arange(len(self.squares))
@@ -314,7 +314,7 @@ def all_modes(structure: Structure) -> AllModes:
 
     They are computed once for the structure and its varied copies.
     """
-    modes, factor = structure.cached_result(_compute_all_modes), structure.damping_factor
+    modes, factor = structure.compute_once(_compute_all_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
 
 
@@ -332,7 +332,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
         squares, shapes = scipy.linalg.eigh(*matrices)
         damping = damping_on_modes(structure, shapes, squares)
     # A small square may be LAPACK's rounding of the largest; one mode of K itself decides.
-    is_doubtful = squares[0] <= AS_ZERO * squares[-1]
+    is_doubtful = squares[0] <= ZERO_TOLERANCE * squares[-1]
     is_unconstrained = bool(is_doubtful and solve_modes(structure, 1).omega[0] == 0.0)
     return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, is_unconstrained)
 

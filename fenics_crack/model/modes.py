@@ -39,7 +39,7 @@ ROUNDING_ADVICE = (
     "what is too slender, or held by too little, has frequencies below the rounding of its "
     "stiffness; make it thicker, or what is left beside a crack wider"
 )
-AS_ZERO: float = kernel.AS_ZERO
+ZERO_TOLERANCE: float = kernel.ZERO_TOLERANCE
 """Relative size that counts as zero.
 
 For squares of frequencies it is relative to the sum of K_ii phi_i^2; it holds for static responses
@@ -271,7 +271,7 @@ def solve_modes_with_factor(
     single_dof_squares = structure.sum_over_ranks(
         structure.stiffness.getDiagonal().array_r @ shapes**2
     )
-    squares[squares <= AS_ZERO * np.maximum(single_dof_squares, scale)] = 0.0
+    squares[squares <= ZERO_TOLERANCE * np.maximum(single_dof_squares, scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(
             f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
@@ -279,7 +279,7 @@ def solve_modes_with_factor(
     omega = np.sqrt(squares)
     shapes *= _choose_signs(structure, shapes)
     if ties is None:
-        structure.cached_result(_lowest_modes_cache, from_matrices=True)[:] = omega, shapes
+        structure.compute_once(_lowest_modes_cache, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
@@ -291,7 +291,7 @@ def find_known_modes(structure: Structure, count: int) -> Modes | None:
     if structure.whole is not structure:  # small and dense
         if (known_modes := structure.known_modes(is_bonded=False)) is not None:
             return Modes(known_modes[0][:count], known_modes[1][:, :count], structure)
-    cache = structure.cached_result(_lowest_modes_cache, from_matrices=True)
+    cache = structure.compute_once(_lowest_modes_cache, from_matrices=True)
     if not cache or len(cache[0]) < count:
         return None
     return Modes(cache[0][:count], cache[1][:, :count], structure)
@@ -546,7 +546,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     """
     if not isinstance(structure.original.damping, ModalDamping):
         return None
-    modes, factor = structure.cached_result(_compute_damped_modes), structure.damping_factor
+    modes, factor = structure.compute_once(_compute_damped_modes), structure.damping_factor
     return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
 
 
@@ -761,7 +761,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     >>> natural = fc.bilinear_frequencies(structure)
     >>> resonance = natural.omega_bilinear[0]
     """
-    return structure.cached_result(_compute_bilinear_frequencies, from_matrices=True)
+    return structure.compute_once(_compute_bilinear_frequencies, from_matrices=True)
 
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:

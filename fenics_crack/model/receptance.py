@@ -68,38 +68,42 @@ class Receptance:
         """Number of modes."""
         return len(self.squares)
 
-    def beyond(self, count: int, seen: np.ndarray, modal: np.ndarray) -> np.ndarray:
-        """Return seen^T G X beyond the first ``count`` modes.
+    def residual_response(
+        self, n_kept_modes: int, residual_part: np.ndarray, modal_displacements: np.ndarray
+    ) -> np.ndarray:
+        """Return Y^T G X, with G beyond the first ``n_kept_modes`` modes.
 
         Parameters
         ----------
-        seen : (m, n_sources)
-            seen^T G X beyond all modes.
-        modal : (m, n_modes)
-            Displacements by the modes.
+        residual_part : (m, n_sources)
+            Y^T G X, with G beyond all modes.
+        modal_displacements : (m, n_modes)
+            Y^T Phi.
 
         Returns
         -------
         (m, n_sources)
         """
-        between = slice(count, None)
-        weighted = modal[:, between] / self.squares[between]
-        return np.asarray(seen + weighted @ self.modal[:, between].T)
+        truncated_modes = slice(n_kept_modes, None)
+        modal_flexibility = modal_displacements[:, truncated_modes] / self.squares[truncated_modes]
+        return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_modes].T)
 
-    def compliance_beyond(self, count: int) -> np.ndarray:
-        """Return S beyond the first ``count`` modes: (n_sources, n_sources)."""
-        return self.beyond(count, self.compliance, self.modal)
+    def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
+        """Return S beyond the first ``n_kept_modes`` modes: (n_sources, n_sources)."""
+        return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
-    def inertia_beyond(self, count: int) -> np.ndarray:
-        """Return the diagonal of B^T G M G B beyond the first ``count`` modes: (n_pairs,)."""
-        weighted_modes = self.modal[: len(self.inertia), count:] / self.squares[count:]
+    def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
+        """Return the diagonal of B^T G M G B beyond the first modes: (n_pairs,)."""
+        weighted_modes = (
+            self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
+        )
         return np.asarray(self.inertia + np.sum(weighted_modes**2, axis=1))
 
 
-def receptance(structure: Structure, count: int) -> Receptance:
+def receptance(structure: Structure, n_modes: int) -> Receptance:
     """Return the receptance of the original structure (collective).
 
-    It has ``count`` modes or more.
+    It has at least ``n_modes`` modes.
 
     Raises
     ------
@@ -107,17 +111,19 @@ def receptance(structure: Structure, count: int) -> Receptance:
         The structure is made from arrays alone, which have fewer modes, or another load.
     """
     structure = structure.original
-    held = structure.cached_result(held_receptance)
-    last = structure.cached_result(last_receptance, from_matrices=True)
-    if not held and last:
-        held += filter(None, [_of_load(structure, last[0])])
-    if not held or held[0].n_modes < count:
-        check_matrices(structure, f"{count} modes")
-        held[:] = last[:] = [_extended(structure, held[0] if held else None, count)]
-    return held[0]
+    cache = structure.compute_once(receptance_cache)
+    shared_cache = structure.compute_once(shared_receptance_cache, from_matrices=True)
+    if not cache and shared_cache:
+        cache += filter(None, [_with_load(structure, shared_cache[0])])
+    if not cache or cache[0].n_modes < n_modes:
+        check_matrices(structure, f"{n_modes} modes")
+        cache[:] = shared_cache[:] = [
+            _extend_receptance(structure, cache[0] if cache else None, n_modes)
+        ]
+    return cache[0]
 
 
-def held_receptance(structure: Structure) -> list[Receptance]:
+def receptance_cache(structure: Structure) -> list[Receptance]:
     """Return an empty cache for the receptance with the most modes so far.
 
     The cache does not hold the structure, which would keep it alive.
@@ -125,7 +131,7 @@ def held_receptance(structure: Structure) -> list[Receptance]:
     return []
 
 
-def last_receptance(structure: Structure) -> list[Receptance]:
+def shared_receptance_cache(structure: Structure) -> list[Receptance]:
     """Return an empty cache for structures with the same matrices and any load.
 
     It keeps the last receptance of any such structure.
@@ -133,40 +139,57 @@ def last_receptance(structure: Structure) -> list[Receptance]:
     return []
 
 
-def _of_load(structure: Structure, known: Receptance) -> Receptance | None:
+def _with_load(structure: Structure, known_receptance: Receptance) -> Receptance | None:
     """Return a receptance with the structure's load, from one with another load (collective).
 
     None: the structure's load is no sum of the other load's parts.
     """
-    own, other = structure.force[loaded_parts(structure)], known.force
-    both = np.vstack([other[loaded_parts(structure, other)], own])
-    given = len(both) - len(own)
-    if len(known.modal) - given != sources_of(structure).shape[1] - len(own):
-        return None  # with tangents, or without
-    gram = structure.sum_over_ranks(both @ both.T)
-    weights = np.linalg.pinv(gram[:given, :given], hermitian=True) @ gram[:given, given:]
-    left = structure.sum_over_ranks(((own - weights.T @ both[:given]) ** 2).sum(axis=1))
-    if np.any(left > (ROUNDING * ROUNDING) * np.diag(gram)[given:]):
+    load_parts, known_load = structure.force[loaded_parts(structure)], known_receptance.force
+    all_parts = np.vstack([known_load[loaded_parts(structure, known_load)], load_parts])
+    n_known_parts = len(all_parts) - len(load_parts)
+    if len(known_receptance.modal) - n_known_parts != sources_of(structure).shape[1] - len(
+        load_parts
+    ):
+        return None  # only one of the two has tangents
+    gram = structure.sum_over_ranks(all_parts @ all_parts.T)
+    weights = (
+        np.linalg.pinv(gram[:n_known_parts, :n_known_parts], hermitian=True)
+        @ gram[:n_known_parts, n_known_parts:]
+    )
+    residual_squares = structure.sum_over_ranks(
+        ((load_parts - weights.T @ all_parts[:n_known_parts]) ** 2).sum(axis=1)
+    )
+    if np.any(residual_squares > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_parts:]):
         return None
-    change = scipy.linalg.block_diag(np.eye(len(known.modal) - given), weights)
-    rows = {dof: (shape, static @ change) for dof, (shape, static) in known.rows.items()}
-    compliance = change.T @ known.compliance @ change
+    transformation = scipy.linalg.block_diag(
+        np.eye(len(known_receptance.modal) - n_known_parts), weights
+    )
+    rows = {
+        dof: (modal_part, residual_part @ transformation)
+        for dof, (modal_part, residual_part) in known_receptance.rows.items()
+    }
+    compliance = transformation.T @ known_receptance.compliance @ transformation
     return Receptance(
-        known.squares, change.T @ known.modal, compliance, rows, structure.force, known.inertia
+        known_receptance.squares,
+        transformation.T @ known_receptance.modal,
+        compliance,
+        rows,
+        structure.force,
+        known_receptance.inertia,
     )
 
 
-def check_matrices(structure: Structure, wanted: str) -> None:
+def check_matrices(structure: Structure, missing_result: str) -> None:
     """Raise InputError if a structure of arrays alone lacks its matrices."""
     if not structure.has_matrices:
-        raise AbsentMatrix.input_error(wanted)
+        raise AbsentMatrix.input_error(missing_result)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:
     """Return X: (n_local, n_sources) (collective)."""
-    force = structure.force[loaded_parts(structure)]
-    contact = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
-    return sparse.hstack([*contact, force.T]).tocsr()
+    load_parts = structure.force[loaded_parts(structure)]
+    pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
+    return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
 
 
 def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.ndarray:
@@ -180,111 +203,146 @@ def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.nd
     return np.asarray(structure.sum_over_ranks((force**2).sum(axis=1)) > 0.0)
 
 
-def _extended(structure: Structure, known: Receptance | None, count: int) -> Receptance:
-    """Return a receptance with ``count`` modes, more than are known (collective)."""
+def _extend_receptance(
+    structure: Structure, known_receptance: Receptance | None, n_modes: int
+) -> Receptance:
+    """Return a receptance with more modes than are known (collective)."""
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
-        found = solve_modes_with_factor(factor, structure, count)
-        squares, every = found.omega**2, count == structure.n_dofs
-        left = ResidualFlexibility(structure, found.shapes, squares, sources_of(structure))
+        modes = solve_modes_with_factor(factor, structure, n_modes)
+        squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs
+        flexibility = ResidualFlexibility(structure, modes.shapes, squares, sources_of(structure))
         begin("static responses")
-        if known is None or known.squares[-1] == 0.0:  # there may be more motions as a rigid body
-            size = left.modal.shape[:1]
-            nothing = np.zeros(size * 2), np.zeros(size)
-            compliance, inertia = nothing if every else left.compliance(factor)
-            made = Receptance(
-                squares, left.modal, compliance, {}, structure.force, inertia[: structure.n_pairs]
+        # Without an elastic mode there may be further rigid-body motions.
+        if known_receptance is None or known_receptance.squares[-1] == 0.0:
+            shape = flexibility.modal_sources.shape[:1]
+            zero_parts = np.zeros(shape * 2), np.zeros(shape)
+            compliance, inertia = zero_parts if has_all_modes else flexibility.compliance(factor)
+            new_receptance = Receptance(
+                squares,
+                flexibility.modal_sources,
+                compliance,
+                {},
+                structure.force,
+                inertia[: structure.n_pairs],
             )
-            _add_rows(made, structure, _loaded_dofs(structure), left, factor)
-            return made
-    between = slice(known.n_modes, None)
-    weighted = left.modal[:, between] / squares[between]
-    compliance = known.compliance - weighted @ left.modal[:, between].T
-    inertia = known.inertia - np.sum(weighted[: structure.n_pairs] ** 2, axis=1)
-    dofs = [*known.rows]
-    shapes = structure.values_at(found.shapes.T, dofs).T
-    static = np.array([row for _, row in known.rows.values()]) - shapes[:, between] @ weighted.T
-    keep = 0.0 if every else 1.0
-    rows = dict(zip(dofs, zip(shapes, keep * static, strict=True), strict=True))
-    return Receptance(squares, left.modal, keep * compliance, rows, structure.force, keep * inertia)
+            _add_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
+            return new_receptance
+    new_modes = slice(known_receptance.n_modes, None)
+    modal_flexibility = flexibility.modal_sources[:, new_modes] / squares[new_modes]
+    compliance = (
+        known_receptance.compliance - modal_flexibility @ flexibility.modal_sources[:, new_modes].T
+    )
+    inertia = known_receptance.inertia - np.sum(modal_flexibility[: structure.n_pairs] ** 2, axis=1)
+    dofs = [*known_receptance.rows]
+    mode_shapes = structure.values_at(modes.shapes.T, dofs).T
+    residual_parts = (
+        np.array([row for _, row in known_receptance.rows.values()])
+        - mode_shapes[:, new_modes] @ modal_flexibility.T
+    )
+    residual_factor = 0.0 if has_all_modes else 1.0
+    rows = dict(
+        zip(dofs, zip(mode_shapes, residual_factor * residual_parts, strict=True), strict=True)
+    )
+    return Receptance(
+        squares,
+        flexibility.modal_sources,
+        residual_factor * compliance,
+        rows,
+        structure.force,
+        residual_factor * inertia,
+    )
 
 
-def rows_at(structure: Structure, count: int, dofs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacements of dofs by modes and by G X; they are kept (collective).
+def displacement_rows(
+    structure: Structure, n_modes: int, dofs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the displacements of dofs by modes and by G X, and keep them (collective).
 
     Returns
     -------
-    (m, count)
+    (m, n_modes)
         Displacements by the modes.
     (m, n_sources)
         Displacements by G X beyond the modes.
     """
-    known, structure = receptance(structure, count), structure.original
-    wanted = [int(dof) for dof in dofs]
-    missing = [dof for dof in dict.fromkeys(wanted) if dof not in known.rows]
-    if missing:
-        shapes = solve_modes(structure, known.n_modes).shapes
-        left = ResidualFlexibility(structure, shapes, known.squares, sources_of(structure))
-        _add_rows(known, structure, np.array(missing), left)
-    shapes, static = (
-        np.array(rows) for rows in zip(*(known.rows[dof] for dof in wanted), strict=True)
+    known_receptance, structure = receptance(structure, n_modes), structure.original
+    requested_dofs = [int(dof) for dof in dofs]
+    missing_dofs = [
+        dof for dof in dict.fromkeys(requested_dofs) if dof not in known_receptance.rows
+    ]
+    if missing_dofs:
+        shapes = solve_modes(structure, known_receptance.n_modes).shapes
+        flexibility = ResidualFlexibility(
+            structure, shapes, known_receptance.squares, sources_of(structure)
+        )
+        _add_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
+    shapes, residual_parts = (
+        np.array(rows)
+        for rows in zip(*(known_receptance.rows[dof] for dof in requested_dofs), strict=True)
     )
-    return shapes[:, :count], known.beyond(count, static, shapes)
+    return shapes[:, :n_modes], known_receptance.residual_response(n_modes, residual_parts, shapes)
 
 
-def expanded(
-    structure: Structure, shapes: np.ndarray, squares: np.ndarray, amplitude: np.ndarray
+def expand_residual_response(
+    structure: Structure, shapes: np.ndarray, squares: np.ndarray, amplitudes: np.ndarray
 ) -> np.ndarray:
     """Return G X c beyond some modes, from amplitudes (collective).
 
     Parameters
     ----------
-    amplitude : (m, n_sources)
+    amplitudes : (m, n_sources)
         c.
 
     Returns
     -------
     (m, n_local)
     """
-    used = np.any(amplitude != 0.0, axis=1)
-    found = np.zeros((len(amplitude), structure.n_local))
-    if np.any(used):
+    is_nonzero = np.any(amplitudes != 0.0, axis=1)
+    displacements = np.zeros((len(amplitudes), structure.n_local))
+    if np.any(is_nonzero):
         sources = sources_of(structure.original)
-        left = ResidualFlexibility(structure, shapes, squares, sources)
+        flexibility = ResidualFlexibility(structure, shapes, squares, sources)
         with Factor(structure.stiffness, definite=True) as factor:
-            found[used] = left.solve(factor, (sources @ amplitude[used].T).T)
-    return found
+            displacements[is_nonzero] = flexibility.solve(
+                factor, (sources @ amplitudes[is_nonzero].T).T
+            )
+    return displacements
 
 
 def _add_rows(
-    known: Receptance,
+    known_receptance: Receptance,
     structure: Structure,
     dofs: np.ndarray,
-    left: ResidualFlexibility,
+    flexibility: ResidualFlexibility,
     factor: Factor | None = None,
 ) -> None:
     """Add the rows of some dofs to a receptance (collective)."""
-    own = dofs - structure.first_dof
-    mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
+    local_dofs = dofs - structure.first_dof
+    owned_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
     shape = structure.n_local, len(dofs)
-    units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
-    static = np.zeros((len(dofs), len(known.modal)))
-    if known.n_modes < structure.n_dofs:
-        made = factor or Factor(structure.stiffness, definite=True)
-        with nullcontext(made) if factor else made as used:
-            static = left.seen(used, units)[0]
-    shapes = structure.values_at(left.shapes.T, dofs).T
-    known.rows.update(zip(map(int, dofs), zip(shapes, static, strict=True), strict=True))
+    unit_forces = sparse.csr_matrix(
+        (np.ones(len(owned_indices)), (local_dofs[owned_indices], owned_indices)), shape
+    )
+    residual_parts = np.zeros((len(dofs), len(known_receptance.modal)))
+    if known_receptance.n_modes < structure.n_dofs:
+        stiffness_factor = factor or Factor(structure.stiffness, definite=True)
+        with nullcontext(stiffness_factor) if factor else stiffness_factor as open_factor:
+            residual_parts = flexibility.project(open_factor, unit_forces)[0]
+    shapes = structure.values_at(flexibility.shapes.T, dofs).T
+    known_receptance.rows.update(
+        zip(map(int, dofs), zip(shapes, residual_parts, strict=True), strict=True)
+    )
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
     """Return the dofs under the load, to watch the effect of the load (collective).
 
-    With more loaded dofs than one block of static solutions holds, it is the watched dof.
+    If they exceed one block of static solutions, return the watched dof alone.
     """
-    own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
-    found = gather_rows(structure.comm, own)
-    return found if len(found) <= MAX_BLOCK_COLUMNS else np.array([structure.watched_dof])
+    owned_dofs = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
+    dofs = gather_rows(structure.comm, owned_dofs)
+    return dofs if len(dofs) <= MAX_BLOCK_COLUMNS else np.array([structure.watched_dof])
 
 
 class ResidualFlexibility:
@@ -304,7 +362,7 @@ class ResidualFlexibility:
         Squares of the modes' frequencies.
     sources : (n_local, n_sources)
         X: the forces of unit amplitude, a sparse matrix.
-    modal : (n_sources, n_modes)
+    modal_sources : (n_sources, n_modes)
         X^T Phi.
     """
 
@@ -313,19 +371,19 @@ class ResidualFlexibility:
     ) -> None:
         self.structure, self.shapes, self.squares = structure, shapes, squares
         self.sources = sparse.csr_matrix(sources)
-        self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
+        self.modal_sources = structure.sum_over_ranks(self.sources.T @ shapes)
         # With a hinge that hardly resists, only rounding of the modal part would remain.
-        self._held = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
+        self._is_well_supported = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
         """Return G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
         structure, shapes = self.structure, self.shapes
-        modal = structure.sum_over_ranks(forces @ shapes)
-        found = factor.solve(forces - multiply(structure.mass, shapes @ modal.T).T)
-        moved = multiply(structure.mass, found.T).T
-        return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
+        modal_forces = structure.sum_over_ranks(forces @ shapes)
+        displacements = factor.solve(forces - multiply(structure.mass, shapes @ modal_forces.T).T)
+        inertia_forces = multiply(structure.mass, displacements.T).T
+        return displacements - structure.sum_over_ranks(inertia_forces @ shapes) @ shapes.T
 
-    def seen(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
         """Return Y^T G X, and the diagonal of Y^T G M G Y (collective).
 
         Parameters
@@ -344,16 +402,20 @@ class ResidualFlexibility:
         for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
             block = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
             # If K^-1 is small enough, its modal part is subtracted once, below.
-            moved = factor.solve(block) if self._held else self.solve(factor, block)
-            rows.append((self.sources.T @ moved.T).T)
-            inertia.append(np.sum(moved.T * multiply(self.structure.mass, moved.T), axis=0))
-        found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
+            responses = (
+                factor.solve(block) if self._is_well_supported else self.solve(factor, block)
+            )
+            rows.append((self.sources.T @ responses.T).T)
+            inertia.append(np.sum(responses.T * multiply(self.structure.mass, responses.T), axis=0))
+        products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
         inertias: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia))
-        if self._held:
-            weighted = self.structure.sum_over_ranks(columns.T @ self.shapes) / self.squares
-            found -= weighted @ self.modal.T
-            inertias -= np.sum(weighted**2, axis=1)
-        return found, inertias
+        if self._is_well_supported:
+            modal_flexibility = (
+                self.structure.sum_over_ranks(columns.T @ self.shapes) / self.squares
+            )
+            products -= modal_flexibility @ self.modal_sources.T
+            inertias -= np.sum(modal_flexibility**2, axis=1)
+        return products, inertias
 
     def compliance(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
         """Return S = X^T G X, and the diagonal of X^T G M G X (collective).
@@ -365,5 +427,5 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X.
         """
-        found, inertia = self.seen(factor, self.sources)
-        return 0.5 * (found + found.T), inertia
+        products, inertia = self.project(factor, self.sources)
+        return 0.5 * (products + products.T), inertia

@@ -37,7 +37,7 @@ from fenics_crack.model.body import Body
 from fenics_crack.model.factor import distribute_rows
 from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
 from fenics_crack.model.nodes import body_property
-from fenics_crack.model.receptance import expanded, rows_at
+from fenics_crack.model.receptance import displacement_rows, expand_residual_response
 from fenics_crack.model.structure import DampingRule, Structure
 
 MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -361,7 +361,7 @@ class MasslessStructure(MasslessInterface):
     def _expand_to_source(self, displacement: np.ndarray) -> np.ndarray:
         """Expand coordinates to the structure that was reduced (collective)."""
         modal_part, static_part = np.split(displacement, [self.n_modes], axis=1)
-        return modal_part @ self.basis.T + expanded(
+        return modal_part @ self.basis.T + expand_residual_response(
             self._source, self.basis, self.omega**2, static_part
         )
 
@@ -376,7 +376,7 @@ class MasslessStructure(MasslessInterface):
         if self._source.whole is not self._source:  # it is reduced itself
             return self._source.values_at(self._expand_to_source(displacement), dofs)
         dof_array = self._source.check_dofs(dofs)
-        return displacement @ np.hstack(rows_at(self._source, self.n_modes, dof_array)).T
+        return displacement @ np.hstack(displacement_rows(self._source, self.n_modes, dof_array)).T
 
 
 def check_mass(structure: Structure, remedy: str) -> None:

@@ -41,7 +41,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
-    AS_ZERO,
+    ZERO_TOLERANCE,
     check_damped_modes,
     damped_modes,
     damping_on_modes,
@@ -135,7 +135,7 @@ def reduce_structure(
             flexibility = ResidualFlexibility(structure, mode_shapes, squares, forces.T)
             static_shapes = flexibility.solve(factor, forces).T
             own_compliances = structure.sum_over_ranks((forces.T * static_shapes).sum(axis=0))
-            is_rounding = _is_rounding(own_compliances, flexibility.modal.T, squares)
+            is_rounding = _is_rounding(own_compliances, flexibility.modal_sources.T, squares)
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
             if not reference:
@@ -230,7 +230,7 @@ def _is_rounding(
     """
     is_elastic = squares > 0.0
     modal_compliance = np.sum(modal_sources[is_elastic] ** 2 / squares[is_elastic, None], axis=0)
-    return np.asarray(compliance_diagonal <= AS_ZERO * modal_compliance)
+    return np.asarray(compliance_diagonal <= ZERO_TOLERANCE * modal_compliance)
 
 
 def _uniform_damping_rule(structure: Structure) -> DampingRule | None:

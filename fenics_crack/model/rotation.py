@@ -38,7 +38,7 @@ from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
 from fenics_crack.model.matrices import read_only_array, read_only_rows
-from fenics_crack.model.modes import AS_ZERO, Modes, independent_part, multiply, solve_modes
+from fenics_crack.model.modes import ZERO_TOLERANCE, Modes, independent_part, multiply, solve_modes
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import MasslessInterface, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
@@ -153,7 +153,7 @@ def static_state(
     with Factor(structure.stiffness, definite=True) as factor:
         displacement = factor.solve(force[None])[0]
         gap = structure.apply_bt(displacement[None])[0] - clearance
-        if np.any(gap > AS_ZERO * np.abs(gap).max(initial=0.0)):
+        if np.any(gap > ZERO_TOLERANCE * np.abs(gap).max(initial=0.0)):
             pair_responses = factor.solve(structure.gap.T.toarray())
             compliance = structure.apply_bt(pair_responses)
             contact_forces = solve_complementarity(0.5 * (compliance + compliance.T), gap)
@@ -348,13 +348,13 @@ class Ritz:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunUpBody(ReducedBody):
-    """Body of a rotating structure at one speed; ``dense`` is V^T K(W) V."""
+    """Body of a rotating structure at one speed; ``dense_stiffness`` is V^T K(W) V."""
 
     speed: float
     shapes: np.ndarray
     static_root: np.ndarray
     ritz: Ritz
-    dense: np.ndarray
+    dense_stiffness: np.ndarray
 
 
 class RunUpStructure(MasslessInterface):
@@ -398,7 +398,7 @@ class RunUpStructure(MasslessInterface):
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
             shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],
-            dense=stiffness,
+            dense_stiffness=stiffness,
         )  # fmt: skip
         Structure.__init__(self, body)
 
@@ -408,7 +408,7 @@ class RunUpStructure(MasslessInterface):
 
         Paths make a structure for each of many speeds, and never need this matrix.
         """
-        return distribute_rows(self.body.dense, MPI.COMM_SELF)
+        return distribute_rows(self.body.dense_stiffness, MPI.COMM_SELF)
 
     @property
     def _size_description(self) -> str:

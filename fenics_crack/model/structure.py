@@ -224,7 +224,7 @@ def shared_property(compute: Callable[[Any], Any]) -> Any:
 
     It is computed once, from :attr:`Structure.original`.
     """
-    return property(lambda structure: structure.cached_result(compute), doc=compute.__doc__)
+    return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 
 
 AnyStructure = TypeVar("AnyStructure", bound="Structure")
@@ -335,7 +335,7 @@ class Structure(Coordinates):
         """False for a structure from a file of a prepared structure."""
         return not isinstance(self.stiffness, AbsentMatrix)
 
-    def cached_result(
+    def compute_once(
         self, compute: Callable[[Any], Result], *, from_matrices: bool = False
     ) -> Result:
         """Return a result of :attr:`original`, computed once for all varied copies.
@@ -506,7 +506,7 @@ class Structure(Coordinates):
         if self is not self.whole:
             requirement = "a whole one: reduce structure.whole.with_tangents()"
             raise InputError("structure", repr(self), requirement)
-        return self.cached_result(_add_tangents)._in_setting(self.setting)
+        return self.compute_once(_add_tangents)._in_setting(self.setting)
 
     def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
         """Return this structure with tangential gaps as further pairs.
@@ -530,7 +530,7 @@ class Structure(Coordinates):
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
             raise InputError("direction of friction", direction, requirement)
-        cache = self.cached_result(_tangential_pair_cache)
+        cache = self.compute_once(_tangential_pair_cache)
         if not cache or not np.array_equal(cache[0][0], direction):
             original = self.original
             cache[:] = [(direction, _add_tangential_pairs(original, direction))]

@@ -434,9 +434,9 @@ class WheelStructure(Structure):
         the open ones, for which the mass matrix is exactly 1.
         """
         if is_bonded:
-            return self.cached_result(_solve_bonded_modes)
+            return self.compute_once(_solve_bonded_modes)
         return (
-            self.cached_result(_solve_all_modes)
+            self.compute_once(_solve_all_modes)
             if self.body.ranked_modes is None
             else self.body.ranked_modes
         )
@@ -455,7 +455,7 @@ class WheelStructure(Structure):
         float
             Share of the last group in the changes by all modes after the first two groups.
         """
-        omega, shapes = self.cached_result(_solve_all_modes)
+        omega, shapes = self.compute_once(_solve_all_modes)
         compliance_shares = ((self.gap.T @ shapes) / omega) ** 2
         compliance_shares /= compliance_shares.sum(axis=1, keepdims=True)
         inertia_changes = compliance_shares.sum(axis=0) / omega**2
@@ -507,7 +507,7 @@ def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Solve for all modes with a bonded crack."""
-    omega, shapes = structure.cached_result(_solve_all_modes)
+    omega, shapes = structure.compute_once(_solve_all_modes)
     bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
     squares, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
     return np.sqrt(np.maximum(squares, 0.0)), shapes @ (bonded_space @ eigenvectors)

@@ -30,7 +30,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory
-from fenics_crack.kernel import NULL, Struct, kernel, owned, pointer, shaped
+from fenics_crack.kernel import NULL, Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     SETS_MEMORY_FRACTION,
     ContactLaw,
@@ -257,10 +257,10 @@ class ContactFlow(Flow):
             rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
-            gap=self.load_gap, fastest=self.max_rate, apart=self.max_open_rate,
-            most=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
+            gap=self.load_gap, max_rate=self.max_rate, max_open_rate=self.max_open_rate,
+            max_set_numbers=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
-        self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
+        self.handle = attach_destructor(kernel.new_flow(parts.address), kernel.free_flow)
         """The kernel's flow."""
         self._max_intervals = 0
 
@@ -326,7 +326,7 @@ class ContactFlow(Flow):
 
         The motion lasts ``duration`` [s].
         """
-        return float(self.max_rate * duration / kernel.FLOW_REACH)
+        return float(self.max_rate * duration / kernel.MAX_PIECE_ANGLE)
 
     def weights(self, base_omega: float) -> np.ndarray:
         """Return the weights for the energy norm of a state: (size,).
@@ -385,13 +385,19 @@ class ContactFlow(Flow):
         answers = np.empty((n_instants, 2 * n_rows if self.friction else n_rows))
         pair_states = np.empty((n_instants, n_pairs), dtype=np.int8)
         motion_struct, copy_track = self._make_motion_struct(
-            budget, omega=omega, now=start, end=start + duration, state=end_state,
-            count=n_instants, instants=instants, states=states, answers=answers, closed=pair_states,
+            budget, omega=omega, time=start, end=start + duration, state=end_state,
+            n_instants=n_instants, instants=instants, states=states, answers=answers,
+            closed=pair_states,
         )  # fmt: skip
-        _check_outcome(kernel.flow_advance(self.handle, motion_struct.at), motion_struct.at.events)
-        track = Track(self, omega, start, **copy_track(motion_struct.at.passed))
+        _check_outcome(
+            kernel.flow_advance(self.handle, motion_struct.address), motion_struct.address.n_events
+        )
+        track = Track(self, omega, start, **copy_track(motion_struct.address.n_intervals))
         samples = Samples(self, omega, instants, states, answers, pair_states)
-        n_events, n_pieces = int(motion_struct.at.events), int(motion_struct.at.pieces)
+        n_events, n_pieces = (
+            int(motion_struct.address.n_events),
+            int(motion_struct.address.n_pieces),
+        )
         return Motion(end_state, n_events, n_pieces, track, samples)
 
     def steps(
@@ -421,12 +427,12 @@ class ContactFlow(Flow):
         states = as_doubles(states)
         end_states, interval_counts = np.empty_like(states), np.empty(len(states), dtype=np.intc)
         motion_struct, copy_track = self._make_motion_struct(None, omega=omega)
-        outcome = kernel.flow_wave(
-            self.handle, motion_struct.at, len(states), period, pointer(states),
+        outcome = kernel.flow_advance_parts(
+            self.handle, motion_struct.address, len(states), period, pointer(states),
             pointer(end_states), pointer(interval_counts),
         )  # fmt: skip
-        _check_outcome(outcome, motion_struct.at.events)
-        track = Track(self, omega, 0.0, **copy_track(motion_struct.at.passed))
+        _check_outcome(outcome, motion_struct.address.n_events)
+        track = Track(self, omega, 0.0, **copy_track(motion_struct.address.n_intervals))
         return end_states, track, interval_counts
 
     def _make_motion_struct(
@@ -442,18 +448,18 @@ class ContactFlow(Flow):
             sets = np.empty((max_intervals, self.structure.n_pairs), np.int8)
             self._track_arrays = {"sets": sets, "lengths": np.empty(max_intervals)}
             if self.friction:
-                friction_kinds = {"causes": np.intc, "firsts": np.int8, "ratios": float}
+                friction_kinds = {"causes": np.intc, "is_first": np.int8, "ratios": float}
                 self._track_arrays |= {
                     name: np.empty(max_intervals, kind) for name, kind in friction_kinds.items()
                 }
             self._base_struct = Struct("flow_motion", **self._track_arrays)
         arrays = self._track_arrays
-        limits = {"most_pieces": budget.pieces, "most": budget.intervals}
+        limits = {"max_pieces": budget.pieces, "max_intervals": budget.intervals}
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
             return {name: array[:n_intervals].copy() for name, array in arrays.items()}
 
-        return self._base_struct.but(**limits, **members), copy_track
+        return self._base_struct.with_members(**limits, **members), copy_track
 
 
 @dataclass(frozen=True)
@@ -469,7 +475,7 @@ class Track:
         States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
     lengths : (n,) [s]
         Durations.
-    causes, firsts, ratios : (n,)
+    causes, is_first, ratios : (n,)
         With friction: how intervals end (``kernel/flow.h``).
     """
 
@@ -479,7 +485,7 @@ class Track:
     sets: np.ndarray
     lengths: np.ndarray
     causes: np.ndarray | None = None
-    firsts: np.ndarray | None = None
+    is_first: np.ndarray | None = None
     ratios: np.ndarray | None = None
 
     def share(self, is_selected: np.ndarray) -> float:
@@ -492,13 +498,13 @@ class Track:
     @cached_property
     def _struct(self) -> Struct:
         members = {name: member for name, member in vars(self).items() if name != "flow"}
-        return Struct("flow_track", intervals=len(self.lengths), **members)
+        return Struct("flow_track", n_intervals=len(self.lengths), **members)
 
     @cached_property
     def tangent(self) -> np.ndarray:
         """Return the derivative dz(end) / dz(start): (size, size)."""
         matrix = np.empty((self.flow.size, self.flow.size))
-        outcome = kernel.flow_tangent(self.flow.handle, self._struct.at, pointer(matrix))
+        outcome = kernel.flow_tangent(self.flow.handle, self._struct.address, pointer(matrix))
         _check_outcome(outcome, len(self.lengths) - 1)
         return matrix
 
@@ -515,9 +521,9 @@ class Track:
             Derivative of the softness by the parameter.
         """
         derivative = np.empty(self.flow.size)
-        rates = shaped(softness_rate, *self.flow.softness.shape)
+        rates = require_shape(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._struct.at, pointer(as_doubles(start)), NULL,
+            self.flow.handle, self._struct.address, pointer(as_doubles(start)), NULL,
             pointer(rates), pointer(derivative),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
@@ -552,8 +558,8 @@ class Track:
         """
         changes = np.empty((len(interval_counts) + 1, self.flow.size))
         changes[0] = start
-        outcome = kernel.flow_carry(
-            self.flow.handle, self._struct.at, len(interval_counts), pointer(interval_counts),
+        outcome = kernel.flow_carry_changes(
+            self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
             pointer(as_doubles(excess)),
             pointer(changes),
         )  # fmt: skip
@@ -670,14 +676,14 @@ def _check_outcome(outcome: int, events: int) -> None:
     """Raise the error of a failed integration."""
     if outcome == kernel.FLOW_DONE:
         return
-    if outcome == kernel.FLOW_MEMORY:
+    if outcome == kernel.FLOW_NO_MEMORY:
         raise MemoryError("exact flow")
     reasons = {
-        kernel.FLOW_PIECES: "the highest modes are too fast for that long",
-        kernel.FLOW_INTERVALS: "the pairs open and close without end",
-        kernel.FLOW_LOST: "the motion is not finite, or its contact forces have not one solution",
+        kernel.FLOW_TOO_MANY_PIECES: "the highest modes are too fast for that long",
+        kernel.FLOW_TOO_MANY_INTERVALS: "the pairs open and close without end",
+        kernel.FLOW_FAILED: "the motion is not finite, or its contact forces have not one solution",
     }
-    error = BudgetError if outcome == kernel.FLOW_PIECES else ConvergenceError
+    error = BudgetError if outcome == kernel.FLOW_TOO_MANY_PIECES else ConvergenceError
     raise error(f"events: {reasons[outcome]} (after {events} events)")
 
 

@@ -340,7 +340,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             has_contact = track.sets.any(axis=1)
             rates = np.where(has_contact, flow.max_rate, flow.max_open_rate)
             angles = track.lengths * (rates + omega)
-            n_pieces = np.maximum(np.ceil(angles / kernel.FLOW_REACH), 1).astype(int)
+            n_pieces = np.maximum(np.ceil(angles / kernel.MAX_PIECE_ANGLE), 1).astype(int)
             piece_lengths = np.repeat(track.lengths / n_pieces, n_pieces)
             piece_starts = np.concatenate([[0.0], np.cumsum(piece_lengths)[:-1]])
             time = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (1.0 + gauss_nodes()[0])
@@ -458,7 +458,7 @@ def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     differentiation : (n, n)
         Matrix from values at the nodes to derivatives at the nodes.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.FLOW_REACH)
+    nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
     values = np.polynomial.legendre.legvander(nodes, len(nodes) - 1)
     slopes = np.polynomial.legendre.legder(np.eye(len(nodes)))
     slope_values = np.polynomial.legendre.legval(nodes, slopes).T

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.kernel import Struct, kernel, owned, pointer
+from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, orbit_from
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
@@ -87,10 +87,10 @@ class ShootingEquations(Equations):
         flow.
 
         - ``force``, ``gap``: load of the flow at p = 0, (2K+1, n_modes) and (2K+1, n_rows).
-        - ``force_by``, ``gap_by``: derivatives of the load by p.
-        - ``damping``, ``damping_by``: damping at p = 0 and its derivative, ``rates`` entries each.
-          The flow must have the largest damping.
-        - ``rest``: x_0 and x_1, (2, flow.size), by default 0.
+        - ``force_rate``, ``gap_rate``: derivatives of the load by p.
+        - ``damping``, ``damping_rate``: damping at p = 0 and its derivative, each with
+          ``n_damping`` entries. The flow must have the largest damping.
+        - ``rest_states``: x_0 and x_1, (2, flow.size), by default 0.
     """
 
     def __init__(
@@ -104,10 +104,12 @@ class ShootingEquations(Equations):
             harmonics=len(flow.modal_load) // 2,
             pairs=flow.structure.n_pairs, friction=flow.friction is not None,
             base=omega[0], rate=omega[1],
-            turns=2.0 * np.pi * subharmonic, scale=scale, pieces=Budget.pieces,
-            intervals=Budget.intervals, **arrays,
+            turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.pieces,
+            max_intervals=Budget.intervals, **arrays,
         )  # fmt: skip
-        self._point = owned(kernel.new_shooting_point(self._struct.at), kernel.free_shooting_point)
+        self._point = attach_destructor(
+            kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point
+        )
         self.function_table = kernel.equations_of_shooting(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
@@ -129,7 +131,7 @@ class ShootingEquations(Equations):
     @property
     def pieces(self) -> int:
         """Return the number of Taylor pieces in the last motion."""
-        return int(kernel.pieces_of(self._point))
+        return int(kernel.count_pieces(self._point))
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         """Integrate the motion over a period."""
@@ -148,7 +150,7 @@ class ShootingEquations(Equations):
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual = self._residual()
-        events = int(kernel.switches_of(self._point))
+        events = int(kernel.count_events(self._point))
 
         def ensure_evaluated() -> None:
             if self._last_linearisation is not point_reference:  # there is one for a point
@@ -158,7 +160,7 @@ class ShootingEquations(Equations):
         def monodromy() -> np.ndarray:
             matrix = np.empty(2 * self.shape)
             ensure_evaluated()
-            kernel.tangent_of(self._point, pointer(matrix))
+            kernel.get_monodromy(self._point, pointer(matrix))
             return matrix
 
         def by_parameter() -> np.ndarray:

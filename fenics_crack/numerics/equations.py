@@ -233,13 +233,13 @@ class _PythonEquations(Equations):
             counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
         self._struct = Struct(
             "equations", unknowns=n_unknowns, means=getattr(system, "means", 0),
-            context=self._handle, counts=counts,
+            context=self._handle, angle_weights=counts,
             records=getattr(system, "records", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
             sign=kernel.python_sign,
         )  # fmt: skip
-        self.function_table = self._struct.at
+        self.function_table = self._struct.address
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._state.linearisation

@@ -26,7 +26,7 @@ orbits. It runs in the kernel (``kernel/bordered.c``), for compiled and for Pyth
 (:mod:`equations`).
 
 Curves never use SNES. SNES has no border, and at a given parameter an SNES iteration takes ten
-times as long as a compiled one (21 unknowns; docs/notebook/earlier_measurements.md).
+times as long as a compiled one (21 unknowns; docs/notebook/algorithms.md).
 
 References
 ----------
@@ -47,11 +47,11 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.kernel import NULL, Struct, kernel, pointer, shaped
+from fenics_crack.kernel import NULL, Struct, kernel, pointer, require_shape
 from fenics_crack.numerics.equations import MACHINE_EPSILON, Linearisation, System, equations_of
 
 COMM_SELF = PETSc.COMM_SELF
-GMRES_RESTART: int = kernel.KRYLOV_MOST
+GMRES_RESTART: int = kernel.MAX_KRYLOV_VECTORS
 """Number of vectors that GMRES keeps before a restart."""
 OPTIONS_PREFIX = "crack_hb_"
 FORCING_TERM = 1e-2
@@ -307,14 +307,14 @@ class Tangent:
         t_x and t_p.
     weight : float
         w.
-    of_means : float
+    mean_weight : float
         Factor of the squares of means over time within |x|^2.
     """
 
     x: np.ndarray
     p: float
     weight: float
-    of_means: float = 1.0
+    mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
         """Return the opposite tangent."""
@@ -322,12 +322,12 @@ class Tangent:
 
     def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y> in the norm of the tangent."""
-        if self.of_means == 1.0:
+        if self.mean_weight == 1.0:
             return self.weight * float(np.vdot(vector, other_vector))
         x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
         oscillation_product = float(x[n_means:] @ y[n_means:])
         return self.weight * (
-            oscillation_product + self.of_means * float(x[:n_means] @ y[:n_means])
+            oscillation_product + self.mean_weight * float(x[:n_means] @ y[:n_means])
         )
 
     def cosine_to(self, reference: Tangent, system: System) -> float:
@@ -356,7 +356,7 @@ class PathPoint:
     length: float = float("nan")
     """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
-    observed: np.ndarray | None = field(default=None, repr=False, compare=False)
+    control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
     """Values for a step control: they follow from ``record``."""
 
 
@@ -414,7 +414,7 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     -------
     weight : float
         w = 1 / |x|^2.
-    of_means : float
+    mean_weight : float
         Factor of the squares of means.
     """
     mean_unknowns = unknown.ravel()[: means_of(system)]
@@ -423,8 +423,8 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     # Equations are solved to a fraction of this size: it must exceed the rounding of the means.
     oscillation_square = max(total_square - mean_square, MACHINE_EPSILON**0.5 * total_square)
     size_squared = motion_square(oscillation_square, mean_square)
-    of_means = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
-    return 1.0 / size_squared, of_means
+    mean_weight = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
+    return 1.0 / size_squared, mean_weight
 
 
 def tangent_of(
@@ -496,13 +496,14 @@ def solve_in_plane(
     solution, solution_parameter = np.array(unknown, float, order="C"), np.array([parameter], float)
     n_iterations, border = np.zeros(1, np.intc), NULL
     if plane is not None:
-        normal = shaped(plane.x, *equations.shape)
-        norm = Struct("norm", weight=plane.weight, of_means=plane.of_means)
-        border = Struct("plane", across=normal, slope=plane.p, size=norm).at
+        normal = require_shape(plane.x, *equations.shape)
+        norm = Struct("norm", weight=plane.weight, mean_weight=plane.mean_weight)
+        border = Struct("plane", normal=normal, slope=plane.p, metric=norm).address
     min_damping = -1.0 if least_damping is None else least_damping
     options = correction_struct(tolerance, reach, iterations, min_damping, stall)
     outcome = equations.run(
-        kernel.solve_in_plane, border, options.at, pointer(shaped(solution, *equations.shape)),
+        kernel.solve_in_plane, border, options.address,
+        pointer(require_shape(solution, *equations.shape)),
         pointer(solution_parameter), pointer(n_iterations),
     )  # fmt: skip
     if not equations.check_outcome(outcome):
@@ -527,8 +528,8 @@ def correction_struct(
     Along a path ``reach`` is measured in steps.
     """
     return Struct(
-        "correction", tolerance=tolerance, reach=reach, iterations=iterations,
-        least_damping=least_damping, stall=stall,
+        "correction", tolerance=tolerance, max_parameter_change=reach, max_iterations=iterations,
+        min_damping=least_damping, max_stalled_steps=stall,
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ If J is not formed, det J is unknown. Then
 The steps run in the kernel (``kernel/path.c``), many of them in one call for compiled equations
 (:mod:`equations`). An :class:`Event` may lie between two points: a fold, a wanted parameter, a
 closed loop, a crossing with a branch, or a zero of any function. Terminal events end the path. A
-:class:`StepControl` may reject steps by the values observed at the points.
+:class:`StepControl` may reject steps by control values of the points.
 
 References
 ----------
@@ -111,7 +111,7 @@ class EndReason(Enum):
         return str(self.value).format(max_points=max_points)
 
 
-NOT_IN_KERNEL = "located_events", "observed"
+NOT_IN_KERNEL = "located_events", "control_values"
 """Fields of a :class:`PathSegment` that the kernel's ``path`` lacks."""
 
 
@@ -124,18 +124,18 @@ class PathSegment(Sequence[PathPoint]):
     ----------
     unknowns, tangents : (n, *shape)
         x, and t_x of the tangent.
-    parameters, slopes, weights, of_means, lengths : (n,)
+    parameters, slopes, weights, mean_weights, lengths : (n,)
         p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
     crossings : (n,) int
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
         Events between the last two points, each with its place.
-    records, observed : (n, n_records) and (n, ...), optional
+    records, control_values : (n, n_records) and (n, ...), optional
         For a step control: records of linearisations, and values that follow from the records.
     """
 
-    observed: np.ndarray
+    control_values: np.ndarray
 
     def __init__(
         self, start_points: Sequence[PathPoint], capacity: int, n_records: int = 0
@@ -145,7 +145,7 @@ class PathSegment(Sequence[PathPoint]):
             self.records = np.zeros((capacity, n_records))
         self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
         self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
-        self.weights, self.of_means = np.zeros((2, capacity))
+        self.weights, self.mean_weights = np.zeros((2, capacity))
         self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
         self.located_events: list[tuple[Event, PathPoint]] = []
         for index, point in enumerate(start_points):
@@ -155,18 +155,21 @@ class PathSegment(Sequence[PathPoint]):
         """Overwrite a point."""
         self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
         self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
-        self.weights[index], self.of_means[index] = point.tangent.weight, point.tangent.of_means
+        self.weights[index], self.mean_weights[index] = (
+            point.tangent.weight,
+            point.tangent.mean_weight,
+        )
         self.lengths[index] = point.length
         if "records" in vars(self) and point.record is not None:
             self.records[index] = point.record
-        if "observed" in vars(self):
-            self.observed[index] = point.observed
+        if "control_values" in vars(self):
+            self.control_values[index] = point.control_values
         self.iterations[index], self.crossings[index] = point.iterations, point.crosses_branch
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the kernel's ``path`` whose first ``n_known`` points are known."""
         arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
-        return Struct("path", room=len(self), known=n_known, **arrays, **scalars)
+        return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -190,13 +193,13 @@ class PathSegment(Sequence[PathPoint]):
                 {name: array[index] for name, array in arrays.items()}, located_events=[]
             )
             return segment
-        norm_weights = float(self.weights[index]), float(self.of_means[index])
+        norm_weights = float(self.weights[index]), float(self.mean_weights[index])
         tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
         return PathPoint(
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
             tangent, bool(self.crossings[index]), length=float(self.lengths[index]),
             record=self.records[index] if "records" in vars(self) else None,
-            observed=self.observed[index] if "observed" in vars(self) else None,
+            control_values=self.control_values[index] if "control_values" in vars(self) else None,
         )  # fmt: skip
 
 
@@ -332,25 +335,30 @@ def find_zero(
             linearisation = solution.linearisation
             tangent = tangent_of(system, solution.unknown, linearisation, chord)
             point = replace(
-                solution, tangent=tangent, observed=observe_point(system, linearisation)
+                solution, tangent=tangent, control_values=observe_point(system, linearisation)
             )
             points_by_fraction[fraction] = point, function(point)
         return points_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
-    kept_value, last_value = evaluate(kept_fraction), evaluate(last_fraction)
+    kept_function_value, last_function_value = evaluate(kept_fraction), evaluate(last_fraction)
     with suppress(ConvergenceError):
-        while kept_value * last_value < 0.0 and abs(last_fraction - kept_fraction) > 1e-12:
+        while (
+            kept_function_value * last_function_value < 0.0
+            and abs(last_fraction - kept_fraction) > 1e-12
+        ):
             width = last_fraction - kept_fraction
-            fraction = last_fraction - last_value * width / (last_value - kept_value)
+            fraction = last_fraction - last_function_value * width / (
+                last_function_value - kept_function_value
+            )
             if fraction in (kept_fraction, last_fraction):
                 break
-            new_value = evaluate(fraction)
-            if new_value * last_value < 0.0:
-                kept_fraction, kept_value = last_fraction, last_value
+            new_function_value = evaluate(fraction)
+            if new_function_value * last_function_value < 0.0:
+                kept_fraction, kept_function_value = last_fraction, last_function_value
             else:  # the Illinois method: halve the value at the end that stays
-                kept_value *= 0.5
-            last_fraction, last_value = fraction, new_value
+                kept_function_value *= 0.5
+            last_fraction, last_function_value = fraction, new_function_value
     return min(points_by_fraction.values(), key=lambda entry: abs(entry[1]))
 
 
@@ -445,19 +453,23 @@ def _find_between(
     """
     equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
     stepping = Struct(
-        "stepping", shortest=ARRIVAL_DISTANCE, newton=correction_struct(rtol, MAX_PARAMETER_REACH)
+        "stepping",
+        min_step=ARRIVAL_DISTANCE,
+        correction=correction_struct(rtol, MAX_PARAMETER_REACH),
     )
     target_pointer = NULL if target is None else pointer(np.array([target]))
     path_struct = segment.struct(2)
-    outcome = equations.run(kernel.find_between, stepping.at, target_pointer, path_struct.at)
-    return segment[path_struct.at.known] if equations.check_outcome(outcome) else None
+    outcome = equations.run(
+        kernel.find_point_between, stepping.address, target_pointer, path_struct.address
+    )
+    return segment[path_struct.address.n_known] if equations.check_outcome(outcome) else None
 
 
 # --- the path -------------------------------------------------------------------------------------
 
 
 class StepControl(ABC):
-    """Control of the step by values observed at the points."""
+    """Control of the step by values of the points."""
 
     @abstractmethod
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
@@ -509,7 +521,7 @@ class Path:
         self._points_per_call = (
             max_points if control is None else min(POINTS_AFTER_HALVING, max_points)
         )
-        self.last_point = start = self._with_observation(start)
+        self.last_point = start = self._with_control_values(start)
         self.end_reason: EndReason | None = None
         self.event: Event | None = None
         self._restart(start, options.initial_step)
@@ -577,7 +589,7 @@ class Path:
             for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
                 location = event.locate(self._system, ends, tolerance) if is_candidate else None
                 if location is not None:
-                    location = self._with_observation(location)
+                    location = self._with_control_values(location)
                     part.located_events.append((event, location))
                 if location is not None and event.is_terminal:
                     if location is ends[0]:
@@ -602,9 +614,9 @@ class Path:
 
     # --- its steps --------------------------------------------------------------------------------
 
-    def _with_observation(self, point: PathPoint) -> PathPoint:
-        """Return a point with record and observed values, for the step control."""
-        if self._control is None or point.observed is not None:
+    def _with_control_values(self, point: PathPoint) -> PathPoint:
+        """Return a point with record and control values."""
+        if self._control is None or point.control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
             point.unknown, point.parameter
@@ -612,7 +624,7 @@ class Path:
         return replace(
             point,
             record=linearisation.record.ravel(),
-            observed=observe_point(self._system, linearisation),
+            control_values=observe_point(self._system, linearisation),
         )
 
     def _rounding_at(self, point: PathPoint) -> float:
@@ -646,9 +658,9 @@ class Path:
             The last known point and the accepted new points; None if no new point is accepted.
         """
         assert self._control is not None
-        new_observed = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
-        segment.observed = np.concatenate(
-            [[point.observed for point in self._start_points], new_observed]
+        new_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
+        segment.control_values = np.concatenate(
+            [[point.control_values for point in self._start_points], new_control_values]
         )
         lengths = segment.lengths[n_known:].copy()
         lengths[0] = min(lengths[0], step)  # a chord across a jump is no step
@@ -696,17 +708,19 @@ class Path:
             len(start_points), step=self._step, orientation=self._orientation
         )
         stepping = Struct(
-            "stepping", longest=self._max_step, shortest=options.min_step,
-            least_cosine=options.min_cosine, rounding=rounding,
-            newton=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
-            lowest=max(p for p in bounds if p <= parameter),
-            highest=min(p for p in bounds if p >= parameter),
+            "stepping", max_step=self._max_step, min_step=options.min_step,
+            min_cosine=options.min_cosine, rounding=rounding,
+            correction=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
+            min_parameter=max(p for p in bounds if p <= parameter),
+            max_parameter=min(p for p in bounds if p >= parameter),
         )  # fmt: skip
         step = self._step
-        outcome = self._equations.run(kernel.follow, stepping.at, path_struct.at)
-        self._orientation, self._step = path_struct.at.orientation, path_struct.at.step
-        if path_struct.at.known == len(start_points):
+        outcome = self._equations.run(kernel.follow_path, stepping.address, path_struct.address)
+        self._orientation, self._step = path_struct.address.orientation, path_struct.address.step
+        if path_struct.address.n_known == len(start_points):
             self._equations.check_outcome(outcome)
-        if path_struct.at.known == len(start_points) or self._control is None:
-            return segment[len(start_points) - 1 : path_struct.at.known]
-        return self._cut_at_halved_step(segment[: path_struct.at.known], len(start_points), step)
+        if path_struct.address.n_known == len(start_points) or self._control is None:
+            return segment[len(start_points) - 1 : path_struct.address.n_known]
+        return self._cut_at_halved_step(
+            segment[: path_struct.address.n_known], len(start_points), step
+        )

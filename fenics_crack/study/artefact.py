@@ -34,10 +34,10 @@ from fenics_crack.model.matrices import AbsentMatrix
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
-    held_receptance,
-    last_receptance,
+    displacement_rows,
     receptance,
-    rows_at,
+    receptance_cache,
+    shared_receptance_cache,
     sources_of,
 )
 from fenics_crack.model.structure import DampingRule, Structure
@@ -141,7 +141,7 @@ class PreparedStructure:
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(replace(known_receptance, force=np.zeros(0)) for source in sources
-                       for known_receptance in source.cached_result(held_receptance)), **datasets,
+                       for known_receptance in source.compute_once(receptance_cache)), **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -184,8 +184,8 @@ class PreparedStructure:
                 candidate for candidate in sources if sources_of(candidate).shape[1] == n_sources
             )
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.cached_result(held_receptance)[:] = [loaded_receptance]
-            made.cached_result(last_receptance, from_matrices=True)[:] = [loaded_receptance]
+            source.compute_once(receptance_cache)[:] = [loaded_receptance]
+            made.compute_once(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
@@ -244,7 +244,7 @@ class PreparedFile:
         coarse = coarser_scene(scene)
         if self.coarser_structure is not None and isinstance(coarse, Scene):
             # As of a reduced structure.
-            structure.cached_result(kept, from_matrices=True).append(Made(
+            structure.compute_once(kept, from_matrices=True).append(Made(
                 self.coarser_structure.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
                 parts_shared(coarse, MPI.COMM_SELF),
             ))  # fmt: skip
@@ -297,7 +297,9 @@ def _of_study(study: Study) -> PreparedStructure:
     """Return the datasets of a reduced study, with all its modes (collective)."""
     reference = getattr(study.structure, "reference", None) or study.structure
     count = max(study.structure.n_modes, reference.n_modes)
-    rows_at(study.structure.whole, count, np.array([watched.dof for watched in study.watched]))
+    displacement_rows(
+        study.structure.whole, count, np.array([watched.dof for watched in study.watched])
+    )
     return PreparedStructure.of(study.structure.whole)
 
 
@@ -376,8 +378,8 @@ def without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
     """Loads of a scene but for the amplitudes of the excitation."""
     excitation, *other_loads = loads
     of_parts = ("force_mean", "force_cos", "force_sin", "harmonics")
-    loads = excitation and {key: load for key, load in excitation.items() if key not in of_parts}
-    return loads, *other_loads
+    reduced = excitation and {key: load for key, load in excitation.items() if key not in of_parts}
+    return reduced, *other_loads
 
 
 def _weights(known: Scene, scene: Scene) -> np.ndarray:

@@ -32,7 +32,7 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     scene = study.scene
     with within("a coarser mesh"):
         whole = structure.whole is structure
-        last = structure.whole.cached_result(kept, from_matrices=True)
+        last = structure.whole.compute_once(kept, from_matrices=True)
         twin = prepare(coarse, structure.comm, whole=whole, judged=False, last=last)
     counts = n_elements(structure), n_elements(twin.structure)
     if not counts[1] < counts[0]:

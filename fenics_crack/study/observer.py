@@ -282,7 +282,7 @@ def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.nd
     check_known(without_tips(scene), "output.quantities")
     pairs = None if scene.contact is None else scene.contact.pairs
     plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
-    return study.structure.cached_result(_OfScene(plate, scene))
+    return study.structure.compute_once(_OfScene(plate, scene))
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ class _OfScene:
             if not found[0]:
                 raise InputError("crack", "a crack without a tip", "one that ends in the structure")
             return found
-        tips, rows, of_forces = structure.whole.cached_result(self)
+        tips, rows, of_forces = structure.whole.compute_once(self)
         units, most = np.eye(structure.n_dofs), max(1, EXPANDED // structure.whole.n_dofs)
         blocks = [units[n : n + most] for n in range(0, len(units), most)]
         products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
@@ -369,7 +369,7 @@ def _at_ellipse(study: Study) -> ExtraRows:
 
 
 def _at_clamp(study: Study) -> ExtraRows:
-    rows = study.structure.cached_result(inertia_rows)
+    rows = study.structure.compute_once(inertia_rows)
     return ExtraRows(rows, lambda record: read_at(Place.CLAMP, held(record)))
 
 

@@ -897,5 +897,5 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     check_motion(run)
     check_known(without_clamp(run.scene), "run", repr(run))
     structure = run.result.structure
-    [record] = run.result.records(structure.cached_result(inertia_rows))
+    [record] = run.result.records(structure.compute_once(inertia_rows))
     return Reaction(record.time, structure.whole.clamp.center, *held(record))

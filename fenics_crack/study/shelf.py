@@ -92,7 +92,7 @@ class Shelf:
         for entry, scene in self._made:
             if entry.comm.size < comm.size and comm.rank:
                 return  # each rank has one for itself
-            twins = entry.structure.cached_result(kept, from_matrices=True)
+            twins = entry.structure.compute_once(kept, from_matrices=True)
             twins = [twin for twin in twins if twin.parts[1] == entry.parts[1]]  # of this load
             parts = packed(
                 PreparedFile(*(_datasets(kept_entry, scene) for kept_entry in (entry, *twins)))

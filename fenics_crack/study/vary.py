@@ -79,9 +79,9 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.error_report import ENOUGH_HARMONICS, LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import (
     along_lines,
+    find_sliding_lines,
     motion_without_friction,
     slide_along_lines,
-    sliding_of,
     solve_linear,
 )
 from fenics_crack.balance.more_modes import reference_of
@@ -350,7 +350,7 @@ class _Case:
             without = of_orbit(twin, found, free, mode)
         else:
             without = numbers_of(twin, free, mode).values
-        turning, parts = sliding_of(free, friction.direction)[1], {}
+        turning, parts = find_sliding_lines(free, friction.direction)[1], {}
         for name, value in self.made.values.items():
             turned = value + turning * (without.get(name, 0.0) - value)
             parts[name] = GridConvergence(
@@ -707,7 +707,7 @@ def _solved_in_steps(
     law = slide_along_lines(study.structure, omega, study.contact)
     solver = Solver(Problem(study.structure, omega, law, harmonics))
     search, finer_solution = solver.attempt(solution, wholly=False)
-    return finer_solution if search.converged else solution
+    return finer_solution if search.has_converged else solution
 
 
 # --- verification: two finer runs for each cause --------------------------------------------------

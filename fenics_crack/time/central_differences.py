@@ -256,8 +256,8 @@ class _ModalDifferences(Scheme):
             )
             friction_members = {
                 "friction": self._sets.handle,
-                "held": self._sticking_places,
-                "states": states,
+                "stick_places": self._sticking_places,
+                "pair_states": states,
             }
         self._shape, velocity = (modes.inverse @ part for part in request.start[:2])
         gap = self._gap()
@@ -286,13 +286,13 @@ class _ModalDifferences(Scheme):
             clearance=np.array(self._contact_structure.clearance, dtype=float),
             springs=springs, load=contiguous(request.structure.force @ modes.shapes),
             waves=contiguous(request.waves), loads=len(request.structure.force),
-            room=np.empty(2 * n_modes + n_rows), **friction_members,
+            work=np.empty(2 * n_modes + n_rows), **friction_members,
         )  # fmt: skip
         self._kernel_data = Struct(
-            "central_differences", body=body,
+            "central_differences", vibration=body,
             keep=2.0 * inverse - identity, gain=dt**2 * inverse, push=contiguous(force_step.T),
             contact=ActiveSets(modes.pairs.T @ force_step).handle if request.rigid else None,
-            shape=self._shape, increment=self._increment, closed=np.zeros(n_rows, bool),
+            displacements=self._shape, increment=self._increment, closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
     def _gap(self) -> np.ndarray:
@@ -325,7 +325,7 @@ class _ModalDifferences(Scheme):
             steps = slice(first_step, min(first_step + n_in_cache, count))
             shape = np.empty((steps.stop - first_step, len(modes.squares)))
             n_made = kernel.march_central(
-                self._kernel_data.at, first_step, len(shape), pointer(window.gap[steps]),
+                self._kernel_data.address, first_step, len(shape), pointer(window.gap[steps]),
                 pointer(window.force[steps]), pointer(shape),
             )  # fmt: skip
             if n_made < len(shape):

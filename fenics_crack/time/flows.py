@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.kernel import Struct, kernel, pointer, shaped
+from fenics_crack.kernel import Struct, kernel, pointer, require_shape
 from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
@@ -237,12 +237,12 @@ class ExponentialFlow(Flow):
             self._initial_friction = FrictionSets(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
             self._sets = FrictionSets(compliance, mu)
-            set_members = {"friction": self._sets.handle, "held": self._sticking_places}
+            set_members = {"friction": self._sets.handle, "stick_places": self._sticking_places}
         self._kernel_data = Struct(
             "exponential", modes=n_modes, pairs=n_rows, instants=steps,
-            coupled=modes.damping.ndim == 2, moved=transition, rows=as_doubles(modes.pairs.T),
-            pushed=as_doubles(half_response.T), gaps=as_doubles(gap_response),
-            linear=self.linear_gap, steady=self.steady, room=np.empty(4 * n_modes + 2 * n_rows),
+            coupled=modes.damping.ndim == 2, transition=transition, rows=as_doubles(modes.pairs.T),
+            force_response=as_doubles(half_response.T), gap_response=as_doubles(gap_response),
+            linear=self.linear_gap, steady=self.steady, work=np.empty(4 * n_modes + 2 * n_rows),
             **set_members,
         )  # fmt: skip
 
@@ -262,7 +262,7 @@ class ExponentialFlow(Flow):
             The contact forces of a step were not found.
         """
         n_state, pairs, total = 2 * self.n_modes, self.structure.n_pairs, periods * self.steps
-        state, places = np.split(shaped(state, self.size), [n_state])
+        state, places = np.split(require_shape(state, self.size), [n_state])
         states, forces = np.empty((total + 1, n_state)), np.empty((total + 1, len(self.softness)))
         is_closed = np.empty((total + 1, pairs), dtype=np.int8)
         states[0] = state
@@ -275,7 +275,7 @@ class ExponentialFlow(Flow):
         else:
             forces[:1], is_closed[:1] = self._initial_sets.solve(gap[None])
         arrays = map(pointer, (states, forces, is_closed))
-        n_steps = kernel.march_exponential(self._kernel_data.at, total, *arrays)
+        n_steps = kernel.march_exponential(self._kernel_data.address, total, *arrays)
         if n_steps < total:
             raise ConvergenceError(
                 f"exponential: the contact forces of step {n_steps + 1} were not found"

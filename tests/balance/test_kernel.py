@@ -44,7 +44,7 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.contact_system import CompiledEquations
 from fenics_crack.curves.waves import WAVES, Waves
-from fenics_crack.kernel import Struct, kernel, owned, pointer, shaped
+from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import ActiveSets, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING, Linearisation, System
 from fenics_crack.numerics.fourier import evaluate, sample_period, to_complex
@@ -132,24 +132,25 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
     Raises ConvergenceError where an instant has no forces.
     """
     columns, pairs = len(gap), len(contact.compliance)
-    gap = shaped(gap, 2 * (columns // 2) + 1, pairs)
+    gap = require_shape(gap, 2 * (columns // 2) + 1, pairs)
     count = kernel.interval_cells(columns // 2, pairs)
     first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
-        "pivot_table", pairs=pairs, d=contact.compliance, table=np.empty((pairs, pairs)),
-        closed=np.empty(pairs, dtype=bool), room=np.empty(4 * pairs),
+        "pivot_table", pairs=pairs, compliance=contact.compliance, table=np.empty((pairs, pairs)),
+        closed=np.empty(pairs, dtype=bool), work=np.empty(4 * pairs),
     )  # fmt: skip
     waves, places = _waves(columns // 2, count, pairs), count + 8 * pairs
     while True:
         theta, pair = np.zeros(places + 1), np.empty(places, dtype=np.intc)
         vectors, gains = np.empty((places, pairs)), np.empty(places)
         known = Struct(
-            "breathing", contact=table, cells=count, most=places, columns=columns, gaps=gap,
-            waves=waves, allowed=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
-            first=first, stiffness=stiffness, theta=theta[1:], pair=pair, vectors=vectors,
-            gain=gains, work=np.empty(kernel.intervals_room(pairs, columns // 2, count)),
+            "breathing_pairs", contact=table, cells=count, max_events=places, n_waves=columns,
+            gaps=gap, waves=waves, first_set=first, stiffness=stiffness, theta=theta[1:],
+            tolerance=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
+            event_pairs=pair, vectors=vectors, gains=gains,
+            work=np.empty(kernel.interval_work_size(pairs, columns // 2, count)),
         )  # fmt: skip
-        found = kernel.intervals(known.at)
+        found = kernel.find_intervals(known.address)
         if found >= 0:
             return Intervals(
                 theta[: found + 1], first, pair[:found], stiffness, vectors[:found], gains[:found]
@@ -162,7 +163,7 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
 @lru_cache(maxsize=16)
 def _waves(harmonics: int, count: int, pairs: int) -> Any:
     """What the kernel finds gaps with at equally spaced phases."""
-    return owned(kernel.new_waves(harmonics, count, pairs), kernel.free_waves)
+    return attach_destructor(kernel.new_waves(harmonics, count, pairs), kernel.free_waves)
 
 
 @settings(max_examples=60, deadline=None)
@@ -213,7 +214,7 @@ WRONG = {
     "numbers with gaps": lambda: pointer(np.ones((4, 4))[:, 1]),
     "doubles of the other order of bytes": lambda: pointer(np.ones(3, ">f8")),
     "long whole numbers": lambda: pointer(np.ones(3, np.int64)),
-    "another shape": lambda: shaped(np.ones((3, 2)), 3, 3),
+    "another shape": lambda: require_shape(np.ones((3, 2)), 3, 3),
 }  # fmt: skip
 
 
@@ -236,9 +237,9 @@ def test_wrong_kinds_are_refused() -> None:
 def test_shapes_that_fit_are_not_copied() -> None:
     """But where the kind or the order is another."""
     array = np.ones((3, 2))
-    assert shaped(array, 3, 2) is array
-    assert shaped(array.T, 2, 3).flags.c_contiguous
-    assert shaped(array, 3, 2, kind=complex).dtype == complex
+    assert require_shape(array, 3, 2) is array
+    assert require_shape(array.T, 2, 3).flags.c_contiguous
+    assert require_shape(array, 3, 2, kind=complex).dtype == complex
 
 
 # --- when which pairs are closed ------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Slips of units and keys: the table in docs/short_answers.md, line by line."""
+"""Slips of units and keys: the table in docs/short_answers.md and further ones, line by line."""
 
 import re
 from pathlib import Path
@@ -7,11 +7,9 @@ import pytest
 from helpers import ROOT
 from surroundings import RunCommand, main
 
-LINES = re.findall(
-    r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$",
-    (ROOT / "docs" / "short_answers.md").read_text(),
-    re.M,
-)[1:]
+PAGE = (ROOT / "docs" / "short_answers.md").read_text()
+FURTHER = Path(__file__).with_name("mistakes.txt").read_text()
+LINES = re.findall(r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$", PAGE + FURTHER, re.M)[1:]
 KEYS = "mesh.size=0.05", "mesh.lip_elements=6", "mesh.error=false"
 COARSE = [word for key in KEYS for word in ("--set", key)]
 """The new scene's mesh takes several times as long, and has no error to be remarked on; slips of

@@ -208,13 +208,13 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
 
     class Watched(MultiplierControl):
         def too_long(self, points: Any, first: int = 0) -> np.ndarray:
-            seen.append(points.observed[-1])
+            seen.append(points.control_values[-1])
             return np.zeros(len(points) - 1 - first, dtype=bool)
 
     path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
     for stretch in path:
         at = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
-        assert stretch.observed[-1] == pytest.approx(
+        assert stretch.control_values[-1] == pytest.approx(
             leading_multipliers(np.linalg.eigvals(at.monodromy[None]))[0], abs=1e-7
         )
     assert path.event is not None and len(seen) > 2
@@ -359,7 +359,7 @@ def test_turns_back_past_its_start(stop: Continuation) -> None:
         most_points=500, turning_back=0.0,
     )  # fmt: skip
     path.run()
-    assert not path.complete and path.returned
+    assert not path.complete and path.has_returned
     assert path.status == "turned back past its start"
 
 
@@ -471,7 +471,9 @@ def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ..
     """By one real multiplier; the longest step is 1."""
     observed = np.array([row(float(np.exp(one)), 1e-3) for one in logs])
     records = np.array([np.diag([np.exp(one), 1e-3]).ravel() for one in logs])
-    points: Any = SimpleNamespace(observed=observed, records=records, lengths=np.array(lengths))
+    points: Any = SimpleNamespace(
+        control_values=observed, records=records, lengths=np.array(lengths)
+    )
     assert tuple(MultiplierControl(1.0).too_long(points)) == expected
 
 
@@ -479,7 +481,7 @@ def test_several_changes_are_parted_below_the_floor() -> None:
     """Two events in one step are halved until each is by itself."""
     observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
     records, lengths = np.tile(np.eye(2).ravel(), (2, 1)), np.array([0.0, 1e-6])
-    points: Any = SimpleNamespace(observed=observed, records=records, lengths=lengths)
+    points: Any = SimpleNamespace(control_values=observed, records=records, lengths=lengths)
     assert MultiplierControl(1.0).too_long(points).tolist() == [True]
 
 

@@ -140,7 +140,7 @@ def test_derivatives(light: bool) -> None:
         assert relative(track.tangent[:, place], slope) < 1e-7
     one, other = (flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step))
     by_omega = np.empty(flow.size)
-    assert not kernel.flow_by_omega(flow.handle, track._struct.at, pointer(by_omega))
+    assert not kernel.flow_by_omega(flow.handle, track._struct.address, pointer(by_omega))
     assert relative(by_omega, (one.state - other.state) / (2.0 * step)) < 1e-7
 
 

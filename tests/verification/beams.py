@@ -156,24 +156,18 @@ def draw_ratios(axes: Any) -> None:
 def open_crack_in_a_beam() -> list[Row]:
     """Beams with an open crack.
 
-    Two cantilevers with a crack 80 mm from the clamp, always open: natural frequencies of the first
-    three bending modes over those without a crack. The first beam has E = 216e9 Pa and is 7.8 mm
-    deep, the second E = 206e9 Pa and is 20 mm deep; both 7850 kg/m^3.
+    Two cantilevers with an open crack 80 mm from the clamp: frequencies of the first three bending
+    modes over those without it. 7850 kg/m^3; the first beam has E = 216e9 Pa and is 7.8 mm deep,
+    the second E = 206e9 Pa and 20 mm.
 
-    Reference: Euler and Bernoulli's beam with a spring at the crack. Its compliance is the integral
-    of Tada's K_I for bending (Tada, Paris and Irwin, handbook), in plane stress. It is solved here
-    and agrees with the ratios of another program, which used the polynomial of Zheng and
-    Kessissoglou (J. Sound Vib. 273, 2004, 457-475); of those the largest difference is a row.
+    Reference: Euler and Bernoulli's beam with a spring at the crack, whose compliance is the
+    integral of Tada's K_I for bending (Tada, Paris and Irwin, handbook). It agrees with another
+    program's (Zheng and Kessissoglou, J. Sound Vib. 273, 2004, 457-475). fenics_crack solves plane
+    stress.
 
-    fenics_crack solves plane stress on nine-node quadrilaterals, graded towards the tip, with an
-    open crack. Ratios are compared and not frequencies, which for mode 3 of the second beam differ
-    by 5 % because of shear. Fits of the spring differ among themselves by 0.2 %.
-
-    Where beam theory does not hold: an edge crack off the middle line also couples bending to
-    extension, which the spring leaves out. In mode 3 of the deep beam this makes 0.4 % with a crack
-    of 0.4 of its depth (the same on meshes two and four times finer; 0.5 % allowed) and 1 % with
-    one half through (not judged, and 3 % at 0.6): its end then moves along the beam, too, by 17 %
-    of its motion across.
+    An edge crack also couples bending to extension, which the spring leaves out: 0.4 % in mode 3 of
+    the deep beam with a crack of 0.4 of its depth (0.5 % allowed), 1 and 3 % at 0.5 and 0.6 (not
+    judged).
     """
     rows = []
     for beam in (THIN, THICK):
@@ -249,17 +243,15 @@ def draw_breathing(axes: Any) -> None:
 def breathing_crack_in_a_beam() -> list[Row]:
     """Beams with a breathing crack: their resonance.
 
-    The beam of 300 x 20 x 20 mm with a crack of half its depth, loaded at its tip; the crack faces
-    do not penetrate (8 modes, crack faces without mass, 0.2 % of critical damping,
-    `fc.continue_frequency` with H = 5). Without load and damping, the free motion is balanced with
-    a penalty of 1e10 N/m a pair (H = 7; `tests/verification/free_motions.py`), here for both of the
-    [beams with an open crack](open_crack_in_a_beam.md) and for several depths.
+    The beam of 300 x 20 x 20 mm with a crack of half its depth, loaded at its tip, without
+    penetration (8 modes, crack faces without mass, 0.2 % of damping, `fc.continue_frequency` with H
+    = 5). The free motion without damping is balanced with a penalty of 1e10 N/m a pair (H = 7;
+    `tests/verification/free_motions.py`), for both [beams with an open
+    crack](open_crack_in_a_beam.md) and several depths.
 
-    Reference: a bilinear oscillator spends a half period of either stiffness, so that it resonates
-    at 2 r / (1 + r) of the uncracked beam's frequency, r being the ratio of the open crack by the
-    beam with Tada's spring. That is physics within a few per cent: contact also excites other modes
-    and does not close at all points at once. Allowed is 1 %. In the small picture green is the
-    thin beam and orange the deep one.
+    Reference: a bilinear oscillator resonates at 2 r / (1 + r) of the uncracked beam's frequency, r
+    the ratio of the open crack by Tada's spring. That holds within a few per cent, as contact also
+    excites other modes; 1 % is allowed.
     """
     curve, dof = breathing_curve()
     uncracked = THICK.frequencies(0.0)[0]

@@ -114,22 +114,16 @@ def calculix_frequencies() -> list[Row]:
     """CalculiX: natural frequencies with the crack open and bonded.
 
     The paper's square plate of 0.1 m, E = 2e9 Pa, 7800 kg/m^3, with a crack to its middle, on 16 x
-    16 quadrilaterals or as many pairs of triangles, and on quadrilaterals graded towards the tip.
-    Both programs get the same nodes and cells. A bonded crack is B^T u = 0: equations there,
-    Lagrange multipliers here.
+    16 quadrilaterals or as many pairs of triangles, and on graded quadrilaterals. Both programs get
+    the same nodes and cells. A bonded crack is B^T u = 0.
 
-    Quadratic quadrilaterals have nine nodes here and eight there (CPS8, CPE8), which is a smaller
-    space: the middle node follows from the other eight, u9 = -(u1 + ... + u4) / 4 +
-    (u5 + ... + u8) / 2. With our matrices M, K and B restricted in this way both programs solve the
-    same equations and agree to the digits that CalculiX prints, 1e-7. The nine nodes themselves lie
-    nearer to the limit; beside the crack's singularity the two differ by 6e-3 on 16 x 16 cells and
-    by 6e-4 on the graded mesh (last of its rows). Triangles have six nodes in both programs; there
-    CalculiX takes fewer points for the mass.
+    Quadratic quadrilaterals have nine nodes here and eight there (CPS8, CPE8). With ours restricted
+    by u9 = -(u1 + ... + u4) / 4 + (u5 + ... + u8) / 2 both agree to the digits printed, 1e-7; the
+    nine nodes themselves differ by 6e-3 on 16 x 16 cells and by 6e-4 on the graded mesh.
 
-    CalculiX's plane stress is a layer of solid elements whose thickness strain is continuous from
-    element to element, which stiffens it by 0.2 % where nu = 0.3. So CPS8 is compared with nu = 0.
-    With nu = 0.3 plane strain is taken, which needs no thickness strain: with
-    E (1 + 2 nu) / (1 + nu)^2 and nu / (1 + nu) its equations are those of plane stress.
+    CalculiX's plane stress is 0.2 % too stiff where nu = 0.3, so CPS8 is compared with nu = 0. With
+    nu = 0.3 plane strain is taken: with E (1 + 2 nu) / (1 + nu)^2 and nu / (1 + nu) its equations
+    are those of plane stress.
     """
     return [
         Row(f"{name}: mode {mode + 1} [rad/s]", ours[mode], theirs[mode], near)
@@ -173,16 +167,12 @@ def calculix_rotating_blade() -> list[Row]:
     """CalculiX: natural frequencies of a twisted blade that rotates.
 
     The titanium blade of `demos/solid_blade.toml`, 123 mm high, twisted by 30 degrees, with an open
-    crack at its leading edge, on an axis 0.25 m below its clamp; both programs get the nodes and
-    the second-order tetrahedra of `meshes/solid_blade.msh`.
+    crack at its leading edge, 0.25 m from the axis. Both programs get the second-order tetrahedra
+    of `meshes/solid_blade.msh`.
 
     Reference: CalculiX with `*DLOAD, CENTRIF` in a static step with large displacements (`NLGEOM`),
-    and `*FREQUENCY` in a `PERTURBATION` step about what that has found. At rest the programs differ
-    by the points at which they integrate curved cells. At speed ours displaces the blade
-    linearly for the stiffness that comes with its displaced shape; what that leaves out grows with
-    the square of the rotation by which it is untwisted, the fourth power of the speed. Without
-    that stiffness the second frequency would be 2.2 thousandths off at 6000 rpm and the third one
-    1.7, the other way.
+    and `*FREQUENCY` in a `PERTURBATION` step. At speed ours displaces the blade linearly; what that
+    leaves out grows with the fourth power of the speed.
     """
     return [
         Row(f"{rpm:g} rpm: mode {mode} [Hz]", ours, theirs, 1e-3)
@@ -303,24 +293,17 @@ def calculix_breathing_plate() -> list[Row]:
 
     The square plate of 0.1 m, 10 mm thick, nu = 0.3, with a crack to its middle: 8 x 4 bilinear
     cells, four pairs. Damping C = 1e-5 s K; 10 N sin(2000 t) along the upper edge at the corner;
-    the crack faces press with 1e11 Pa for each metre of depth.
+    contact of 1e11 Pa for each metre of depth.
 
-    Reference: CalculiX with its own contact and its own integration in time (`*DYNAMIC`, steps of
-    1/200 of a period and shorter ones where contact begins). It takes bricks, a layer between two
-    planes with the constants of [natural frequencies](calculix_frequencies.md), and integrates
-    the contact's pressure over the bricks' faces (`SURFACE TO SURFACE`), where we have springs
-    between nodes: the same law, spread otherwise. First both programs start from rest,
-    ours by `fc.integrate_central_difference`, 1600 steps a period. Then CalculiX starts with
-    displacement and velocity of our harmonic balance (H = 40, all modes) at t = 0, and has to stay
-    on its orbit: its second period gives the harmonics below.
+    Reference: CalculiX with its own contact, integrated over faces (`SURFACE TO SURFACE`), and its
+    own integration (`*DYNAMIC`, steps of 1/200 of a period and shorter), on a layer of bricks with
+    the constants of [natural frequencies](calculix_frequencies.md). First both start from rest,
+    ours by `fc.integrate_central_difference`, 1600 steps a period. Then CalculiX starts from our
+    harmonic balance (H = 40, all modes) and has to stay on its orbit: its second period gives the
+    harmonics.
 
-    Each difference is the largest of two periods over the largest value; allowed is 2 %. Shorter
-    steps leave it as it is. With a contact stiffness of 0.8 or 1.25 times CalculiX's, ours on the
-    orbit would be 2.6 % or 2.1 % away.
-
-    CalculiX 2.20 stops where it is asked otherwise. With equal steps (`DIRECT`) it sets the largest
-    step allowed to zero at the first contact; with `TYPE=NODE TO SURFACE`, and at some sizes of its
-    steps with ten times the stiffness, it shortens the steps until it gives up.
+    Differences are the largest of two periods over the largest value; 2 % are allowed. A contact
+    stiffness of 0.8 or 1.25 times CalculiX's would be 2.6 or 2.1 % away.
     """
     rows = []
     for start, (ours, theirs) in breathing().items():
@@ -375,23 +358,19 @@ def draw_from_rest(axes: Any) -> None:
 def calculix_paper_plate() -> list[Row]:
     """CalculiX: the paper's plate from rest.
 
-    Figure 2 of the paper: the time history of the crack in a finite-element program, here on the
-    mesh of `demos/paper_plate.toml` (2 x 8 bilinear cells, one pair), from rest, over five periods.
-    Both programs have the damping C = 2 xi K / w1, w1 the first natural frequency with an open
-    crack, and the load 100 N sin(2000 t): once with the paper's own data, 1e11 N/m and xi = 0.1 %,
-    once with 1e9 N/m and 1 %.
+    Figure 2 of the paper: the crack over five periods from rest, on the mesh of
+    `demos/paper_plate.toml` (2 x 8 bilinear cells, one pair). C = 2 xi K / w1, w1 the first
+    frequency with an open crack; 100 N sin(2000 t); the paper's data, 1e11 N/m and xi = 0.1 %, and
+    1e9 N/m and 1 %.
 
-    Reference: CalculiX with its own contact (`SURFACE TO SURFACE`) and its own integration
-    (`*DYNAMIC`, at most 1/200 of a period a step with 1e9 N/m, 1/800 with 1e11 N/m, shorter where
-    contact begins; from 1/400 on upwards it stops at the first contact with 1e11 N/m). Its elements
-    are a layer of bricks between two planes, as [here](calculix_breathing_plate.md). A pressure on
-    the crack's one element, from 0 at the tip to its value at the mouth, pushes the mouth's node
-    with a third of pressure times area: 3 k / (length thickness) for each metre of depth is our k.
-    Ours is the exact flow of `fc.integrate_events`. Differences are the largest over the time
-    named, over the largest value.
+    Reference: CalculiX with its own contact (`SURFACE TO SURFACE`) and integration (`*DYNAMIC`, at
+    most 1/200 of a period a step with 1e9 N/m, 1/800 with 1e11 N/m), on bricks as
+    [here](calculix_breathing_plate.md). Its 3 k / (length thickness) for each metre of depth is our
+    k, as pressure pushes the mouth's node with a third of pressure times area. Ours is the exact
+    flow of `fc.integrate_events`. Differences are over the largest value.
 
-    The references lie in `tests/exchange/paper_plate/`, with the input file; the script
-    `tests/verification/paper_plate.py` makes them anew.
+    References and input file are in `tests/exchange/paper_plate/`;
+    `tests/verification/paper_plate.py` makes them.
     """
     rows = []
     count = paper_plate.INSTANTS
@@ -451,19 +430,14 @@ def calculix_stress_intensity() -> list[Row]:
     """CalculiX: stress intensity of a plate that vibrates from rest.
 
     The square plate of [natural frequencies](calculix_frequencies.md) without damping, whose crack
-    faces never touch, under 1 N sin(1500 t) at its upper corner, from rest: its first natural
-    vibration is in the motion, too. Both programs get the same nodes, graded towards the tip, 24
-    elements along a crack face.
+    faces never touch, under 1 N sin(1500 t) at its upper corner, from rest. Both programs get the
+    same nodes, 24 graded elements along a crack face.
 
-    Reference: CalculiX integrates in time by itself (`*DYNAMIC, DIRECT`, 80 equal steps a period of
-    the load), with its own elements of eight nodes, in plane strain with the constants of plane
-    stress. It has no stress intensity: of its displacements, the opening of the crack faces from 3
-    to 15 mm from the tip, times E / 8 (2 pi / r)^1/2, is K_I where a straight line through it meets
-    r = 0. Ours is the interaction integral over `fc.integrate`, 30 modes and the statics that they
-    leave out, 640 steps a period. So both the motion and the way to K_I are other ones. By its own
-    opening on 16 elements, in the same way, our K_I is 0.5 % less.
-
-    The difference is the largest of a period over the largest value.
+    Reference: CalculiX's integration (`*DYNAMIC, DIRECT`, 80 steps a period) in plane strain with
+    the constants of plane stress. K_I is the crack's opening 3 to 15 mm from the tip times E / 8 (2
+    pi / r)^1/2, by a straight line to r = 0. Ours is the interaction integral over `fc.integrate`,
+    30 modes and the statics that they leave out, 640 steps a period. The difference is the largest
+    of a period over the largest value.
     """
     _, ours, theirs = vibrating_tip()
     size = np.abs(theirs).max()
@@ -519,24 +493,16 @@ def draw_solids(axes: Any) -> None:
 def calculix_solids() -> list[Row]:
     """CalculiX: a solid beam with a crack through it.
 
-    A steel cantilever of 300 x 20 x 20 mm, E = 206e9 Pa, nu = 0.3, 7850 kg/m^3, whole and with a
-    crack 6 mm deep, 80 mm from the clamp, whose faces are open. Both programs get the same
-    tetrahedra with ten nodes (C3D10); for CalculiX the crack consists of nodes that exist twice.
-    CalculiX prints seven digits. As another gmsh makes other tetrahedra, rows are
-    quotients: ours over CalculiX's.
+    A steel cantilever of 300 x 20 x 20 mm, E = 206e9 Pa, nu = 0.3, 7850 kg/m^3, whole and with an
+    open crack 6 mm deep, 80 mm from the clamp. Both programs get the same tetrahedra with ten nodes
+    (C3D10). As another gmsh makes others, rows are quotients: ours over CalculiX's.
 
-    Then the same file goes the other way: CalculiX writes its matrices (`*FREQUENCY,
-    SOLVER=MATRIXSTORAGE`), the program reads them with the input file, and finds the pairs of the
-    crack without a word ([matrices](../matrices.md)). Frequencies are CalculiX's, the areas of the
-    pairs and what they make of a motion are those of the structure that was meshed here.
+    Then the program reads CalculiX's matrices (`*FREQUENCY, SOLVER=MATRIXSTORAGE`) with the input
+    file and finds the pairs of the crack ([matrices](../matrices.md)). A force along the beam at
+    its free end pulls the crack open: openings, and work.
 
-    Pulled open by a force along the beam at its free end: the openings, and the work of the force.
-
-    The first frequencies of both, by themselves and cracked over whole, are those of a mesh of
-    75,000 dofs, of Euler and Bernoulli's beam with a spring at the crack
-    ([beams](open_crack_in_a_beam.md)), of the same beam in plane stress, and what was measured on a
-    beam with a cut (174.7 of 185.2 Hz: Shock and Vibration 2019, article 7302057): as far from
-    these as models and meshes are.
+    Last rows: a mesh of 75,000 dofs, [beams with a spring](open_crack_in_a_beam.md), plane stress,
+    and a measured beam with a cut (174.7 of 185.2 Hz: Shock and Vibration 2019, article 7302057).
     """
 
     def quotients(name: str, ours: Any, theirs: Any, near: float) -> list[Row]:
@@ -652,24 +618,15 @@ def calculix_nodal_diameters() -> list[Row]:
     """CalculiX: nodal diameters of a bladed disk.
 
     Eight steel blades of 60 x 10 x 6 mm on a disk 10 mm thick, from 20 mm, where it is clamped, to
-    70 mm about the axis, E = 2.1e11 Pa, nu = 0.3, 7850 kg/m^3, without a crack. The disk is soft:
-    from n = 1 to n = 4 nodal diameters the second frequency rises by 23 %, and the third one to
-    2.2 times its value.
+    70 mm about the axis, E = 2.1e11 Pa, nu = 0.3, 7850 kg/m^3, without a crack.
 
     Reference: CalculiX's `*CYCLIC SYMMETRY MODEL` with `*SELECT CYCLIC SYMMETRY MODES` of one
-    sector, whose sides are two sets of nodes. Both programs get the same nodes and tetrahedra with
-    ten nodes and straight sides (C3D10); which nodes of the sides belong together, and the phase
-    between them, CalculiX finds by itself. Then the wheel turns: a static step with large
-    displacements (`NLGEOM`) under `*DLOAD, CENTRIF`, and `*FREQUENCY` in a `PERTURBATION` step
-    about it. That raises the first frequency of n = 0 by 0.55 %.
+    sector, with the same straight tetrahedra (C3D10). At speed: a static step (`NLGEOM`) under
+    `*DLOAD, CENTRIF`, and `*FREQUENCY` in a `PERTURBATION` step.
 
-    CalculiX integrates the mass at four points of each tetrahedron, which is exact for polynomials
-    of the second degree; it needs the fourth, and has it here. So the higher a family, the further
-    apart are the two. With v^H M v of our modes v by four points, w (v^H M v)^(-1/2) are the
-    frequencies with CalculiX's mass, but for the square of that difference. They agree to the
-    digits that CalculiX prints, 5e-7 (last rows).
-
-    As another gmsh makes other tetrahedra, rows are quotients: ours over CalculiX's.
+    CalculiX integrates the mass at four points of each tetrahedron, which is exact to the second
+    degree; ours is exact. With CalculiX's mass of our modes v, w (v^H M v)^(-1/2), both agree to
+    the digits printed, 5e-7 (last rows). Rows are quotients, ours over CalculiX's.
     """
     rows = []
     for rpm, name in ((0.0, "at rest"), (FAST, f"{FAST:g} rpm")):

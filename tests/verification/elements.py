@@ -134,13 +134,12 @@ def draw_made(axes: Any) -> None:
 def manufactured_solution() -> list[Row]:
     """Manufactured solution in plane stress.
 
-    Unit square, E = 1, nu = 0.3, u = (sin^2(pi x) sin^4(pi y), -0.7 sin^2(2 pi x) sin^4(pi y)). It
-    and its gradient are zero on all edges: clamped below, free of traction elsewhere. The body
-    force b = -div sigma, zero at the clamp, is put on the nodes and loaded by the mass matrix.
+    Unit square, E = 1, nu = 0.3, u = (sin^2(pi x) sin^4(pi y), -0.7 sin^2(2 pi x) sin^4(pi y)),
+    zero with its gradient on all edges. The body force b = -div sigma is put on the nodes.
 
     Reference: the order of the elements, p + 1 for the displacement and p for its gradient in L2
-    (Roache, J. Fluids Eng. 124, 2002, 4-10, on the method), fitted over grids of 32 and 64 cells a
-    side, four- and nine-node quadrilaterals.
+    (Roache, J. Fluids Eng. 124, 2002, 4-10), fitted over 32 and 64 cells a side, four- and
+    nine-node quadrilaterals.
     """
     rows = []
     for order, errors in made_errors().items():
@@ -237,19 +236,13 @@ def frequencies_with_a_crack() -> list[Row]:
     """Natural frequencies with a crack: order, and what grading recovers.
 
     A unit square (E = 1, nu = 0.3, density 1), clamped below, with an open crack from its left side
-    to its middle. Stresses at the tip grow like r^(-1/2), so that the error of a frequency, which
-    is that of an energy, falls like h^(2 * 1/2) = h on equal cells, whatever the order of the
-    elements.
+    to its middle. Stresses at the tip grow like r^(-1/2), so the error of a frequency falls like h,
+    whatever the order of the elements.
 
     Reference: that order (Strang and Fix, An Analysis of the Finite Element Method, chapter 8),
-    fitted over 16, 32, 64 cells a side (four nodes) and 8, 16, 32 (nine nodes). The limit is
-    extrapolated from the latter with order 1. A mesh graded towards the tip comes near to it: with
-    8000 dofs, as many as 32 x 32 equal cells have, a quarter of their error and less is left, and
-    the error falls faster (picture).
-
-    Only the cells at the tip matter: the same order is found in their size alone, with a mesh that
-    is left as it is elsewhere (last rows), for few more dofs. That is with nu = 0. With nu = 0.3
-    the corners of the clamp have stresses like r^-0.24, to which these meshes are not graded.
+    fitted over 16, 32, 64 cells a side (four nodes) and 8, 16, 32 (nine nodes). A graded mesh of
+    8000 dofs has a quarter of the error of 32 x 32 equal cells and less. Only the cells at the tip
+    matter: the order is found in their size alone (last rows, nu = 0).
     """
     rows = []
     for order, cells in UNIFORM.items():
@@ -312,16 +305,13 @@ def draw_release(axes: Any) -> None:
 def energy_release_on_three_meshes() -> list[Row]:
     """Energy release on three meshes.
 
-    A strip of W x 4 W in tension (E = 1, plane stress) with an edge crack that grows from 0.2 W to
-    0.4 W, on grids of 10, 20 and 40 nine-node quadrilaterals across. F is the mean of
-    K_I / (s sqrt(pi a)) over the growth: C(0.4) - C(0.2) = 2 pi F^2 times the integral of a, with
-    the compliance C = f . u and G = K_I^2 / E = dC/da / 2.
+    A strip of W x 4 W in tension (E = 1, plane stress) whose edge crack grows from 0.2 W to 0.4 W,
+    on 10, 20 and 40 nine-node quadrilaterals across. F is the mean of K_I / (s sqrt(pi a)): C(0.4)
+    - C(0.2) = 2 pi F^2 times the integral of a, with C = f . u and G = K_I^2 / E = dC/da / 2.
 
-    Reference: order 1 of the energy, because of stresses like r^(-1/2) at the tip, and Tada's
-    formula for F (0.5 %; see [Stress intensity of cracks in tension](stress_intensity_factors.md)),
-    whose square is integrated over the same growth. The last row has the grid convergence index of
-    the finest mesh, 1.25 times its difference to the extrapolated value (Roache, J. Fluids Eng.
-    116, 1994, 405-413; `fc.grid_convergence`); that of F is half of that of F^2.
+    Reference: order 1, because of stresses like r^(-1/2), and Tada's formula for F (0.5 %). The
+    last row is the grid convergence index of the finest mesh (Roache, J. Fluids Eng. 116, 1994,
+    405-413; `fc.grid_convergence`); that of F is half of that of F^2.
     """
     values = np.array(releases())
     found = release_convergence()

@@ -206,28 +206,23 @@ def draw_front(axes: Any) -> None:
 def stress_intensity_along_a_front() -> list[Row]:
     """Stress intensity along the front of a crack in a solid.
 
-    A plate of 30 x 90 x 6 mm, clamped below and pulled above, with a crack at half of its height:
-    10 mm through from one edge (nu = 0, so that plane stress and plane strain are one), or half of
-    an ellipse, 16 mm long and 3 mm deep (nu = 0.3). Nodes of the front are moved in the crack's
-    plane, by 0.4 % of its depth forwards and back, while all displacements stay: with A the area
-    that they sweep,
+    A plate of 30 x 90 x 6 mm, clamped below and pulled above, cracked at half its height: 10 mm
+    through from one edge (nu = 0), or half an ellipse, 16 mm long and 3 mm deep (nu = 0.3). Nodes
+    of the front are moved in the crack's plane by 0.4 % of its depth forwards and back while all
+    displacements stay: with A the area that they sweep,
 
         G = -dU / dA,                  K^2 = G E / (1 - nu^2).
 
-    Only the cells at the front change, and their energies are integrated here without DOLFINx. To
-    move all nodes gives the root mean square of K over the front; to move those around a place by a
-    hat function of the angle, which is 0 from 30 degrees on, that at the place.
+    All nodes moved give the root mean square of K over the front; those around a place, by a hat
+    that is 0 from 30 degrees on, K there.
 
-    Reference: the edge crack in tension by Tada (0.5 %); the ellipse by Newman and Raju
-    (Engineering Fracture Mechanics 15, 1981, 185-192), a fit within 5 % of their finite elements
-    for a plate that is pulled far away, averaged over the front likewise. Ours has 0.53 of its
-    width cracked, where their fit ends at 0.5. On few elements K is too small, as ordinary elements
-    are too stiff at a front, and rises with them.
+    Reference: Tada's edge crack in tension (0.5 %); Newman and Raju's ellipse (Engineering Fracture
+    Mechanics 15, 1981, 185-192), a fit within 5 %, averaged likewise. Ours has 0.53 of its width
+    cracked; their fit ends at 0.5.
 
-    `stress_intensity` has an interaction integral around the front instead, with K_I, K_II and
-    K_III at 13 stations, each the mean over a hat function that is 0 from 15 degrees on. The last
-    rows have K^2 = K_I^2 + K_II^2 + K_III^2 / (1 - nu) of the same displacements over that of the
-    energy release with the same hats, and K_I over Newman and Raju's.
+    `stress_intensity` has an interaction integral instead, at 13 stations with hats of 15 degrees.
+    Last rows: K^2 = K_I^2 + K_II^2 + K_III^2 / (1 - nu) over that of the energy release with the
+    same hats, and K_I over Newman and Raju's.
     """
     rows = []
     edge = STRESS * np.sqrt(np.pi * 0.01) * tada("edge", 0.01 / WIDTH)

@@ -54,11 +54,11 @@ def contact_release() -> list[Row]:
     """A mass released by a stop.
 
     A mass of 100 kg on a spring of 1e4 N/m flies at 1 m/s into a stop of 1e6 N/m without clearance.
-    With w^2 = (1e4 + 1e6) / 100 it stays for pi / w, its largest force is 1e6 / w and its impulse
-    2e6 / w^2.
+    With w^2 = (1e4 + 1e6) / 100 it stays for pi / w, with a largest force of 1e6 / w and an impulse
+    of 2e6 / w^2.
 
-    Reference: closed form; the same numbers in code_aster's test SDND101 (0.03126 s, 9950 N,
-    198.02 N s). The exact flow is compared, and exponential steps of 5 microseconds.
+    Reference: closed form, as in code_aster's test SDND101 (0.03126 s, 9950 N, 198.02 N s); beside
+    the exact flow, and exponential steps of 5 microseconds.
     """
     frequency = np.sqrt(1.01e6 / 100.0)
     contact = np.pi / frequency
@@ -104,8 +104,7 @@ def draw_shocks(axes: Any) -> None:
 def several_shocks() -> list[Row]:
     """A mass that meets a stop again and again.
 
-    The same mass and stop: nothing is lost, so that the shocks repeat after half a period of the
-    stop and half of the free motion, pi / 100.4988 + pi / 10 s.
+    The same mass and stop, without losses: shocks repeat after pi / 100.4988 + pi / 10 s.
 
     Reference: closed form; code_aster's test SDND101 gives 0.01563 s for the first largest force
     and 0.361 s for the second one. `fc.integrate_events`, 1.3 s.
@@ -174,19 +173,17 @@ def draw_free_motion(axes: Any) -> None:
 def free_motion_with_a_clearance() -> list[Row]:
     """Free motion with a clearance: a published value is wrong.
 
-    A mass of 1 on a spring of 10 meets one of 50 beyond a clearance of 0.01. It moves freely at a
-    frequency that depends on its energy E (code_aster's test SDND122).
+    A mass of 1 on a spring of 10 meets one of 50 beyond a clearance of 0.01; its frequency depends
+    on its energy E (code_aster's test SDND122).
 
-    Reference: closed form. The mass is free for 2 (pi - arccos(d / A)) / w1 of a period, with
-    A = sqrt(2 E / k), and in contact for 2 arctan2(v / w2, d - d kc / (k + kc)) / w2, with
-    v = sqrt(2 E - k d^2), its speed where it meets the stop. The motion balanced with 60
-    harmonics is compared (`tests/verification/free_motions.py`), and the exact flow, which has to
-    come back after one such period.
+    Reference: closed form. The mass is free for 2 (pi - arccos(d / A)) / w1 of a period, A = sqrt(2
+    E / k), and in contact for 2 arctan2(v / w2, d - d kc / (k + kc)) / w2, v = sqrt(2 E - k d^2).
+    Beside it: the motion balanced with 60 harmonics (`tests/verification/free_motions.py`), and the
+    exact flow, which has to come back after one such period.
 
     For E = 0.00650108331626 a value of 0.64621695 Hz is published as analytic, 6e-4 away. It takes
-    sqrt(2 E / (k + kc)) for the contact's amplitude about d kc / (k + kc) and drops a term under
-    the root, which is (2 E - k kc d^2 / (k + kc)) / (k + kc). So it is off the motion, too: started
-    at its largest displacement, the mass has not come back after a period of that length.
+    sqrt(2 E / (k + kc)) for the contact's amplitude and drops a term under the root, which is (2 E
+    - k kc d^2 / (k + kc)) / (k + kc). The mass has not come back after such a period.
     """
     law, structure = fc.UnilateralPenalty(50.0), clearance_oscillator()
     rows = []
@@ -238,15 +235,13 @@ def draw_bar(axes: Any) -> None:
 def bar_against_a_wall() -> list[Row]:
     """A bar against a rigid wall.
 
-    A bar of 0.2 m, E = 2e11 Pa, density 8000 kg/m^3 and without lateral contraction flies at
-    100 m/s to a rigid wall 2 mm away (code_aster's test SDNV100).
+    A bar of 0.2 m, E = 2e11 Pa, density 8000 kg/m^3 and without lateral contraction flies at 100
+    m/s to a rigid wall 2 mm away (code_aster's test SDNV100).
 
-    Reference: the wave equation. With c = 5000 m/s the end touches at 2e-5 s, presses with
-    rho c v = 4e9 Pa until the wave is back after 2 L / c, and leaves at 1e-4 s; the whole bar then
-    flies back at 100 m/s.
-
-    Here: 200 linear elements reduced to 100 modes with crack faces without mass, contact
-    without penetration, 100 exponential steps in 1.4e-4 s.
+    Reference: the wave equation. With c = 5000 m/s the end touches at 2e-5 s, presses with rho c v
+    = 4e9 Pa, and leaves at 1e-4 s; the whole bar then flies back at 100 m/s. Here: 200 linear
+    elements, 100 modes with crack faces without mass, no penetration, 100 exponential steps in
+    1.4e-4 s.
     """
     history = flying_bar()
     force, step = history.contact_force[:, 0], history.time[1]
@@ -342,12 +337,10 @@ def stops_on_both_sides() -> list[Row]:
     """Two masses, one of them between two stops.
 
     M = diag(1, 2), K = [[2, -1], [-1, 3]], C = [[0.1, -0.03], [-0.03, 0.12]], a load 0.7 cos(0.8 t)
-    on mass 1. Mass 1 meets springs of 5 at 0.3 on one side and at 0.4 on the other: two pairs whose
-    columns of B have either sign. The clearances differ, so that the motion has a mean and even
-    harmonics.
+    on mass 1, which meets springs of 5 at 0.3 on one side and at 0.4 on the other.
 
-    Reference: SciPy's DOP853 with tolerance 1e-10 and Newton's method on the state after a period,
-    with its own contact force. Harmonic balance has H = 60.
+    Reference: SciPy's DOP853 with tolerance 1e-10 and Newton's method on the state after a period.
+    Harmonic balance has H = 60.
     """
     solution, time, motion = between_stops()
     ours = solution.displacement(time, [0, 1])

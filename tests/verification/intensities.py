@@ -156,10 +156,9 @@ def draw_penny(axes: Any) -> None:
 def penny_in_a_block() -> list[Row]:
     """Penny-shaped crack under pressure.
 
-    A circular crack, a = 10 mm, in the middle of a block of 100 mm, nu = 0.3, whose faces are
-    pressed apart by s = 1 MPa. `stress_intensity` of solids is a linear functional of displacements
-    and contact pressures, the interaction integral, which is taken of a static solution here. K at
-    a station is the mean over a hat function, which is 0 from its neighbours on.
+    A circular crack, a = 10 mm, in the middle of a block of 100 mm, nu = 0.3, its faces pressed
+    apart by s = 1 MPa. `stress_intensity` of a static solution; K at a station is the mean over a
+    hat that is 0 from its neighbours on.
 
     Reference: K_I = 2 s sqrt(a / pi), of a body without end (Sneddon, Proceedings of the Royal
     Society A 187, 1946, 229-260); K_II = K_III = 0.
@@ -203,16 +202,15 @@ def ellipse_in_a_block() -> list[Row]:
     """Elliptical crack in a block (code_aster's SSLV110).
 
     An elliptical crack, half axes a = 25 mm and b = 6 mm, in the middle of a block of 150 mm, nu =
-    0.3, whose faces are pressed apart by 1 MPa; a pull of the block has the same K. A quarter of it
-    is meshed, with at most 45,000 dofs. At the angle t of the ellipse, in MPa and mm,
+    0.3, its faces pressed apart by 1 MPa. A quarter is meshed. At the angle t of the ellipse, in
+    MPa and mm,
 
         K_I = 4.0680 (sin(t)^2 + (b / a)^2 cos(t)^2)^(1/4).
 
     Reference: this closed form of a body without end (Kassir and Sih, Journal of Applied Mechanics
-    33, 1966, 601-611, with the benchmark's figures), as its mean over the hat of each station,
-    which reaches 7.5 degrees to both sides. At the ends the program states K by the straight line
-    through the last two hats, and the reference is taken so, too; 2.5 % are allowed there, 2 %
-    elsewhere.
+    33, 1966, 601-611, with the benchmark's figures), as its mean over each station's hat of 7.5
+    degrees to both sides. At the ends both take the straight line through the last two hats; 2.5 %
+    are allowed there, 2 % elsewhere.
     """
     angles, found, means, count = ellipse()
     rows = []
@@ -319,18 +317,16 @@ def draw_torsion(axes: Any) -> None:
 def torsion_of_a_cracked_bar() -> list[Row]:
     """Torsion of a bar with a crack around it.
 
-    A bar of 10 mm radius with a crack from its surface to a ligament of 6 mm radius, whose ends, 15
-    mm away, are twisted. A quarter of it is meshed, with at most 60,000 dofs; K is relative to the
-    torque of the mesh, whose surface is a polygon.
+    A bar of 10 mm radius, cracked from its surface to a ligament of 6 mm radius, is twisted at its
+    ends, 15 mm away. A quarter is meshed; K is relative to the torque of the mesh.
 
     Reference: K_III of the axisymmetric problem, solved here by quadratic elements: with u_theta =
-    r phi(r, z) the angle phi minimises int r^3 |grad phi|^2, and with the twist phi_0 of one end
-    against the other, the torque T and the radius c of the ligament,
+    r phi(r, z) the angle phi minimises int r^3 |grad phi|^2, and with the twist phi_0, the torque T
+    and the radius c of the ligament,
 
         K_III^2 = -mu T^2 / (2 pi c) d(phi_0 / T) / dc,         K_I = K_II = 0.
 
-    The handbooks' polynomials for it are up to 1.8 % too large. K is too small by an error of about
-    first order in the size of the elements.
+    The handbooks' polynomials are up to 1.8 % too large.
     """
     _, found, count = torsion()
     others = float(np.abs(found[:, :2]).max())
@@ -358,12 +354,9 @@ def draw_coarse(axes: Any) -> None:
 def fronts_on_coarse_meshes() -> list[Row]:
     """Stress intensity along fronts on coarse meshes.
 
-    The bar in torsion and the penny of the pages on [torsion](torsion_of_a_cracked_bar.md) and on
-    [the penny](penny_in_a_block.md), a quarter of both, with elements that are up to ten times
-    larger: 6,000 to 11,000 dofs.
-
-    References: as there. Ratios are root mean squares over the stations; the error of K_III is of
-    about first order in the size of the elements.
+    The bar in [torsion](torsion_of_a_cracked_bar.md) and [the penny](penny_in_a_block.md), with
+    elements up to ten times larger: 6,000 to 11,000 dofs. References as there; ratios are root mean
+    squares over the stations. The error of K_III is of about first order.
     """
     errors = [1.0 - root_mean_square(torsion(element)[1][:, 2]) for element in COARSE[:2]]
     found = pressed_open(PENNY, PENNY * (1.0 - 1e-9), BLOCK, 2e-3, 0.4, corner=True)[1][:, 0]
@@ -414,22 +407,21 @@ def growth_of_half_ellipses() -> list[Row]:
 
         da/dN = C K(90 degrees)^m,        dc/dN = C K(0)^m,        C = 1e-11, K in MPa m^(1/2),
 
-    with K at least 0. The program solves 5 x 5 shapes, and interpolates K / sqrt(a) between them;
-    here their K is of the formula. With bending K may be 0 at the deepest place, which then waits
-    for the ends. Growth ends at a depth, or where the crack is as long as 0.9 of the width.
+    with K at least 0. The program interpolates K / sqrt(a) between 5 x 5 shapes, whose K are of the
+    formula here. Growth ends at a depth, or where the crack is as long as 0.9 of the width.
 
-    Reference: the same equations without a table, by SciPy's LSODA to 1e-9. The last rows show 8 x
-    8 shapes. They are no better where the deepest place comes to rest, as K has a kink there.
+    Reference: the same equations without a table, by SciPy's LSODA to 1e-9. 8 x 8 shapes (last
+    rows) are no better where the deepest place comes to rest, as K has a kink there.
     """
     paths, exact, many = lives()
     rows = []
     for (start, until, stress, exponent), path, its in zip(CASES, paths, exact, strict=True):
-        name = f"a {start[0] * 1e3:.3g} to {until * 1e3:.3g}, 2 c from {start[1] * 1e3:.3g} mm"
-        name += f", tension {stress[0]:g}, bending {stress[1]:g}, m = {exponent:g}: cycles"
+        name = f"tension {stress[0]:g}, bending {stress[1]:g}, m = {exponent:g}, first 2 c ="
+        name += f" {start[1] / start[0]:.3g} a: a {start[0] * 1e3:.3g} to {until * 1e3:.3g} mm"
         rows.append(Row(name, float(path.cycles[-1]), float(its[2]), 0.015))
     own, fine = (np.array(x) for x in ([path.cycles[-1] for path in paths], many))
     return [
-        *rows,
+        *(row for load in range(5) for row in rows[load::5]),
         Row("cycles by 8 x 8 shapes over these, furthest off",
             furthest(fine / [its[2] for its in exact]), 1.0, None),
         Row("cycles by 5 x 5 over those by 8 x 8 shapes, furthest off", furthest(own / fine), 1.0,

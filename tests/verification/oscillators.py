@@ -43,15 +43,13 @@ def bilinear_oscillator() -> list[Row]:
     """Bilinear oscillator: orbits.
 
     x'' + c x' + x + kc max(x, 0) = cos(W t) with c = 0.1 and kc = 1. Its natural frequency without
-    damping is w0 = 2 w1 w2 / (w1 + w2) = 1.171573, with w1 = 1 and w2 = sqrt(1 + kc) (Shaw and
-    Holmes, J. Sound Vib. 90, 1983, 129-155). It is loaded at half of w0, where it resonates by its
-    second harmonic, and at W = 1. In the picture x is in contact where it is grey.
+    damping is w0 = 2 w1 w2 / (w1 + w2) = 1.171573, w1 = 1 and w2 = sqrt(1 + kc) (Shaw and Holmes,
+    J. Sound Vib. 90, 1983, 129-155). It is loaded at half of w0, where it resonates by its second
+    harmonic, and at W = 1.
 
-    Reference: piecewise-linear integration from one switching instant to the next by another
-    program, Newton's method on the instants, to about 1e-9. It is compared with harmonic balance,
-    H = 20 and exact integrals of the contact force, and with `fc.integrate_events` from rest until
-    nothing changes. The extremes are those of 4096 samples a period. The product of the Floquet
-    multipliers is exp(-c T) (Liouville).
+    Reference: piecewise-linear integration by another program, to about 1e-9, beside harmonic
+    balance (H = 20, exact integrals) and `fc.integrate_events` from rest. Extremes are those of
+    4096 samples a period. The product of the multipliers is exp(-c T) (Liouville).
     """
     rows = []
     for omega, (mean, waves, largest, smallest) in BILINEAR_ORBITS.items():
@@ -110,10 +108,9 @@ def draw_truncation(axes: Any) -> None:
 def bilinear_convergence() -> list[Row]:
     """Bilinear oscillator: convergence.
 
-    The same oscillator. The contact force has kinks, so that the harmonics of x fall like k^-4:
-    abs(Xk) k^4 is 1.63 to 1.69 where it is largest in each octave of k = 8 to 128, at W = 1. The
-    error of H harmonics then falls a little faster than H^-3. With sampled contact forces (H = 5,
-    W = w0/2) there is a second error.
+    The same oscillator. The contact force has kinks: abs(Xk) k^4 is 1.63 to 1.69 where it is
+    largest in each octave of k = 8 to 128, at W = 1, so the error of H harmonics falls a little
+    faster than H^-3. Sampled contact forces (H = 5, W = w0/2) add a second error.
 
     Reference: the same computations by another program, given to two digits.
     """
@@ -159,8 +156,8 @@ def draw_doubled(axes: Any) -> None:
 def period_doubling() -> list[Row]:
     """Bilinear oscillator: an orbit of two periods.
 
-    The same oscillator at W = 2 w0. The orbit of one period is unstable there: a Floquet multiplier
-    is below -1. The stable one takes two periods of the load.
+    The same oscillator at W = 2 w0. The orbit of one period is unstable: a multiplier is below -1.
+    The stable one takes two periods.
 
     Reference: event-driven integration and Newton's method by another program.
     """
@@ -199,13 +196,12 @@ def two_masses_and_a_stop() -> list[Row]:
     """Two masses and a stop.
 
     M = I, K = [[1, -1], [-1, 2]], C = 0.03 K, a load 0.1 cos(W t) on mass 2 and a spring of 100 on
-    mass 1 beyond a clearance of 1. At W = 0.70 two stable orbits exist, one without contact. The
+    mass 1 beyond a clearance of 1. At W = 0.70 two stable orbits exist, one without contact; the
     other loses its stability in a period doubling.
 
     Reference: Krack and Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019),
-    and example 3 of their program NLvib 1.3; the digits are from exact orbits computed by another
-    program. The curve is one of exact orbits (`tolerance=1e-2`), and so is the doubling on it,
-    which H = 21 puts 8 % below.
+    and example 3 of NLvib 1.3; the digits are from exact orbits by another program. The curve is
+    one of exact orbits (`tolerance=1e-2`); H = 21 puts the doubling 8 % below.
     """
     curve = stop_curve()
     crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
@@ -253,14 +249,12 @@ def draw_roots(axes: Any) -> None:
 def duffing_spurious_roots() -> list[Row]:
     """Duffing oscillator: roots that are none.
 
-    x'' + 0.2 x' + x + x^3 = 1.25 sin 2t with one harmonic. Balanced with exact coefficients it has
-    three solutions; collocated at 2H + 1 instants, the high-dimensional form, it has nine, of which
-    six are none of the oscillator's (on such roots: Liu and others, J. Comput. Phys. 215, 2006,
-    298-320). From 4H + 1 samples on they are gone.
+    x'' + 0.2 x' + x + x^3 = 1.25 sin 2t with one harmonic has three solutions; collocated at 2H + 1
+    instants it has nine, of which six are none of the oscillator's (Liu and others, J. Comput.
+    Phys. 215, 2006, 298-320). From 4H + 1 samples on they are gone.
 
     Reference: y = abs(X1)^2 is a root of ((1 - W^2 + 3 y / 4)^2 + (0.2 W)^2) y = 1.25^2. The number
-    of collocated roots follows from the equations' Groebner basis (`tests/balance/test_forms.py`);
-    here, Newton's method from 400 random starts finds them.
+    of collocated roots follows from a Groebner basis (`tests/balance/test_forms.py`).
     """
     exact = classical_amplitudes()
     many, few = duffing_roots()

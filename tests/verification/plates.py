@@ -90,12 +90,11 @@ def draw_tapered(axes: Any) -> None:
 def tapered_membrane() -> list[Row]:
     """NAFEMS FV32: cantilevered tapered membrane.
 
-    Plane stress; 10 m long, 5 m deep at the clamp and 1 m at the end, 0.05 m thick, E = 2e11 Pa,
-    nu = 0.3, 8000 kg/m^3.
+    Plane stress; 10 m long, 5 m deep at the clamp and 1 m at the end, 0.05 m thick, E = 2e11 Pa, nu
+    = 0.3, 8000 kg/m^3; 32 x 16 nine-node quadrilaterals from a gmsh file.
 
-    Reference: target frequencies of NAFEMS, The Standard NAFEMS Benchmarks (1990), test FV32; and
-    64 x 32 nine-node quadrilaterals of another program. Here: 32 x 16 nine-node quadrilaterals from
-    a gmsh file.
+    Reference: NAFEMS, The Standard NAFEMS Benchmarks (1990), test FV32; and 64 x 32 nine-node
+    quadrilaterals of another program.
     """
     finer = [44.617, 130.011, 162.689, 245.987, 379.719, 391.406]
     found = fc.solve_modes(tapered(), 6).omega / (2.0 * np.pi)
@@ -227,13 +226,12 @@ def draw_factors(axes: Any) -> None:
 def stress_intensity_factors() -> list[Row]:
     """Stress intensity of cracks in tension.
 
-    Strips of width W and height 4 W under uniform traction with an edge crack, a crack in the
-    centre and two edge cracks; F = K_I / (s sqrt(pi a)). K_I follows from the energy release rate,
-    the difference of two solutions with cracks 4 % of a apart; the crack faces are open.
+    Strips of width W and height 4 W in tension with an edge crack, a crack in the centre and two
+    edge cracks; F = K_I / (s sqrt(pi a)), from the energy release rate of cracks 4 % of a apart.
 
     Reference: Tada, Paris and Irwin, The Stress Analysis of Cracks Handbook (edge crack: as in
-    Anderson, Fracture Mechanics, table 2.4). The formulas are good to 0.5 %, 0.1 % and 0.5 %. The
-    edge crack's plate is clamped below, 2 W from the crack.
+    Anderson, Fracture Mechanics, table 2.4), good to 0.5 %, 0.1 % and 0.5 %. The edge crack's plate
+    is clamped below, 2 W from the crack.
     """
     return [
         Row(
@@ -273,11 +271,11 @@ def draw_soft_contact(axes: Any) -> None:
 def paper_plate_soft_contact() -> list[Row]:
     """The paper's plate, breathing.
 
-    The plate of Kharyton and others (`demos/paper_plate.toml`) with contact soft enough to settle,
-    k = 1e9 N/m, 1 % of critical damping in all 50 modes, loaded at 2000 rad/s.
+    The plate of Kharyton and others (`demos/paper_plate.toml`) with k = 1e9 N/m, 1 % of critical
+    damping in all 50 modes, at 2000 rad/s.
 
-    Reference: event-driven integration of all modes by another program. The exact flow of
-    `fc.integrate_events` from rest is compared, and harmonic balance.
+    Reference: event-driven integration of all modes by another program, beside
+    `fc.integrate_events` from rest and harmonic balance.
     """
     structure, law = soft_plate(), fc.UnilateralPenalty(1e9)
     corner = structure.find_dof((0.1, 0.1), "x")

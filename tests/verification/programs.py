@@ -62,19 +62,14 @@ def draw_gap(axes: Any) -> None:
 def mass_with_a_gap() -> list[Row]:
     """pyHarm's example onedofgap.
 
-    A mass on a spring and a damper, a load 100 cos(W t) and a spring of 1000 beyond a gap of 10,
-    H = 7, 1024 samples, from 2 to 15 rad/s.
+    A mass on a spring and a damper, a load 100 cos(W t) and a spring of 1000 beyond a gap of 10, H
+    = 7, 1024 samples, from 2 to 15 rad/s.
 
-    Reference: `tests/nonregression/NonRegressionData/onedofgap` of pyHarm (Safran, Apache 2.0),
-    which has the input and a table of frequencies and sizes, the norms of all coefficients over 10.
-    Its matrices lie in a binary file that could not be had. m = 1, k = 40 and 5 % of critical
-    damping, c = 0.1 sqrt(40), give both ends of the table, where the mass does not reach the gap,
-    to all their digits (first rows). The table is interpolated linearly between pyHarm's points,
-    0.1 apart, which costs some 1e-4 on a curved branch, and more at the foot of the contact branch
-    (last row, not judged).
-
-    pyHarm's super-element of a blade on a disk has its matrices in files that could not be had
-    either. Its contact is with friction (`DLFT3D`), which is no law of this program.
+    Reference: `tests/nonregression/NonRegressionData/onedofgap` of pyHarm (Safran, Apache 2.0), a
+    table of frequencies and sizes, the norms of all coefficients over 10. Its matrices could not be
+    had: m = 1, k = 40 and c = 0.1 sqrt(40) give both ends of the table to all digits (first rows).
+    Linear interpolation between its points costs some 1e-4, and more at the foot of the contact
+    branch (last row, not judged).
     """
     curve, sizes = gap_curve()
     structure, top = curve.solution(0).structure, int(np.argmax(sizes))
@@ -187,29 +182,24 @@ def rotor_with_a_crack() -> list[Row]:
     """A Jeffcott rotor with a breathing crack, and ROSS's model of it.
 
     A disk on a shaft of stiffness k turns at W under its weight and an unbalance. With xi across
-    the crack and eta along it, in the frame that turns with the shaft, and damping in the shaft,
+    the crack and eta along it, in the frame of the shaft, and damping in the shaft,
 
     m (xi'' - 2 W eta' - W^2 xi) + c xi' + k xi - dk max(xi, 0) = m g cos(W t) + m e W^2 cos(b),
 
     m (eta'' + 2 W xi' - W^2 eta) + c eta' + k eta = -m g sin(W t) + m e W^2 sin(b)
 
-    (Gasch's hinge, J. Sound Vib. 160, 1993, 313-332, without the small loss along the crack). That
-    is a structure with the stiffness k - dk, a matrix C that is not symmetric, and a pair of
-    stiffness dk that closes where xi < 0: matrices for `fc.Structure.from_matrices`. m = k = g = 1,
-    dk = 0.2, c = 0.08, e = 0.05, b = 0.7. Damping by the surroundings adds c W (-eta, xi) here: a
-    stiffness that is not symmetric, which `from_matrices` refuses.
+    (Gasch's hinge, J. Sound Vib. 160, 1993, 313-332, without the small loss along the crack) as
+    matrices for `fc.Structure.from_matrices`. m = k = g = 1, dk = 0.2, c = 0.08, e = 0.05, b = 0.7.
+    Damping by the surroundings is refused: its stiffness is not symmetric.
 
-    Reference: the equation seen from outside, m z'' + c (z' - i W z) + k z - dk max(xi, 0) e^(iWt)
-    = m g + m e W^2 e^(i (W t + b)), z = (xi + i eta) e^(iWt), by SciPy's DOP853 and Newton's
-    method; abs(z1) is what turns with the shaft, abs(z2) with twice its speed. Harmonic balance has
-    H = 60.
+    Reference: m z'' + c (z' - i W z) + k z - dk max(xi, 0) e^(iWt) = m g + m e W^2 e^(i (W t + b)),
+    z = (xi + i eta) e^(iWt), by SciPy's DOP853 and Newton's method; abs(z1) turns with the shaft,
+    abs(z2) with twice its speed. Harmonic balance has H = 60.
 
-    ROSS (Petrobras, `ross/faults/crack.py`) has the crack's stiffness change with the shaft's angle
-    alone: Gasch's square wave as 18 terms of its series, K = (k0 + kc) / 2 + 2 / pi (k0 - kc)
-    (cos W t - cos(3 W t) / 3 + ...), or Mayes's (k0 + kc) / 2 + (k0 - kc) / 2 cos W t. That is a
-    linear equation with a given K(t), and no contact: it cannot be put to this program. Where the
-    weight's deflection is larger than the vibration both open at the same instants (W = 0.1). Near
-    the resonance with twice the speed, W = 0.5, they differ (last rows, not judged).
+    ROSS (Petrobras, `ross/faults/crack.py`) has a stiffness that depends on the shaft's angle
+    alone, without contact: Gasch's square wave as 18 terms, K = (k0 + kc) / 2 + 2 / pi (k0 - kc)
+    (cos W t - cos(3 W t) / 3 + ...). Both open at the same instants where the weight's deflection
+    is larger than the vibration (W = 0.1), not near W = 0.5 (last rows, not judged).
     """
     rows = []
     for speed in (0.3, 0.45):

@@ -40,9 +40,8 @@ def jenkins_oscillator() -> list[Row]:
     x'' + 2 xi x' + x + lambda = cos(w t), xi = 0.02, w = 0.9, with a spring k_t = 0.5 behind a
     slider that holds abs(lambda) <= 0.3 (Jenkins, J. Appl. Mech. 29, 1962, 355-361).
 
-    Reference: event-driven integration by another program, and by it harmonic balance with one
-    harmonic. The loss of a slide between -A and A is 4 F (A - F / k_t), here of the half
-    peak-to-peak that was found.
+    Reference: event-driven integration and harmonic balance with one harmonic by another program;
+    the loss of a slide between -A and A, 4 F (A - F / k_t).
     """
     exact, one = jenkins_solution(), jenkins_solution(1)
     time = np.linspace(0.0, exact.period, 200001)
@@ -75,10 +74,9 @@ def cantilever_that_rubs() -> list[Row]:
     """Cantilever that rubs at a node.
 
     Example 02 of NLstep: an Euler-Bernoulli beam, 2000 x 100 x 300 mm, E = 185e3 MPa, rho = 7.83e-9
-    t/mm^3, in 8 elements; dry friction without elastic slip holds its fourth node, the clamp being
-    the first, with at most 1500 N; a force of 200 N shakes the tip. Damping is 0.1 w_s M, w_s the
-    first frequency of the beam that sticks. Five modes of the free beam and their residual
-    flexibility.
+    t/mm^3, in 8 elements; dry friction of at most 1500 N holds its fourth node, 200 N shake the
+    tip. Damping is 0.1 w_s M, w_s the first frequency of the beam that sticks. Five modes of the
+    free beam and their residual flexibility.
 
     Reference: the amplitude of the tip's first harmonic as that program prints it.
     """
@@ -125,15 +123,15 @@ def friction_on_a_solid() -> list[Row]:
     """Friction on a solid along one line a pair.
 
     The blade that `new --solid` writes, 30 x 90 x 6 mm with half an ellipse as crack, on a coarser
-    mesh: damping 2 %, eight modes, a force of 0.1 N across it at a corner of its tip, near its
-    torsion, near its motion in its plane, and between two modes. Faces in contact rub (Coulomb).
-    The program lets each pair slide along one line, that of its motion without friction: an exact
-    orbit. Its error grows with the sliding across the lines over that along them: here below 0.1.
+    mesh: damping 2 %, eight modes, 0.1 N across it at a corner of its tip, near its torsion, near
+    its motion in its plane, and between two modes. The program lets each pair slide along one line,
+    that of its motion without friction; its error grows with the sliding across the lines, here
+    below 0.1.
 
-    Reference: Coulomb's cone, two directions a pair, by time steps that share no code with it:
-    exponential steps of the modes, forces within a step by projected Gauss-Seidel, 15 periods from
-    the state of the orbit, with 96 and 192 steps a period, continued to none by their second order.
-    What friction changes is the amplitude over that without friction, less 1.
+    Reference: Coulomb's cone, two directions a pair, by time steps that share no code: exponential
+    steps, forces by projected Gauss-Seidel, 15 periods from the state of the orbit, 96 and 192
+    steps a period, extrapolated. What friction changes is the amplitude over that without it, less
+    1.
     """
     rows = []
     for frequency, mu in RUBBED:

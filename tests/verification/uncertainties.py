@@ -46,20 +46,14 @@ def true_errors_over_stated_ones() -> list[Row]:
     """True errors over those that `fenics-crack verify` states.
 
     A plate of 0.1 x 0.1 m with an edge crack to its middle, clamped below and pulled to and fro at
-    its upper edge, breathes: four pairs on crack faces with mass, a penalty law, seven harmonics,
-    ten modes, 90 bilinear elements (`demos/sweep.toml`, with a traction instead of the force at a
-    point, under which the displacement has no limit). `fc.verify` states what mesh, modes and
+    its upper edge, breathes: four pairs with mass, a penalty, seven harmonics, ten modes, 90
+    bilinear elements (`demos/sweep.toml` with a traction). `fc.verify` states what mesh, modes and
     harmonics contribute to the error of each number.
 
-    Reference: what it did not look at. The true error by the mesh, which is stated with the shift
-    of the resonance, is the change on a mesh four times finer; by the modes, that of the exact
-    orbit with 40 modes; by the harmonics, that to the motion in time from event to event, which has
-    none.
-    Each is divided by the stated uncertainty, so it should lie between 0 and 1; by the harmonics at
-    1, as the exact orbit is known. An error of first order on a mesh four times finer, with the
-    factor of safety 1.25, gives 3/4/1.25 = 0.6. The order of the natural frequencies is 1, that of
-    an open crack (see [Natural frequencies with a crack](frequencies_with_a_crack.md)). Many more
-    of these: `benchmarks/stated_errors.py`.
+    Reference: true errors over stated ones, which should lie between 0 and 1; by the mesh the
+    change on one four times finer, by the modes that of the exact orbit with 40 modes, by the
+    harmonics the distance from the exact motion (so 1). An error of first order with the factor of
+    safety 1.25 gives 3/4/1.25 = 0.6. More: `benchmarks/stated_errors.py`.
     """
     rows = [
         Row(
