@@ -45,7 +45,6 @@ from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import check_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
-from fenics_crack.model.wheel import Wheel
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, residual_rounding
 from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
@@ -279,7 +278,7 @@ class BlockSolver(Solver):
         refusals = {
             "with UnilateralConstraint of crack faces with mass": problem.is_projected,
             "with friction": problem.friction,
-            "of a bladed disk that is not reduced": isinstance(structure, Wheel),
+            "of a bladed disk that is not reduced": structure.n_sectors > 1,
         }
         for condition in (condition for condition, is_refused in refusals.items() if is_refused):
             raise InputError("form", "block", f"'condensed' {condition}")

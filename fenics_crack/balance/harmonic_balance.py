@@ -56,7 +56,6 @@ from fenics_crack.model.modes import LIP_STATES
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.motions import ObservedMotion
 from fenics_crack.motion.orbit import (
@@ -434,9 +433,8 @@ def _with_tolerance_status(
         kept_modes = f", {size}"
         if massless_part is not None:
             kept_modes = f", {massless_part.n_modes} modes ({size})"
-            if isinstance(massless_part.whole, Wheel):
-                modes_remedy = modes_key or "families"
-                n_sectors = massless_part.whole.sector.count
+            n_sectors = massless_part.whole.n_sectors
+            modes_remedy = modes_key or ("families" if n_sectors > 1 else "modes")
             modes_remedy += f" {2 * massless_part.n_modes // n_sectors}, in about twice the time"
     if report.total <= tolerance:
         choice = f"chosen for an error of {tolerance:g}: H = {solution.harmonics}{kept_modes}"

@@ -141,7 +141,7 @@ def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     """The vibration of each blade of a bladed disk (collective)."""
     if run.scene.disk is None:
         return {}
-    from fenics_crack.study.bladed_disk import blades
+    from fenics_crack.disk.bladed_disk import blades
 
     return {heading: blades(run).table()}
 

@@ -37,7 +37,6 @@ from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.waves import FrequencyWaves
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.wheel import Wheel
 from fenics_crack.numerics.equations import Linearisation
 
 
@@ -59,17 +58,8 @@ class Drive:
     @classmethod
     def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
         """Return a harmonic in a structure's load."""
-        rows, whole_structure = slice(2 * harmonic - 1, 2 * harmonic + 1), structure.whole
-        if not isinstance(whole_structure, Wheel):
-            return cls(harmonic, structure.force[rows])
-        blade_numbers = np.unique(
-            whole_structure.numbers[
-                whole_structure.first, ~whole_structure.sector.dofs.is_next_sector
-            ]
-        )
-        dofs = blade_numbers[np.any(whole_structure.force[rows, blade_numbers], axis=0)]
-        blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
-        return cls(harmonic, whole_structure.force[rows, dofs] @ blade.T)
+        rows = slice(2 * harmonic - 1, 2 * harmonic + 1)
+        return cls(harmonic, structure.whole.load_on_sector(structure, rows))
 
     def power(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""

@@ -37,12 +37,12 @@ from fenics_crack.scene.words import key_in_words
 from fenics_crack.study.verification import CAUSES, SAFE, Verification
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.arrivals.fit_order import TipTrack
+    from fenics_crack.arrivals.harmonics import Candidates, TipFit
+    from fenics_crack.arrivals.passages import PassageFit
     from fenics_crack.fatigue.growth import Growth
     from fenics_crack.monitoring.identification.result import Identification
-    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
-    from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
-    from fenics_crack.monitoring.tip_timing.harmonics import Candidates, TipFit
-    from fenics_crack.monitoring.tip_timing.passages import PassageFit
     from fenics_crack.study.campbell import Campbell
 
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)

@@ -426,7 +426,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
         on_root(comm, lambda: check_file_exists("mesh.coarser", coarser_file))
     if scene.disk is not None:  # every rank has the sector
-        from fenics_crack.fem.sector import assemble_wheel
+        from fenics_crack.disk.sector import assemble_wheel
 
         structure, dofs = on_each(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
         return assemble_wheel(scene, dofs, structure, comm)
@@ -467,7 +467,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     if scene.disk is not None:
-        from fenics_crack.fem.sector import match_sides
+        from fenics_crack.disk.sector import match_sides
 
         match_sides(scene, dofs)
     stiffness, mass = map(compat.assembled_matrix, _matrix_forms(scene, space))

@@ -175,7 +175,7 @@ def _read_raw_mesh(path: Path) -> RawMesh:
     with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as file_copy:
         if not _MESH_HEADER.match(beginning_of(file_copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
-        contents = run_reader(Path(__file__).with_name("msh_reader.py"), file_copy, 300)
+        contents = run_reader(Path(__file__).with_name("solid_mesher.py"), file_copy, 300)
         if isinstance(contents, str):
             raise ValueError(contents.replace(str(file_copy), str(path)))
     max_coordinate = 1e6  # [m]
@@ -192,7 +192,7 @@ def check_file_exists(key: str, path: Path | str) -> None:
 
 
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
-    """Return the groups in arrays from :mod:`fenics_crack.fem.msh_reader`."""
+    """Return the groups in arrays of :func:`fenics_crack.fem.solid_mesher.collect_groups`."""
     node_rows = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
     rows = zip(contents["heads"].tolist(), contents["names"].tolist(), node_rows, strict=False)
     return [(dimension, tag, name, kind, nodes) for (dimension, tag, kind, _), name, nodes in rows]

@@ -1,7 +1,7 @@
-"""Mesh solids with plane cracks by gmsh.
+"""Mesh solids with plane cracks by gmsh, and read mesh files.
 
-A part from a CAD file is meshed in a separate program (:mod:`fenics_crack.basics.untrusted_files`),
-a box in the calling one.
+A file is read, and a part from a CAD file is meshed, in a separate program
+(:mod:`fenics_crack.basics.untrusted_files`). A box is meshed in the calling one.
 
 A crack is an ellipse or a rectangle, as far as it is inside the solid. It has the half axes a and b
 in its own frame, with rows e_1, e_2 and the normal. Elements have the length ``size`` or, at a
@@ -52,18 +52,27 @@ class Refusal(Exception):
     """Report an unusable key of a scene, and what is allowed."""
 
 
-def read(path: str, _max_bytes: int, request: dict[str, Any]) -> dict[str, Any]:
-    """Return the mesh of a part, or its faces.
+def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the mesh in a file, or that of a part, or a part's faces.
 
-    The form is that of msh_reader.py. Without "size" in ``request``, only faces are returned.
-    Lengths are in mm, the unit of the mesh. Other keys are "faces", a list of [name, point];
-    "cracks", see :func:`insert_cracks`; "unit", "per_turn" and "cells".
+    The caller limits memory, so the number of bytes is not checked here. Meshes have the form of
+    :func:`collect_groups`. Without ``request`` the file holds a mesh. Without "size" in it, only
+    faces are returned. Lengths of parts are in mm, the unit of the mesh. Other keys are "faces", a
+    list of [name, point]; "cracks", see :func:`insert_cracks`; "unit", "per_turn" and "cells".
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
+    if request is None:
+        gmsh.merge(path)
+        tags = gmsh.model.getPhysicalGroups()
+        names = [gmsh.model.getPhysicalName(*tag) for tag in tags]
+        entities = [gmsh.model.getEntitiesForPhysicalGroup(*tag) for tag in tags]
+        return collect_groups(
+            [(*tag, *group) for tag, *group in zip(tags, names, entities, strict=True)]
+        )
     try:
         return _mesh_part(path, request)
     except Refusal as refusal:
@@ -433,16 +442,36 @@ def _set_sizes(**options: float) -> None:
 
 
 def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) -> dict[str, Any]:
-    """Collect the mesh in the form of msh_reader.py.
+    """Collect the mesh in the form of :func:`collect_groups`.
 
     "middles" are the centres of the cracks, (n, 3).
     """
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    headers, names, nodes = [], [], []
     groups = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
     groups += [(2, name, entities) for name, entities in surfaces_by_name.items()]
     groups += [(2, f"crack {number}", [tag]) for number, tag in enumerate(surfaces, 1)]
-    for tag, (dimension, name, entities) in enumerate(groups, 1):
+    centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in surfaces]
+    contents = collect_groups(
+        [(dimension, tag, *group) for tag, (dimension, *group) in enumerate(groups, 1)]
+    )
+    return contents | {"middles": np.reshape(centres, (-1, 3))}
+
+
+def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """Collect nodes, and groups split by kind of elements.
+
+    Parameters
+    ----------
+    groups : list of (dimension, tag, name, entities)
+
+    Returns
+    -------
+    dict
+        "numbers" and "positions" of the nodes. "heads": dimension, tag, kind, and number of nodes
+        of each group; "names": its name; "nodes": all nodes in succession.
+    """
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    headers, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]
+    for dimension, tag, name, entities in groups:
         for entity in entities:
             kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
             headers += [
@@ -455,9 +484,6 @@ def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) ->
         "numbers": numbers, "positions": positions.reshape(-1, 3),
         "heads": np.array(headers, dtype=np.int64).reshape(-1, 4),
         "names": np.array(names, dtype=str), "nodes": np.concatenate(nodes),
-        "middles": np.reshape(
-            [gmsh.model.occ.getCenterOfMass(2, tag) for tag in surfaces], (-1, 3)
-        ),
     }  # fmt: skip
 
 

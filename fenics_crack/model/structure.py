@@ -17,10 +17,9 @@ phi_j = omega_j^2 M phi_j with phi_i^T M phi_j = delta_ij:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from importlib import import_module
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -234,8 +233,8 @@ class Structure(Coordinates):
     """A linear structure with contact pairs; read-only.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
-    :meth:`from_forms`. It is a body, shared with varied copies, in a setting of its own
-    (``model/body.py``).
+    :func:`fenics_crack.structure_from_forms`. It is a body, shared with varied copies, in a setting
+    of its own (``model/body.py``).
 
     Attributes
     ----------
@@ -410,6 +409,55 @@ class Structure(Coordinates):
         shapes : (n_local, m)
         """
         return None
+
+    # --- sectors of a bladed disk; any other structure is its only sector -------------------------
+
+    @property
+    def n_sectors(self) -> int:
+        """Number of sectors of a bladed disk that is not reduced; 1 of other structures."""
+        return 1
+
+    @property
+    def sector_structure(self) -> Structure:
+        """One sector of a bladed disk, or the structure itself."""
+        return self
+
+    @property
+    def watched_sector(self) -> int:
+        """Place of the sector whose blade is watched, from 0."""
+        return 0
+
+    def dof_of(self, blade: int, dof: int) -> int:
+        """Return the structure's dof for a dof of a sector, numbered from 1."""
+        return dof
+
+    def blade_of(self, dof: int) -> tuple[int, int]:
+        """Return the sector's number, from 1, and its dof for a dof of the structure."""
+        return 1, dof
+
+    def in_few_coordinates(self) -> Structure:
+        """Return a wheel in the coordinates in which it is solved, or itself (collective)."""
+        return self
+
+    def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the displacement of each sector, from coordinates (m, n_local)."""
+        yield displacement
+
+    def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
+        """Return rows of the load on the watched sector.
+
+        Parameters
+        ----------
+        structure : Structure
+            This structure, or a reduction of it, whose coordinates are loaded.
+        rows : slice
+            Rows of the load.
+
+        Returns
+        -------
+        (m, structure.n_local) [N]
+        """
+        return structure.force[rows]
 
     @cached_property
     def damping_matrix(self) -> Any:
@@ -659,65 +707,6 @@ class Structure(Coordinates):
                 "damping", damping, mass_matrix.comm.tompi4py(), mass_matrix.size[0]
             )
         return cls(Body(**parts, damping=damping))
-
-    @classmethod
-    @alone()
-    @checked_call
-    def from_forms(
-        cls,
-        space: Any,
-        stiffness: Any,
-        mass: Any,
-        *,
-        bcs: Any = (),
-        loads: Any = None,
-        crack: Any = None,
-        thickness: float = 1.0,
-        clearance: Any = 0.0,
-        damping: Any = None,
-    ) -> Structure:
-        """Make a structure from UFL forms on a mesh of DOLFINx (collective).
-
-        Parameters
-        ----------
-        space : dolfinx.fem.FunctionSpace
-            Displacements: vectors, Lagrange elements of order 1 or 2, on a mesh of a plane or of a
-            solid.
-        stiffness, mass : ufl.Form
-            Symmetric bilinear forms on it, without the conditions; the mass positive definite, the
-            stiffness semidefinite. In a plane they hold the thickness.
-        bcs : list of dolfinx.fem.DirichletBC
-            Conditions on the space or its components, all of value zero.
-        loads : (mean, sin, cos) or None
-            Linear forms, or None for a part that is zero: mean, and first harmonic.
-        crack : (facet_tags, lower, upper) or None
-            Tags of the mesh's facets, and those of the two faces of all cracks: exterior facets in
-            the same places, with different nodes but for those of tips and fronts.
-        thickness : float [m]
-            In a plane, for the areas of the contact pairs.
-        clearance : float or (n_pairs,) [m]
-            g0; negative for preload.
-        damping : ModalDamping, RayleighDamping, ufl.Form or None
-            Modal or Rayleigh damping, or the bilinear form of C.
-
-        Raises
-        ------
-        InputError
-            The space, a condition, a form or the tags are not such, nodes of the two faces do not
-            match, or a matrix is none for :meth:`from_matrices`.
-        """
-        bilinear_forms = {"stiffness": stiffness, "mass": mass}
-        if not isinstance(damping, DampingRule | None):
-            bilinear_forms["damping"] = damping
-        # Matrices do not need DOLFINx, which this import loads; it is from a folder above.
-        forms_module = import_module("fenics_crack.fem.forms")
-        parts, *places = forms_module.parts_of_forms(
-            space, bilinear_forms, bcs, loads, crack, thickness
-        )
-        structure = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
-        for key in bilinear_forms:
-            parts[key].destroy()
-        return structure.with_places(*places)
 
 
 def _is_mean_kept(weights: np.ndarray) -> bool:

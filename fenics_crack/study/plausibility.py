@@ -47,7 +47,6 @@ from fenics_crack.model.nodes import format_point
 from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
-from fenics_crack.model.wheel import WheelStructure, in_few_coordinates
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
@@ -130,7 +129,7 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
-    scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
+    scene, whole, law = study.scene, study.structure.in_few_coordinates(), study.contact
     known = whole.known_modes(is_bonded=False)
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
@@ -221,15 +220,12 @@ def _slopes(modes: Modes) -> np.ndarray:
     phi^T (K_1 + K_2 + 2 W^2 K_3) phi
     """
     structure, slopes = modes.structure, np.zeros(len(modes.omega))
-    is_wheel = isinstance(structure, WheelStructure)
-    rotation = structure.whole.rotation if is_wheel else structure.rotation
+    rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
     second, third = rotation.displaced_stiffness
     for mode, shape in enumerate(modes.shapes.T):
-        shapes = shape[:, None]
-        if isinstance(structure, WheelStructure):
-            shapes = np.vstack(list(structure.sector_displacements(shape[None]))).T
+        shapes = np.vstack(list(structure.sector_displacements(shape[None]))).T
         force = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
         force += 2.0 * rotation.speed**2 * multiply(third, shapes)
         slopes[mode] = structure.sum_over_ranks((shapes * force).sum())

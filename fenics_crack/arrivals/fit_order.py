@@ -27,11 +27,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
-from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_frequency
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, smoothed
-from fenics_crack.monitoring.tip_timing.fit_frequency import find_lines
-from fenics_crack.monitoring.tip_timing.harmonics import (
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, smoothed
+from fenics_crack.arrivals.fit_frequency import find_lines
+from fenics_crack.arrivals.harmonics import (
     ORDERS,
     Candidates,
     Fitted,
@@ -42,7 +40,9 @@ from fenics_crack.monitoring.tip_timing.harmonics import (
     taken,
     wanted,
 )
-from fenics_crack.monitoring.tip_timing.robust import DEPENDENT, LEVELS, reweighted, student, trend
+from fenics_crack.arrivals.robust import DEPENDENT, LEVELS, reweighted, student, trend
+from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_frequency
 from fenics_crack.numerics.fourier import fourier_basis
 
 N_FOLDED = 3

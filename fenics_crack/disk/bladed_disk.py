@@ -33,11 +33,11 @@ from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hertz_of, quantity
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.disk.cyclic import excited_diameter
+from fenics_crack.disk.wheel import Wheel, WheelStructure, count_basis_families
 from fenics_crack.fem.build import assemble
 from fenics_crack.files.saved import Saved
-from fenics_crack.model.cyclic import excited_diameter
 from fenics_crack.model.structure import DampingRule, Structure
-from fenics_crack.model.wheel import Wheel, WheelStructure, count_basis_families
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene

@@ -14,15 +14,15 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.disk.cyclic import Sector
+from fenics_crack.disk.wheel import Wheel
 from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.cracks import LIP_TAGS, POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
-from fenics_crack.model.cyclic import Sector
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.wheel import Wheel
 from fenics_crack.scene.scene import Scene
 
 

@@ -22,15 +22,11 @@ from numbers import Integral
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
+from fenics_crack.arrivals.arrival_times import MOST_PASSAGES, ArrivalTimes, check_probes
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.matrices import numbers
-from fenics_crack.monitoring.tip_timing.arrival_times import (
-    MOST_PASSAGES,
-    ArrivalTimes,
-    check_probes,
-)
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
 JUMP = 1e-3

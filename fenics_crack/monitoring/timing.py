@@ -9,14 +9,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_order import TipTrack
+from fenics_crack.arrivals.harmonics import TipFit, in_words
+from fenics_crack.arrivals.passages import PassageFit
+from fenics_crack.arrivals.robust import LEVELS
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import RPM, TURN, UNITS, Said, Table, counted, quantity
 from fenics_crack.files.saved import Saved
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
-from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
-from fenics_crack.monitoring.tip_timing.harmonics import TipFit, in_words
-from fenics_crack.monitoring.tip_timing.passages import PassageFit
-from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.scene.scene import Scene
 
 NO_RESONANCE: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}

@@ -38,8 +38,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.suggestions import fitting_argument
-from fenics_crack.model.body import DEFAULT_SETTING, Body
-from fenics_crack.model.cyclic import (
+from fenics_crack.disk.cyclic import (
     CyclicBasis,
     CyclicModes,
     Sector,
@@ -48,6 +47,7 @@ from fenics_crack.model.cyclic import (
     selection_matrix,
     solve_cyclic_modes,
 )
+from fenics_crack.model.body import DEFAULT_SETTING, Body
 from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import AbsentMatrix, numbers
 from fenics_crack.model.modes import solve_modes
@@ -155,7 +155,17 @@ class Wheel(Structure):
     # --- its dofs ---------------------------------------------------------------------------------
 
     @property
-    def first(self) -> int:
+    def n_sectors(self) -> int:
+        """N."""
+        return self.sector.count
+
+    @property
+    def sector_structure(self) -> Structure:
+        """Structure of the sector."""
+        return self.sector.structure
+
+    @property
+    def watched_sector(self) -> int:
         """Place of the first cracked sector, whose blade is watched.
 
         Without a crack, it is the first sector, 0.
@@ -205,6 +215,18 @@ class Wheel(Structure):
         )
         raise InputError("structure", repr(self), requirement)
 
+    def in_few_coordinates(self) -> WheelStructure:
+        """Return the wheel in the coordinates in which it is solved (collective)."""
+        return WheelStructure(self, count_basis_families(self.families))
+
+    def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
+        """Return rows of the load on the watched blade, as :meth:`Structure.load_on_sector`."""
+        own_members = ~self.sector.dofs.is_next_sector
+        blade_dofs = np.unique(self.numbers[self.watched_sector, own_members])
+        dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
+        blade = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
+        return np.asarray(self.force[rows, dofs] @ blade.T)
+
     # --- its matrices -----------------------------------------------------------------------------
 
     @shared_property
@@ -233,7 +255,7 @@ class Wheel(Structure):
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of the few coordinates, ``families`` for each sector."""
-        wheel_structure = in_few_coordinates(self)
+        wheel_structure = self.in_few_coordinates()
         count = min(
             self.families * self.sector.count, wheel_structure.n_dofs - wheel_structure.n_pairs
         )
@@ -469,6 +491,11 @@ class WheelStructure(Structure):
         return self._in_setting(self.setting, **changes), float(share)
 
     @property
+    def n_sectors(self) -> int:
+        """N of the wheel."""
+        return self.body.wheel.n_sectors
+
+    @property
     def _size_description(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole._size_description}"
 
@@ -511,16 +538,6 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
     squares, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
     return np.sqrt(np.maximum(squares, 0.0)), shapes @ (bonded_space @ eigenvectors)
-
-
-def in_few_coordinates(structure: Structure) -> Structure:
-    """Return a wheel in the coordinates in which it is solved (collective).
-
-    Any other structure is returned itself.
-    """
-    if not isinstance(structure, Wheel):
-        return structure
-    return WheelStructure(structure, count_basis_families(structure.families))
 
 
 def count_basis_families(families: int, n_more: int = 0) -> int:

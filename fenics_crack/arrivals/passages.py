@@ -17,23 +17,14 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
+from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit, wanted
+from fenics_crack.arrivals.robust import FREEDOMS, LEVELS
+from fenics_crack.arrivals.transient import DAMPED, WIDTH, Fit, Follows, Mode, Record, Run, pole
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin as begin_stage
 from fenics_crack.basics.tables import RPM, Tabular, counted, hertz_of, quantity
-from fenics_crack.monitoring.tip_timing.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
-from fenics_crack.monitoring.tip_timing.fit_frequency import LOWEST, find_lines
-from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit, wanted
-from fenics_crack.monitoring.tip_timing.robust import FREEDOMS, LEVELS
-from fenics_crack.monitoring.tip_timing.transient import (
-    DAMPED,
-    WIDTH,
-    Fit,
-    Follows,
-    Mode,
-    Record,
-    Run,
-    pole,
-)
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 REFINED = 4

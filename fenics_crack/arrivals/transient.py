@@ -35,13 +35,9 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes, between
+from fenics_crack.arrivals.robust import refined, reweighted
 from fenics_crack.basics.tables import TURN
-from fenics_crack.monitoring.tip_timing.arrival_times import (
-    FEWEST_REVOLUTIONS,
-    ArrivalTimes,
-    between,
-)
-from fenics_crack.monitoring.tip_timing.robust import refined, reweighted
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 WIDTH = 0.035

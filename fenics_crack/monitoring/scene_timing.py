@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, probes_of_blades
+from fenics_crack.arrivals.fit_frequency import fit_frequency
+from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
+from fenics_crack.arrivals.harmonics import ORDERS, TipFit
+from fenics_crack.arrivals.passages import Follows, PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
@@ -18,12 +23,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.files.results import Result
 from fenics_crack.files.store import with_full_paths
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes, probes_of_blades
-from fenics_crack.monitoring.tip_timing.fit_frequency import fit_frequency
-from fenics_crack.monitoring.tip_timing.fit_order import TipTrack, fit_order, track_order
-from fenics_crack.monitoring.tip_timing.harmonics import ORDERS, TipFit
-from fenics_crack.monitoring.tip_timing.passages import Follows, PassageFit, find_passages
-from fenics_crack.monitoring.tip_timing.simulate import run_up_points, tip_timing
+from fenics_crack.monitoring.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
@@ -42,49 +42,24 @@ FARTHEST = 0.1
 """Maximum distance of a resonance from a mode, relative to its frequency."""
 
 
-def arrivals_of(
-    scene: Scene, source: ArrivalTimes | Path | None, comm: MPI.Comm = MPI.COMM_WORLD
-) -> tuple[ArrivalTimes, Run[Result] | None]:
-    """Return arrival times by the table ``[tip_timing]`` of a scene, and the run that they are
-    computed from; None for measured ones (collective).
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the table.
-    source : ArrivalTimes or path, optional
-        Measured ones; or a result of ``solve`` or ``curve``, whose own scene has the rotation. A
-        run-up ends where the curve becomes unstable (:func:`run_up_ends`).
-        Default: the steady vibration of the scene, which is solved.
-
-    Raises
-    ------
-    InputError
-        The scene has no such table, the source is something else, or as :func:`tip_timing`.
-    """
-    if isinstance(source, ArrivalTimes):
-        return source, None
-    table = scene.given("tip_timing")
-    run = _run_of(scene, source, comm)
-    return _computed(table, run, source, table.probes), run
-
-
 def arrivals_of_blades(
     scene: Scene,
     source: Mapping[int, ArrivalTimes] | Path | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> tuple[dict[int, ArrivalTimes], Run[Result] | None]:
-    """Return arrival times of every blade of a bladed disk by the table ``[tip_timing]`` of a
-    scene, and the run that they are computed from; None for measured ones (collective).
+    """Return arrival times of every blade by the table ``[tip_timing]`` of a scene, and the run
+    that they are computed from; None for measured ones (collective).
 
-    Blade j + 1 is a sector ahead of blade j in the direction of rotation.
+    Blade j + 1 of a bladed disk is a sector ahead of blade j in the direction of rotation. Other
+    scenes have one blade.
 
     Parameters
     ----------
     scene : Scene
-        With [disk] and [tip_timing].
+        With [tip_timing].
     source : mapping of int to ArrivalTimes, or path, optional
-        Measured ones by the numbers of the blades; or a result of ``solve``. Default: the steady
+        Measured ones by the numbers of the blades; or a result of ``solve`` or ``curve``, whose own
+        scene has the rotation. A run-up ends where the curve becomes unstable. Default: the steady
         vibration of the scene, which is solved.
     comm : MPI.Comm
         Ranks that share the structure.
@@ -106,13 +81,12 @@ def arrivals_of_blades(
     if isinstance(source, Mapping):
         return dict(source), None
     table = scene.given("tip_timing")
-    run, found = _run_of(scene, source, comm), {}
-    count = run.structure.whole.sector.count
+    run, blades = _run_of(scene, source, comm), {}
+    count = run.structure.whole.n_sectors
     for blade, probes in probes_of_blades(np.radians(table.probes), count).items():
         begin(f"arrivals of blade {blade}")
-        angles = np.degrees(np.sort(probes)).tolist()
-        found[blade] = _computed(table, run, source, angles, blade)
-    return found, run
+        blades[blade] = _compute_arrivals(table, run, source, np.sort(probes), blade)
+    return blades, run
 
 
 def _run_of(scene: Scene, source: Path | None, comm: MPI.Comm) -> Run[Result]:
@@ -132,17 +106,17 @@ def curve_of(run: Run[Any] | None) -> ResponseCurve | None:
     return result if isinstance(result, ResponseCurve) else None
 
 
-def _computed(
-    table: TipTiming, run: Run[Any], source: Path | None, degrees: Sequence[float], blade: int = 0
+def _compute_arrivals(
+    table: TipTiming, run: Run[Any], source: Path | None, probes: np.ndarray, blade: int
 ) -> ArrivalTimes:
-    """Arrivals at probes of the blade, or of one of several, from a result."""
+    """Arrivals of a blade at probes (n,) [rad] from a result."""
     result: Any = run.result
     if (curve := curve_of(run)) is not None:
         points, lost = run_up_points(curve)
         # The part before it becomes unstable; all where that is at once.
         result = curve if lost is None or len(points) < 2 else curve.part(points)
     given = {key: getattr(table, key) for key in ("tip_radius", "revolutions", "noise", "clock")}
-    given |= {"probes": np.radians(degrees), "seed": table.seed + max(blade - 1, 0)}
+    given |= {"probes": probes, "seed": table.seed + blade - 1}
     return tip_timing(
         result, tip_direction(table, run, blade), **given, **_turning(table, run, source)
     )
@@ -311,9 +285,8 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
         The blade tip of a solid lies on the axis.
     """
     whole, rotation, given = run.structure.whole, _carrier(table, run.scene), table.tangential
-    part, tip, on_disk = whole, run.watched_dof, run.scene.disk is not None
-    if on_disk:
-        part, (_, tip) = whole.sector.structure, whole.blade_of(tip)
+    part, on_disk = whole.sector_structure, whole.n_sectors > 1
+    _, tip = whole.blade_of(run.watched_dof)
     shares = {tip: 1.0 if given is None else given}
     if given is None and (on_disk or rotation):
         dofs, points = (gather_rows(part.comm, x) for x in (part.nodes.dofs, part.nodes.points))
@@ -326,9 +299,9 @@ def tip_direction(table: TipTiming, run: Run, blade: int = 0) -> dict[int, float
             along = _circumferential(run.scene, points[node])
         of_dofs = zip(dofs[node].tolist(), along.tolist(), strict=True)
         shares = {dof: share for dof, share in of_dofs if dof >= 0 and share != 0.0}
-    if not on_disk:
-        return shares
-    return {whole.dof_of(blade or whole.first + 1, dof): share for dof, share in shares.items()}
+    return {
+        whole.dof_of(blade or whole.watched_sector + 1, dof): share for dof, share in shares.items()
+    }
 
 
 def tip_in_words(table: TipTiming, run: Run) -> str:
@@ -416,9 +389,9 @@ def _turning(table: TipTiming, run: Run, source: Path | None) -> dict[str, Any]:
     return {"order": engine_order(table, run.scene, of_result)}
 
 
-def engine_order(table: TipTiming, scene: Scene, whose: str = "") -> int:
-    """Return periods of the load in a revolution, by ``[excitation]`` of a scene, and whose it is
-    in words, or ``[tip_timing]``.
+def engine_order(table: TipTiming, scene: Scene, owner: str = "") -> int:
+    """Return periods of the load in a revolution, by ``[excitation]`` of a scene, and its owner in
+    words, or ``[tip_timing]``.
 
     Raises
     ------
@@ -426,7 +399,7 @@ def engine_order(table: TipTiming, scene: Scene, whose: str = "") -> int:
         Neither or both of them have it.
     """
     if scene.excitation.order is not None:
-        table.leave_out(("order",), f"excitation.order{whose}")
+        table.leave_out(("order",), f"excitation.order{owner}")
         return scene.excitation.order
     found: int = table.given("order", "given without excitation.order: a whole number >= 1")
     return found

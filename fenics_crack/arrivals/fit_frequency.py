@@ -14,7 +14,7 @@ constants leave, summed over the harmonics (Lomb, Astrophysics and Space Science
 unevenly spaced times by the FFT (Greengard and Lee, SIAM Review 46, 2004, 443). Least squares then
 fit frequency, harmonics and constants to its best peaks (Zechmeister and Kürster, Astronomy and
 Astrophysics 496, 2009, 577), and the best of them with the weights of
-:mod:`fenics_crack.monitoring.tip_timing.robust`.
+:mod:`fenics_crack.arrivals.robust`.
 """
 
 from __future__ import annotations
@@ -26,23 +26,11 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, taken
+from fenics_crack.arrivals.robust import LEVELS, ROBUST_SETTLED, refined, reweighted, student
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
-from fenics_crack.monitoring.tip_timing.harmonics import (
-    ORDERS,
-    Candidates,
-    TipFit,
-    condition,
-    taken,
-)
-from fenics_crack.monitoring.tip_timing.robust import (
-    LEVELS,
-    ROBUST_SETTLED,
-    refined,
-    reweighted,
-    student,
-)
 from fenics_crack.numerics.fourier import fourier_basis
 
 MOST_FREQUENCIES = 10**8

@@ -9,10 +9,10 @@ from typing import Any, NoReturn
 import numpy as np
 from scipy.special import ndtr
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.robust import LEVELS
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import Tabular, counted, hertz_of, quantity, with_frequency
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
-from fenics_crack.monitoring.tip_timing.robust import LEVELS
 from fenics_crack.numerics.fourier import fourier_basis
 
 ORDERS = range(1, 25)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.tables import RPM, TURN, quantity, readable
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_of
+from fenics_crack.disk.cyclic import excited_diameter
+from fenics_crack.disk.wheel import Wheel
 from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
 from fenics_crack.draw.plot_mesh import draw_moved
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.model.cyclic import excited_diameter
-from fenics_crack.model.wheel import Wheel
-from fenics_crack.study.bladed_disk import Amplification, NodalDiameters, wheel_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 FRAMES = 48
 """Instants of the period at which the largest displacement of each node is looked for."""
@@ -165,6 +166,8 @@ def draw_nodal_diameters(
     --------
     >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(disk), path="diameters.png")
     """
+    from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
+
     [panel] = picture = Picture(**where)
     shown = found.omega[:, :families] / TURN
     diameters = np.arange(len(shown))
