@@ -115,7 +115,7 @@ def solve_linear(
 
 
 def _linear_solution(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
-    """Return the linear solution without its report (collective)."""
+    """Return the linear solution, without contact forces and error report (collective)."""
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
     for k in range(len(load)):
@@ -180,7 +180,7 @@ def linear_response(
 
 
 def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:
-    """Return the complex displacement under a load (n_local,): (n_local,) [m]."""
+    """Return the complex displacement by a harmonic load (n_local,) [N]: same shape [m]."""
     if not structure.light_lips:
         with DynamicStiffness(structure, omega) as stiffness:
             return stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
@@ -417,9 +417,10 @@ def _error_goal(tolerance: float, reduction: float) -> float:
 def _with_tolerance_status(
     solver: Solver, solution: PeriodicSolution, tolerance: float, modes_key: str
 ) -> PeriodicSolution:
-    """Return a solution whose status states the choices, or what the tolerance needs.
+    """Return a solution with a status on the tolerance and a remedy.
 
-    Raises ConvergenceError if the tolerance is missed and the solver throws.
+    ``modes_key`` is the user's name for the number of modes. Raises ConvergenceError if the
+    tolerance is missed and ``solver.throw`` is True.
     """
     report, structure = solution.report, solution.structure
     if not solution.converged:
@@ -456,7 +457,7 @@ def _with_tolerance_status(
 def _solve_structure(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
-    """Return the solution of a structure with the modes it has."""
+    """Return the solution with a structure's present modes, if possible an exact orbit."""
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
@@ -502,7 +503,10 @@ def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> 
 def _search_orbit_from_solutions(
     solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
 ) -> tuple[list[PeriodicSolution], OrbitSearch]:
-    """Return harmonic-balance solutions, and the search for an orbit from them."""
+    """Search for an orbit from harmonic-balance solutions with ascending harmonics.
+
+    Returns the solutions computed, and the search's result.
+    """
     problem, solutions = solver.problem, list[PeriodicSolution]()
 
     def guesses() -> Iterator[np.ndarray]:
@@ -530,7 +534,7 @@ def _solver_for(solver: Solver, problem: Problem) -> Solver:
 
 
 def _describe_other_orbits(search: OrbitSearch) -> str:
-    """Return a description of the other orbits that the search met."""
+    """Return words on the other orbits that a search found, or ""."""
     descriptions = [
         f"{'stable' if orbit.is_stable else 'unstable'}, "
         f"amplitude {quantity(orbit.amplitude(), 'm')}"
@@ -613,8 +617,8 @@ def _modal_truncation_errors(
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
-    They follow from the motion with more modes, if that has an orbit. Otherwise they follow from
-    harmonic balance with some harmonics.
+    They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
+    computes them, from ``wave_with``, the orbit's motion with a given number of harmonics.
 
     Returns
     -------
@@ -653,7 +657,7 @@ def _raise_harmonics(
 def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
-    Samples are added with harmonics.
+    With sampled contact forces, more harmonics also mean more samples.
     """
     error = solution.report.truncation + solution.report.sampling
     is_unknown = (

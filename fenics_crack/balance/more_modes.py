@@ -66,9 +66,9 @@ def reference_of(wave: Wave) -> ReducedStructure | None:
 
 
 def _neglected_dissipation(wave: Wave) -> float:
-    """Return the dissipation of truncated modes by Rayleigh damping, relative to the modes kept.
+    """Return truncated modes' dissipation by Rayleigh damping, relative to kept modes.
 
-    It is 0 with another damping.
+    It is 0 with another damping, and for a structure with mass in all coordinates.
     """
     massless_part = as_massless_structure(wave.structure)
     if massless_part is None or not isinstance(massless_part.original.damping, RayleighDamping):
@@ -107,9 +107,10 @@ class MoreModes:
 
     @property
     def _states(self) -> np.ndarray:
-        """Return states of the nearest orbit at equal parts of its period.
+        """Return the nearest orbit's states on the flow with more modes: (32, flow.size).
 
-        New modes have their static coordinates under the load and the contact forces.
+        They belong to equal parts of the period. New modes respond statically to the load and the
+        contact forces.
         """
         samples, flow = self.nearest_orbit.sampled, self.flow
         n_modes = self.nearest_orbit.flow.n_modes
@@ -135,7 +136,11 @@ class MoreModes:
     def _reference_states(
         self, coordinates: np.ndarray, speed: np.ndarray, places: np.ndarray
     ) -> np.ndarray:
-        """Return states of the reference, from modal states of a structure with mass."""
+        """Return states of the structure with more modes (n, flow.size), by projection.
+
+        Modal ``coordinates`` and ``speed`` (n, n_modes), and ``places`` h of sticking pairs, are
+        those of a reduced structure with mass.
+        """
         structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
         whole_structure = structure.whole

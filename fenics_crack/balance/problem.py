@@ -258,9 +258,9 @@ class Problem:
 
     @property
     def _residual_with_friction(self) -> np.ndarray | None:
-        """Return R_inf of normal and tangential rows, or None [m/N].
+        """Return R_inf of normal, then tangential gaps: (2 n_pairs, 2 n_pairs) [m/N].
 
-        Raises InputError if rows have no compliance in series.
+        It is None for large structures. Raises InputError if gaps have no compliance in series.
         """
         has_few_dofs = is_small(self.structure)
         springs = spring_compliances(self.contact, self.structure.n_pairs)
@@ -471,7 +471,10 @@ class Search:
         )
 
     def _take_newton_steps(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
-        """Return the point that full steps reach, by SNES or by the kernel."""
+        """Return the point that full Newton steps reach, by SNES or the kernel.
+
+        Sets ``has_converged``. If the kernel's steps fail, the point is that of the guess.
+        """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve(
                 guess, 1.0, self.tolerance, self._iterations_per_guess
@@ -489,14 +492,14 @@ class Search:
         tolerance: float = 0.0,
         parameter: float = 1.0,
     ) -> Linearisation | None:
-        """Return the point that full steps of the kernel reach, or None.
+        """Return the point that full Newton steps of the kernel reach, or None.
 
         Parameters
         ----------
         tolerance : float
             Used if it is larger than the tolerance of the search.
         parameter : float
-            Position on the path; 1 is the law itself.
+            Parameter of the system: 1 is the law itself, 0 very soft contact.
         """
         max_iterations, step_tolerance = self._iterations_per_guess, max(self.tolerance, tolerance)
         path_point = solve_at(
@@ -507,7 +510,7 @@ class Search:
 
     @property
     def _iterations_per_guess(self) -> int:
-        """Return the most iterations per guess; few with many harmonics and friction."""
+        """Return the maximum iterations per guess; few with many harmonics and friction."""
         return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
 
     @property
@@ -518,7 +521,7 @@ class Search:
     # --- the ladder of starts ---------------------------------------------------------------------
 
     def _ladder(self, guesses: Sequence[np.ndarray]) -> Iterator[Start]:
-        """Yield starts in their order."""
+        """Yield starts in the order of attempts."""
         system, problem = self.system, self.problem
         for guess in guesses:
             yield Start("full Newton steps", partial(self._guesses_near, system, guess))
@@ -560,10 +563,11 @@ class Search:
             yield point.unknown
 
     def _guesses_by_harmonics(self, harmonic_counts: list[int]) -> Iterator[np.ndarray]:
-        """Yield guesses for the last of ascending numbers of harmonics.
+        """Yield guesses with the last of ascending numbers of harmonics.
 
-        Each solution starts the next one, and the linear solution starts the first. A number
-        without a solution is skipped. Many harmonics try an exact orbit first.
+        Solutions with fewer harmonics lead there: each starts the next one, and the linear solution
+        starts the first. A number without a solution is skipped. Many harmonics try an exact orbit
+        first.
         """
         orbit_harmonics = self._min_harmonics_for_orbit_start
         for n_harmonics in harmonic_counts:
@@ -593,14 +597,14 @@ class Search:
     def _solve_coarsely(
         self, system: ContactSystem, guesses: Iterator[np.ndarray]
     ) -> ContactPoint | None:
-        """Return the first point that full steps reach to a coarse tolerance, or None."""
+        """Return the first solution by full steps from guesses, to a coarse tolerance."""
         points = (self._take_full_steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
         return next(
             (system.linearise(point.unknown) for point in points if point is not None), None
         )
 
     def _guesses_without_friction(self) -> Iterator[np.ndarray]:
-        """Yield the solution without friction, corrected by its contact forces."""
+        """Yield the slow gap under the contact forces of the solution without friction."""
         problem, system = self.problem, self.system
         frictionless = replace(problem, contact=normal_law(problem.contact))
         compliance = frictionless.compliance()
@@ -654,10 +658,10 @@ class Search:
     def _guesses_by_continuation(
         self, system: ContactSystem, budget_fraction: float = 1.0
     ) -> Iterator[np.ndarray]:
-        """Yield the end of the path in the contact compliance.
+        """Yield the end of a path from very soft contact to the law.
 
-        With friction the coefficient is the path's parameter. The path may take ``budget_fraction``
-        of the iterations that remain.
+        With friction the path leads from zero to the full coefficient instead. It may take
+        ``budget_fraction`` of the iterations that remain.
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.friction:

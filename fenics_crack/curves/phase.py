@@ -75,7 +75,11 @@ class Drive:
         )
 
     def _power_of(self, coefficients: np.ndarray) -> complex:
-        """Return P from coefficients (2H+1, 2) of both load parts' work."""
+        """Return the complex power P from products of load and displacement.
+
+        ``coefficients`` (2H+1, 2) [N m] are those of the displacement times the cosine and the sine
+        part of the load.
+        """
         cosine, sine = coefficients[2 * self.harmonic - 1], coefficients[2 * self.harmonic]
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])
 
@@ -129,12 +133,12 @@ class PhasePoint(Linearisation):
         return derivative
 
     def _phase_change(self, change: complex) -> float:
-        """Return the change in Re P / Im P for a change in P."""
+        """Return the change in Re P / Im P by a change in the power P."""
         power = self.power
         return (change.real - power.real / power.imag * change.imag) / power.imag
 
     def _power_change(self, change: np.ndarray) -> complex:
-        """Return the change in P for a change in s."""
+        """Return the power's change by a change in the slow gap (2H+1, n_pairs) [m]."""
         return (
             self.drive.power(
                 self.contact_point,

@@ -79,13 +79,13 @@ class SearchOptions:
 
     @classmethod
     def pieces(cls, flow: ContactFlow) -> int:
-        """Return the budget in Taylor pieces."""
+        """Return the search's budget on a flow, in pieces with a Taylor series."""
         n_periods = (0.75 if flow.friction else 1.0) * cls.evaluations
         return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
     @classmethod
     def periods(cls, flow: ContactFlow) -> int:
-        """Return the maximum number of periods to integrate a motion."""
+        """Return the maximum number of periods for integrating a motion."""
         return max(cls.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
 
 
@@ -214,14 +214,14 @@ def _find_by_steps(task: _SearchTask) -> Iterable[PeriodicOrbit]:
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
-    """Return a wave's states at equal parts of the period: (SEGMENTS, flow.size).
+    """Return a Fourier series' states at equal parts of the period: (32, flow.size).
 
     Parameters
     ----------
     displacement : (2H+1, n_dofs) [m]
-        Fourier coefficients of the wave.
+        Fourier coefficients of the displacement.
     base_omega : float
-        Frequency of the wave [rad/s].
+        Frequency of the first harmonic [rad/s].
     """
     basis = fourier_basis_over_period(len(displacement) // 2, SEGMENTS)
     velocity = differentiate(displacement, base_omega)
@@ -232,7 +232,7 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
 
 
 class _HomotopyPoint(DenseLinearisation):
-    """Homotopy equations at a point."""
+    """Residual and Jacobian of :class:`Homotopy` at a point (x, p)."""
 
     def __init__(self, orbit_point: OrbitPoint, parameter: float, start: np.ndarray) -> None:
         self._orbit_point, self._parameter, self.unknown = (
@@ -245,7 +245,7 @@ class _HomotopyPoint(DenseLinearisation):
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return p M - I."""
+        """Return p M - I, with the monodromy matrix M in the unknowns x: (n, n)."""
         monodromy = self._orbit_point.monodromy
         return self._parameter * monodromy - np.eye(len(monodromy))
 
@@ -255,9 +255,13 @@ class _HomotopyPoint(DenseLinearisation):
 
 
 class Homotopy:
-    """Homotopy p (z(T) - a) - (z - a) = 0 from a guess a.
+    """Equations of a path from a guess a to an orbit.
 
-    The unknowns are those of ``orbits``, and a is ``orbits.start``.
+        p (z(T) - a) - (z - a) = 0
+
+    Unknowns are the state z at phase zero; z(T) is the state after a period. At p = 0 the solution
+    is a, at p = 1 an orbit. States are scaled like the unknowns x of ``orbits``; a is
+    ``orbits.start``.
 
     Attributes
     ----------
@@ -269,7 +273,7 @@ class Homotopy:
         self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, pieces
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
-        """Return the equations at a point.
+        """Return the equations at a scaled state and a parameter p.
 
         Raises
         ------
@@ -337,7 +341,7 @@ ORBIT_STARTS = {
 
 
 def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
-    """Yield the state x of a motion after each period.
+    """Yield a motion's state, in scaled unknowns x, after each period.
 
     The motion ends after ``periods`` periods, at a failure, or at 200 Taylor pieces times
     ``periods``.
@@ -355,7 +359,7 @@ def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Itera
 def describe_closest_return(
     states: np.ndarray, subharmonic: int, motion: str = "the exact motion"
 ) -> str:
-    """Describe the closest return of a motion.
+    """Return words on a motion's closest return to an earlier state.
 
     Parameters
     ----------
