@@ -550,10 +550,11 @@ def _solver_for(solver: Solver, problem: Problem) -> Solver:
 
 def _describe_other_orbits(search: OrbitSearch) -> str:
     """Return words on the other orbits that a search found, or ""."""
-    descriptions = []
-    for orbit in search.other_orbits:
-        size = quantity(orbit.amplitude(), "m")
-        descriptions.append(f"{'stable' if orbit.is_stable else 'unstable'}, amplitude {size}")
+    descriptions = [
+        f"{'stable' if orbit.is_stable else 'unstable'}, "
+        f"amplitude {quantity(orbit.amplitude(), 'm')}"
+        for orbit in search.other_orbits
+    ]
     return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""
 
 

@@ -114,7 +114,7 @@ class GrowingCurve:
         Points so far.
     most_points : int
         Maximum number of points.
-    complete, returned, status
+    complete, has_returned, status
         As in :class:`Continuation`.
     """
 
@@ -128,7 +128,7 @@ class GrowingCurve:
         self._start_point = self._last_point = start_point
         self.points = [self._convert_point(start_point)]
         self._special_points: list[tuple[str, CurvePoint]] = []
-        self.complete, self.returned, self.status = False, False, "not begun"
+        self.complete, self.has_returned, self.status = False, False, "not begun"
 
     def _convert_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
@@ -266,7 +266,7 @@ class GrowingCurve:
         self.status = (
             path.event.description if path.event else path.end_reason.describe(self.most_points)
         )
-        self.returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
+        self.has_returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
             path.event, ClosedLoop
         )
 
@@ -340,7 +340,7 @@ class Continuation(GrowingCurve):
     ----------
     complete : bool
         True if the curve reached the end, or closed.
-    returned : bool
+    has_returned : bool
         True if the curve closed or went past its start, instead of reaching the end.
     status : str
         Reason for the end.

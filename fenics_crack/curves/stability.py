@@ -62,7 +62,7 @@ from fenics_crack.motion.orbit import (
     find_orbit,
     is_same_orbit,
 )
-from fenics_crack.motion.search import SearchOptions, find_by_homotopy
+from fenics_crack.motion.search import ORBIT_STARTS, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
@@ -254,11 +254,10 @@ def shoot(
         for _ in range(settle):
             settled_unknown = orbits.advance_period(settled_unknown, 1.0)
         start_state = orbits.state(settled_unknown)
-        orbit = find_orbit(flow, solution.omega, start_state, subharmonic=n_load_periods)
-        if orbit is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = find_by_homotopy(
-                FlowOrbits(flow, solution.omega, start_state, n_load_periods), SearchOptions()
-            )
+        orbit = search_orbit(
+            flow, solution.omega, [start_state[None]], n_load_periods, prefer_stable=False,
+            starts=(ORBIT_STARTS["guesses"], ORBIT_STARTS["path"]),
+        ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         refined_orbit = find_orbit(
             orbit.flow, orbit.omega, orbit.state, subharmonic=orbit.subharmonic
@@ -400,7 +399,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    return find_attractor(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
+    return find_attractor(orbits, np.zeros(flow.size), SearchOptions.periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:

@@ -27,7 +27,6 @@ from fenics_crack.basics.tables import (
 from fenics_crack.draw.figure import (
     COLOURS,
     LETTERS,
-    NO_PREFIX,
     Picture,
     Where,
     distinct_colours,
@@ -286,9 +285,7 @@ def _in_words(found: Verification, name: str) -> str:
     words = f"{QUANTITIES[kind].words}, mode {mode}" if row is None else row.words
     if point:
         words += f", {found.scene.point_names.get(point, point)}"
-    value, unit = found.values[name], found.units[name]
-    shown = quantity(value, unit) if unit and unit not in NO_PREFIX else f"{value:.4g} {unit}"
-    return f"{fill(words, LETTERS)}, {shown.rstrip()}"
+    return f"{fill(words, LETTERS)}, {quantity(found.values[name], found.units[name])}"
 
 
 def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:

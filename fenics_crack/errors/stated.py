@@ -179,8 +179,8 @@ def errors_of_natural(
         With crack faces "open" and "tied".
     at_load : AtLoad
         Of the same structure; its ``numbers`` are among those of the result.
-    slopes : (m, 2), optional
-        S and C of each mode (:func:`resonance_of`).
+    slopes : (m,), optional
+        S of each mode (:func:`resonance_of`).
     """
     scene = study.scene
     factor, _, unit = frequency_axis(scene.in_hertz)

@@ -272,7 +272,7 @@ class Ritz:
         """
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
-        for speed in np.linspace(start, stop, N_SPEEDS):
+        for speed in np.unique(np.linspace(start, stop, N_SPEEDS)):
             is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
             structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
             reduced_structure = reduce_structure(
