@@ -44,6 +44,9 @@ MIN_SIZE_RATIO = 0.1
 NEAR_RATIO = 0.1
 """Minimum ligament at a front, relative to its elements. Also the maximum distance of a named point
 from a face, relative to the part's size."""
+SEAM_ANGLE = 1.0 + math.pi
+"""Angle at which an ellipse begins and ends [rad]. On an axis, its vertex would be beside the mouth
+of a half ellipse, and rounded numbers would make a short edge there."""
 N_CURVE_SAMPLES = 40
 """Number of intervals on a curve between sample points, and of triangles that identify a face."""
 
@@ -191,7 +194,8 @@ def _find_named_faces(
     for name, point in faces:
         point_distances = triangle_distances(np.array([point]), triangles)[0]
         if point_distances.min() > NEAR_RATIO * size:
-            raise Refusal("geometry.faces", f"points on faces: one of {name} is"
+            position = ", ".join(f"{1e-3 * x:.4g}" for x in point)
+            raise Refusal("geometry.faces", f"points on faces: ({position}) of {name} is"
                           f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
         faces_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
     return faces_by_name.items()
@@ -224,7 +228,8 @@ def insert_cracks(
     solid_tags : list of (int, int)
         The solid.
     cracks : list of dict
-        "key" of the scene; "middle" (3,); "frame" (3, 3); "half" (2,), or None for a half-plane
+        "key" of the scene; "shape", its key for the size; "unit", the mesh's unit of length
+        [m]; "middle" (3,); "frame" (3, 3); "half" (2,), or None for a half-plane
         that ends at its middle; "is_round"; "reach", its extent behind the front, or None;
         "elements" along this extent, and "grading".
     triangles : (n, 3, 3)
@@ -247,20 +252,27 @@ def insert_cracks(
         )[0]
         inner_faces = [inner_face for inner_face in inner_faces if inner_face[0] == 2]
         if len(inner_faces) != 1:
-            problem = "misses the part" if not inner_faces else f"is in {len(inner_faces)} pieces"
+            centres = np.reshape([occ.getCenterOfMass(*face) for face in inner_faces], (-1, 3))
+            problem = f"is in {len(inner_faces)} pieces"
+            if not inner_faces:
+                problem = f"misses the part{_describe_box(crack, triangles)}"
+            elif np.any(triangle_distances(centres, triangles) < 1e-6 * np.ptp(triangles)):
+                problem = "lies in a face of it"
             raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
                           f" part: it {problem}")  # fmt: skip
         faces += inner_faces
     fragments, children = occ.fragment(solid_tags, faces) if faces else (solid_tags, [solid_tags])
     occ.synchronize()
-    if sum(dimension == 3 for dimension, _ in fragments) != 1:
-        raise Refusal(f"{cracks[-1]['key']}.point", "such that the crack does not cut the part in"
-                      " two, and crosses no other crack")  # fmt: skip
     rims = [
         {tag for _, tag in gmsh.model.getBoundary(surfaces, combined=False, oriented=False)}
         for surfaces in children[1:]
     ]
     fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
+    if sum(dimension == 3 for dimension, _ in fragments) != 1:
+        no_front = (c for c, front in zip(cracks, fronts, strict=True) if not front["curves"])
+        crack = next(no_front, cracks[-1])
+        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
+                      " part in two, and crosses no other crack")  # fmt: skip
     crack_data = [*zip(cracks, children[1:], rims, fronts, strict=True)]
     for index, (crack, surfaces, rim, front) in reversed([*enumerate(crack_data)]):
         if len(surfaces) != 1 or any(rim & other_rim for other_rim in rims[:index]):
@@ -271,13 +283,28 @@ def insert_cracks(
     return [surfaces[0][1] for surfaces in children[1:]], fronts
 
 
+def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
+    """Describe the extent of a part, and whether a crack's position seems to be in mm."""
+    corners = triangles.reshape(-1, 3)
+    ends = corners.min(axis=0), corners.max(axis=0)
+    low, high = (", ".join(f"{crack['unit'] * x:.4g}" for x in end) for end in ends)
+    small = 1e-3 * np.array(crack["middle"])
+    in_mm = np.all((ends[0] <= small) & (small <= ends[1])) and np.any(small)
+    return f", which is from ({low}) to ({high}) m{'; in mm?' if in_mm else ''}"
+
+
 def _draw_crack_face(crack: CrackData) -> Tags:
     """Draw the ellipse or rectangle of a crack."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
-    face = [(2, occ.addDisk(0.0, 0.0, 0.0, a, b) if crack["is_round"]
-             else occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]  # fmt: skip
+    if crack["is_round"]:
+        ends = {"angle1": SEAM_ANGLE, "angle2": SEAM_ANGLE + 2.0 * math.pi}
+        add_curve, radii = (occ.addCircle, [a]) if a == b else (occ.addEllipse, [a, b])
+        curve = add_curve(0.0, 0.0, 0.0, *radii, **ends)
+        face = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
+    else:
+        face = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
     e_2 = np.cross(normal, e_1)
     is_horizontal = math.hypot(normal[0], normal[1]) < 1e-12
     angles = (

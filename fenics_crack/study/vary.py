@@ -204,6 +204,8 @@ def vary(found: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ver
             found.take(cause, part())
         except REFUSALS as error:
             found.unknown[cause] = _why_failed(RUNS.get(cause, f"a run with more {cause}"), error)
+            if cause == "mesh":
+                found = replace(found, failed=(cause,))
     return found
 
 
@@ -763,7 +765,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     case = _Verified(own, own.result, own.result, numbers, made, whole)
     causes = {"mesh": case.mesh, "shift": case.shift, "modes": case.modes}
     others = {"harmonics": case.harmonics, "samples": case.samples, "friction": case.friction}
-    vary(made, causes | others)
+    made = vary(made, causes | others)
     return replace(made, failures=tuple(case.failures))
 
 
