@@ -128,10 +128,9 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
     sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_faces)]
     surface = mesh.points[sides]
     for key, crack in scene.all_cracks.items():
-        if crack.point is not None:
-            distance = solid_mesher.triangle_distances(np.array([crack.point]), surface).min()
-            rows[f"{key}.point"] = f"{quantity(distance, 'm')} from the surface"
-    is_mouth_side = np.isin(sides, mesh.crack_faces)
+        point = np.reshape(crack.point or (), (-1, 3))
+        for distance in solid_mesher.triangle_distances(point, surface).min(axis=1):
+            rows[f"{key}.point"] = f"{quantity(round(distance, 12), 'm')} from the surface"
     for front in find_fronts(structure):
         positions = np.append(0.0, np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).cumsum())
         is_inner = np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE
@@ -139,13 +138,13 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
         rays = zip(inner_nodes, front.frame(parameters)[0][:, 0], strict=True)
         ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
         in_plane = np.abs((surface - front.nodes[0]) @ front.normals[0]) < 1e-6 * mesh.size
-        mouth = surface[np.any(is_mouth_side & in_plane, axis=1)]
-        text = f"{quantity(float(positions[-1]), 'm')} long"
-        if len(mouth) and len(inner_nodes):
-            depths = solid_mesher.triangle_distances(inner_nodes, mouth).min(axis=1)
-            text += f", {quantity(depths.max(), 'm')} deep"
+        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_faces), axis=1)]
+        distances = solid_mesher.triangle_distances(inner_nodes, mouth)
+        depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
+        depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
         rows[front.name] = (
-            f"{text}, {quantity(ligament, 'm')} from the surface straight ahead at least"
+            f"{quantity(float(positions[-1]), 'm')} long, {depth_text}"
+            f"{quantity(ligament, 'm')} from the surface straight ahead at least"
         )
     return rows
 

@@ -47,6 +47,8 @@ from a face, relative to the part's size."""
 SEAM_ANGLE = 1.0 + math.pi
 """Angle at which an ellipse begins and ends [rad]. On an axis, its vertex would be beside the mouth
 of a half ellipse, and rounded numbers would make a short edge there."""
+MAX_RADII_RATIO = 1.0 - 1e-9
+"""Maximum ratio of an ellipse's radii. Intersections with one that is a circle fail in gmsh 4.8."""
 N_CURVE_SAMPLES = 40
 """Number of intervals on a curve between sample points, and of triangles that identify a face."""
 
@@ -253,11 +255,12 @@ def insert_cracks(
         inner_faces = [inner_face for inner_face in inner_faces if inner_face[0] == 2]
         if len(inner_faces) != 1:
             centres = np.reshape([occ.getCenterOfMass(*face) for face in inner_faces], (-1, 3))
-            problem = f"is in {len(inner_faces)} pieces"
-            if not inner_faces:
-                problem = f"misses the part{_describe_box(crack, triangles)}"
-            elif np.any(triangle_distances(centres, triangles) < 1e-6 * np.ptp(triangles)):
-                problem = "lies in a face of it"
+            is_in_face = triangle_distances(centres, triangles) < 1e-6 * np.ptp(triangles)
+            problem = (
+                f"misses the part{_describe_box(crack, triangles)}" if not inner_faces
+                else "lies in a face of it" if np.any(is_in_face)
+                else f"is in {len(inner_faces)} pieces"
+            )  # fmt: skip
             raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
                           f" part: it {problem}")  # fmt: skip
         faces += inner_faces
@@ -269,8 +272,10 @@ def insert_cracks(
     ]
     fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
     if sum(dimension == 3 for dimension, _ in fragments) != 1:
-        no_front = (c for c, front in zip(cracks, fronts, strict=True) if not front["curves"])
-        crack = next(no_front, cracks[-1])
+        crack = next(
+            (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
+            cracks[-1],
+        )
         raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
                       " part in two, and crosses no other crack")  # fmt: skip
     crack_data = [*zip(cracks, children[1:], rims, fronts, strict=True)]
@@ -285,12 +290,13 @@ def insert_cracks(
 
 def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
-    corners = triangles.reshape(-1, 3)
-    ends = corners.min(axis=0), corners.max(axis=0)
-    low, high = (", ".join(f"{crack['unit'] * x:.4g}" for x in end) for end in ends)
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    low_text, high_text = (
+        ", ".join(f"{crack['unit'] * x:.4g}" for x in end) for end in (low, high)
+    )
     small = 1e-3 * np.array(crack["middle"])
-    in_mm = np.all((ends[0] <= small) & (small <= ends[1])) and np.any(small)
-    return f", which is from ({low}) to ({high}) m{'; in mm?' if in_mm else ''}"
+    hint = "; in mm?" if np.any(small) and np.all((low <= small) & (small <= high)) else ""
+    return f", which is from ({low_text}) to ({high_text}) m{hint}"
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
@@ -299,9 +305,10 @@ def _draw_crack_face(crack: CrackData) -> Tags:
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
     if crack["is_round"]:
-        ends = {"angle1": SEAM_ANGLE, "angle2": SEAM_ANGLE + 2.0 * math.pi}
-        add_curve, radii = (occ.addCircle, [a]) if a == b else (occ.addEllipse, [a, b])
-        curve = add_curve(0.0, 0.0, 0.0, *radii, **ends)
+        curve = occ.addEllipse(
+            0.0, 0.0, 0.0, a, min(b, MAX_RADII_RATIO * a),
+            angle1=SEAM_ANGLE, angle2=SEAM_ANGLE + 2.0 * math.pi,
+        )  # fmt: skip
         face = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
     else:
         face = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]

@@ -22,24 +22,18 @@ from fenics_crack.study.plausibility import extents
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.sharing import kept
 
-OTHER_FACTOR = 1.5
-"""Ratio of element lengths where a solid cannot be meshed with twice as long ones."""
-
 
 def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     """The twin on a coarser mesh, reduced where the study is, the elements of both, and how much
     longer those of the twin are; or why there is none (collective)."""
-    scene, structure = study.scene, study.structure
-    coarse = coarser_scene(scene)
+    structure, coarse = study.structure, coarser_scene(study.scene)
     if isinstance(coarse, str):
         return coarse
-    try:
-        twin = _prepared(coarse, structure)
-    except InputError:  # a size near it may do
-        other = finer_mesh(scene, 1.0 / OTHER_FACTOR) if scene.geometry.kind == "solid" else None
-        if other is None or other.mesh.lip_elements == scene.mesh.lip_elements:
-            raise
-        twin, coarse = _prepared(other, structure), other
+    scene = study.scene
+    with within("a coarser mesh"):
+        whole = structure.whole is structure
+        last = structure.whole.compute_once(kept, from_matrices=True)
+        twin = prepare(coarse, structure.comm, whole=whole, judged=False, last=last)
     counts = n_elements(structure), n_elements(twin.structure)
     if not counts[1] < counts[0]:
         return "a coarser one has as many elements"
@@ -50,14 +44,6 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     if scene.mesh.layout == "file" and (why := _other_cracks(structure, twin.structure)):
         return why
     return twin, counts, _ratio(scene, coarse, counts)
-
-
-def _prepared(scene: Scene, structure: Structure) -> Study:
-    """Return the study on a coarser mesh, reduced if a structure is (collective)."""
-    with within("a coarser mesh"):
-        whole = structure.whole is structure
-        last = structure.whole.compute_once(kept, from_matrices=True)
-        return prepare(scene, structure.comm, whole=whole, judged=False, last=last)
 
 
 def coarser_scene(scene: Scene) -> Scene | str:

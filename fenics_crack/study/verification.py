@@ -366,8 +366,8 @@ class Verification(Saved):
 
         The second value is the largest of them: "mesh", "modes", "harmonics", "friction",
         "samples". Not known: nan, also where the part of the harmonics or the modes is not, the
-        other mesh failed, or nothing that was varied changes it and something else was not. Infinite where the estimate
-        is as large as the quantity, as of a mesh that is too coarse.
+        other mesh failed, or nothing that was varied changes it and something else was not.
+        Infinite where the estimate is as large as the quantity, as of a mesh that is too coarse.
         """
         unknown = any(cause in self.unknown for cause in (*ESTIMATED, *self.failed))
         parts = self._parts(quantity) if quantity in self.values else {}

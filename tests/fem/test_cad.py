@@ -234,6 +234,23 @@ def test_refused(parts: Path, key: str, changes: dict[str, Any], words: str) -> 
     assert caught.value.key == key
 
 
+def test_a_rounded_point(parts: Path) -> None:
+    """A half ellipse whose middle is 0.1 um inside the part is meshed like one at its face."""
+    scene = part(parts, crack__point=[0.015, 0.03, 0.006 - 1e-7])
+    structure = fc.build_structure(scene, MPI.COMM_SELF)
+    assert structure.pair_areas is not None
+    area = structure.pair_areas.sum()
+    assert area == pytest.approx(0.5 * math.pi * 0.008 * 0.003, rel=0.06)  # of chords
+
+
+def test_remarks_before_the_mesh(tmp_path: Path, run_command: RunCommand) -> None:
+    """A young's modulus in GPa is remarked on before the part's file turns out to be none."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(TEXT.replace("box.step", str(tmp_path / "missing.step")))
+    told = run_command("check", scene, sets=["material.young=210.0"], code=2).err
+    assert told.index("in GPa?") < told.index("No such file")
+
+
 def test_a_load_near_the_surface(parts: Path) -> None:
     """It acts on the nearest node, which a remark names; one in the mesh acts where it is."""
     scene = part(parts, excitation__point=[0.0, 0.0902, 0.003], crack=None, contact=None)
@@ -273,7 +290,9 @@ def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> No
     checked = run_command("check", scene, sets=coarse).out
     [clamp] = [line for line in checked.splitlines() if line.startswith("face clamp")]
     assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
-    assert "the crack front" in checked and "from the surface" in checked
+    [crack] = [line for line in checked.splitlines() if line.startswith("the crack front")]
+    assert "mm deep" in crack and "from the surface straight ahead" in crack
+    assert "crack.point" in checked
 
 
 def environment() -> dict[str, str]:
