@@ -127,13 +127,16 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
     mesh = NodalMesh(structure)
     sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_faces)]
     surface = mesh.points[sides]
-    for key, crack in scene.all_cracks.items():
-        point = np.reshape(crack.point or (), (-1, 3))
-        for distance in solid_mesher.triangle_distances(point, surface).min(axis=1):
-            rows[f"{key}.point"] = f"{quantity(round(distance, 12), 'm')} from the surface"
+    rows |= {
+        f"{key}.point": f"{quantity(distance.min().round(12), 'm')} from the surface"
+        for key, crack in scene.all_cracks.items()
+        for distance in solid_mesher.triangle_distances(
+            np.reshape(crack.point or (), (-1, 3)), surface
+        )
+    }
     for front in find_fronts(structure):
         positions = np.append(0.0, np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).cumsum())
-        is_inner = np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE
+        is_inner = front.is_closed | (np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE)
         inner_nodes, parameters = front.nodes[is_inner], front.parameters[is_inner]
         rays = zip(inner_nodes, front.frame(parameters)[0][:, 0], strict=True)
         ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
