@@ -7,7 +7,7 @@ REDUCTION_CAUSES = ("modes", "harmonics", "mesh")
 CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
 """All causes, in the order of colours in pictures."""
 REQUIRED_CAUSES = ("harmonics", "modes")
-"""Causes without which no error is known."""
+"""Causes without which no error is known; the mesh is another where its other run fails."""
 OPTIONAL_CAUSES = ("mesh", "friction")
 """Causes that the user may leave out; their part is then unknown, not absent."""
 OTHER_RUNS = {"mesh": "another mesh", "shift": "a shifted resonance",

@@ -274,11 +274,10 @@ def _command(
         path = inputs.folder / STRUCTURE_FILE
         is_read = on_root(console.comm, lambda: path.is_file() and not path.is_symlink())
         SHELVES[:] = [Shelf(path, console.note, is_read=is_read and not fresh)]
+    if given.command != "clean":  # before the mesh, which may take minutes
+        console.remark(*remarks_on_scene(inputs.scene))
     try:
         return command(given, inputs, console)
-    except (ConvergenceError, KeyboardInterrupt):  # what is unusual may be why
-        console.remark(*remarks_on_scene(inputs.scene))
-        raise
     finally:
         SHELVES.clear()
 

@@ -20,7 +20,7 @@ import tomllib
 from argparse import Namespace
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -268,6 +268,7 @@ class Console:
     quiet: bool  # print the table alone
     verbose: bool  # print how long each part took
     pictures: str = "png"  # their kind
+    printed_remarks: set[str] = field(default_factory=set)
 
     @property
     def progress(self) -> bool:
@@ -284,8 +285,10 @@ class Console:
             LOGGER.info("%s", text)
 
     def remark(self, *remarks: object) -> None:
-        """Print what is unusual about a scene, likewise."""
-        self.note(*(f"remark: {remark}" for remark in remarks))
+        """Print what is unusual about a scene, likewise, and each remark once."""
+        new = [text for text in map(str, remarks) if text not in self.printed_remarks]
+        self.printed_remarks.update(new)
+        self.note(*(f"remark: {text}" for text in new))
 
     def warn(self, *texts: str) -> None:
         """Print warnings, even if quiet."""

@@ -125,7 +125,7 @@ def _part(scene: Scene, whole: Structure) -> dict[str, str]:
         return {}
     from fenics_crack.fem.solid import describe_part  # DOLFINx
 
-    return describe_part(whole)
+    return describe_part(scene, whole)
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:

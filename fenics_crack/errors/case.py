@@ -223,6 +223,8 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
         except REFUSALS as error:
             other_run = OTHER_RUNS.get(cause, f"a run with more {cause}")
             errors = errors.with_unknown(cause, reason_of_failure(other_run, error))
+            if cause == "mesh":
+                errors = replace(errors, failed=(cause,))
     return errors
 
 

@@ -69,6 +69,8 @@ class Verification(Saved):
         Causes that contribute nothing, and why.
     unknown : dict of str to str
         Causes whose contribution is not known, and why: no total has it.
+    failed : tuple of str
+        Those of them without which no error is known, as their other run failed.
     failures : tuple of str
         Runs that were refused or did not converge.
     verdicts : dict of str to str
@@ -82,6 +84,7 @@ class Verification(Saved):
     counts: dict[str, tuple[int, ...]] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
     unknown: dict[str, str] = field(default_factory=dict)
+    failed: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
     verdicts: dict[str, str] = field(default_factory=dict)
 
@@ -180,11 +183,11 @@ class Verification(Saved):
         """The error of a quantity, relative to it, by all causes (:meth:`total`).
 
         The second value is the largest of them: "mesh", "modes", "harmonics", "friction",
-        "samples". Not known: nan, also where the part of the harmonics or the modes is not, or
-        nothing that was varied changes it and something else was not. Infinite where the estimate
-        is as large as the quantity, as of a mesh that is too coarse.
+        "samples". Not known: nan, also where the part of the harmonics or the modes is not, the
+        other mesh failed, or nothing that was varied changes it and something else was not.
+        Infinite where the estimate is as large as the quantity, as of a mesh that is too coarse.
         """
-        unknown = any(cause in self.unknown for cause in REQUIRED_CAUSES)
+        unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed))
         parts = self._parts(quantity) if quantity in self.values else {}
         if not parts or unknown:
             return math.nan, ""
@@ -197,7 +200,7 @@ class Verification(Saved):
     def doubt(self, quantity: str) -> str:
         """Return why the error of a quantity is unknown; empty where it is known, or was left out
         by choice."""
-        for cause in REQUIRED_CAUSES:
+        for cause in (*REQUIRED_CAUSES, *self.failed):
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)

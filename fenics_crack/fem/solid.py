@@ -33,7 +33,7 @@ from fenics_crack.fem.blocks import (
     scale_to_mesh_unit,
 )
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, Cracks, NamedParts
+from fenics_crack.fem.cracks import LIP_TAGS, Cracks, NamedParts, rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
@@ -48,6 +48,8 @@ MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
 MESHING_MEMORY = 2**33
 """Maximum address space for meshing a part [byte]."""
+INNER_SHARE = 0.4
+"""Distance from a front's middle up to which depth and ligament are measured, over its length."""
 MAX_CELLS = 2e6
 """Maximum number of cells of a part. gmsh makes about 1e4 in a second."""
 
@@ -105,10 +107,11 @@ def read_part_faces(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
     return contents | {"triangles": MILLIMETRE * contents["triangles"]}
 
 
-def describe_part(structure: Structure) -> dict[str, str]:
-    """Describe the named faces and crack fronts of a part (collective).
+def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
+    """Describe the named faces, crack positions and crack fronts of a part (collective).
 
-    Faces have area and position, fronts their length and the shortest ligament ahead.
+    Faces have area and position. Fronts have their length, and off their ends the largest depth
+    and the shortest ligament ahead. Distances are measured from plane facets.
     """
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
@@ -122,15 +125,30 @@ def describe_part(structure: Structure) -> dict[str, str]:
         centre_text = format_point(comm.allreduce(weights @ points) / area, ".4g")
         rows[f"face {name}"] = f"{1e6 * area:.4g} mm^2 around {centre_text} m"
     mesh = NodalMesh(structure)
-    surface = mesh.points[mesh.boundary]
-    for front in find_fronts(structure):
-        length = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).sum()
-        rays = zip(front.nodes[1:-1], front.frame(front.parameters[1:-1])[0][:, 0], strict=True)
-        ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
-        length_text = (
-            f"{quantity(float(length), 'm')} long, {quantity(ligament, 'm')} from the surface"
+    sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_faces)]
+    surface = mesh.points[sides]
+    rows |= {
+        f"{key}.point": f"{quantity(distance.min().round(12), 'm')} from the surface"
+        for key, crack in scene.all_cracks.items()
+        for distance in solid_mesher.triangle_distances(
+            np.reshape(crack.point or (), (-1, 3)), surface
         )
-        rows[front.name] = f"{length_text} straight ahead at least"
+    }
+    for front in find_fronts(structure):
+        positions = np.append(0.0, np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).cumsum())
+        is_inner = front.is_closed | (np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE)
+        inner_nodes, parameters = front.nodes[is_inner], front.parameters[is_inner]
+        rays = zip(inner_nodes, front.frame(parameters)[0][:, 0], strict=True)
+        ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
+        in_plane = np.abs((surface - front.nodes[0]) @ front.normals[0]) < 1e-6 * mesh.size
+        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_faces), axis=1)]
+        distances = solid_mesher.triangle_distances(inner_nodes, mouth)
+        depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
+        depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
+        rows[front.name] = (
+            f"{quantity(float(positions[-1]), 'm')} long, {depth_text}"
+            f"{quantity(ligament, 'm')} from the surface straight ahead at least"
+        )
     return rows
 
 
@@ -169,7 +187,7 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     request = {
         "unit": geometry.unit or "mm", "size": mesh.size, "per_turn": mesh.per_turn,
         "faces": [(face_key, np.divide(point, unit).tolist()) for face_key, point in face_points],
-        "cracks": _mesher_cracks(unit_scene), "cells": MAX_CELLS,
+        "cracks": _mesher_cracks(unit_scene, unit), "cells": MAX_CELLS,
     }  # fmt: skip
     return _run_mesher(str(geometry.file), request, scene), unit
 
@@ -207,7 +225,7 @@ def _scene_value(scene: Scene, key: str) -> object:
     return [face.key for face in value] if field == "faces" else value
 
 
-def _mesher_cracks(scene: Scene) -> list[dict[str, Any]]:
+def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
     """Return cracks as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them."""
     cracks = []
     for key, crack in scene.all_cracks.items():
@@ -221,8 +239,11 @@ def _mesher_cracks(scene: Scene) -> list[dict[str, Any]]:
                 "half": round_axes, "is_round": round_axes is not None,
                 "reach": round_axes and min(round_axes),
             }  # fmt: skip
-        n_elements, grading = scene.mesh.given("lip_elements"), scene.mesh.grading
-        cracks.append({"key": key, **geometry, "elements": n_elements, "grading": grading})
+        shapes = (name for name in ("radii", "depth", "length") if getattr(crack, name) is not None)
+        cracks.append({
+            "key": key, "shape": next(shapes, "point"), "unit": unit, **geometry,
+            "elements": scene.mesh.given("lip_elements"), "grading": scene.mesh.grading,
+        })  # fmt: skip
     return cracks
 
 
@@ -267,7 +288,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
         triangles, _ = solid_mesher.mesh_faces()
     try:
         surfaces, fronts = solid_mesher.insert_cracks(
-            solid_tags, _mesher_cracks(unit_scene), triangles
+            solid_tags, _mesher_cracks(unit_scene, unit), triangles
         )
     except solid_mesher.Refusal as refusal:
         key, requirement = refusal.args

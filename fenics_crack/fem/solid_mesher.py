@@ -44,6 +44,11 @@ MIN_SIZE_RATIO = 0.1
 NEAR_RATIO = 0.1
 """Minimum ligament at a front, relative to its elements. Also the maximum distance of a named point
 from a face, relative to the part's size."""
+SEAM_ANGLE = 1.0 + math.pi
+"""Angle at which an ellipse begins and ends [rad]. On an axis, its vertex would be beside the mouth
+of a half ellipse, and rounded numbers would make a short edge there."""
+MAX_RADII_RATIO = 1.0 - 1e-9
+"""Maximum ratio of an ellipse's radii. Intersections with one that is a circle fail in gmsh 4.8."""
 N_CURVE_SAMPLES = 40
 """Number of intervals on a curve between sample points, and of triangles that identify a face."""
 
@@ -227,7 +232,8 @@ def _find_named_faces(
     for name, point in faces:
         point_distances = triangle_distances(np.array([point]), triangles)[0]
         if point_distances.min() > NEAR_RATIO * size:
-            raise Refusal("geometry.faces", f"points on faces: one of {name} is"
+            position = ", ".join(f"{1e-3 * x:.4g}" for x in point)
+            raise Refusal("geometry.faces", f"points on faces: ({position}) of {name} is"
                           f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
         faces_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
     return faces_by_name.items()
@@ -264,10 +270,11 @@ def insert_cracks(
     solid_tags : list of (int, int)
         The solid.
     cracks : list of dict
-        "key" of the scene; "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half"
-        axes (2,), or None for a half-plane that ends at its middle; "is_round", True for an
-        ellipse; "reach", the extent behind the front, or None; "elements" along this extent, and
-        "grading", the longest over the shortest.
+        "key" of the scene; "shape", its key for the size; "unit", the mesh's unit of length [m];
+        "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half" axes (2,), or None for a
+        half-plane that ends at its middle; "is_round", True for an ellipse; "reach", the extent
+        behind the front, or None; "elements" along this extent, and "grading", the longest over the
+        shortest.
     triangles : (n, 3, 3)
         Faces of the solid. Empty if the scene has checked the crack's position.
 
@@ -289,20 +296,30 @@ def insert_cracks(
         )[0]
         inner_faces = [inner_face for inner_face in inner_faces if inner_face[0] == 2]
         if len(inner_faces) != 1:
-            problem = "misses the part" if not inner_faces else f"is in {len(inner_faces)} pieces"
+            centres = np.reshape([occ.getCenterOfMass(*face) for face in inner_faces], (-1, 3))
+            is_in_face = triangle_distances(centres, triangles) < 1e-6 * np.ptp(triangles)
+            problem = (
+                f"misses the part{_describe_box(crack, triangles)}" if not inner_faces
+                else "lies in a face of it" if np.any(is_in_face)
+                else f"is in {len(inner_faces)} pieces"
+            )  # fmt: skip
             raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
                           f" part: it {problem}")  # fmt: skip
         faces += inner_faces
     fragments, children = occ.fragment(solid_tags, faces) if faces else (solid_tags, [solid_tags])
     occ.synchronize()
-    if sum(dimension == 3 for dimension, _ in fragments) != 1:
-        raise Refusal(f"{cracks[-1]['key']}.point", "such that the crack does not cut the part in"
-                      " two, and crosses no other crack")  # fmt: skip
     rims = [
         {tag for _, tag in gmsh.model.getBoundary(surfaces, combined=False, oriented=False)}
         for surfaces in children[1:]
     ]
     fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
+    if sum(dimension == 3 for dimension, _ in fragments) != 1:
+        crack = next(
+            (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
+            cracks[-1],
+        )
+        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
+                      " part in two, and crosses no other crack")  # fmt: skip
     crack_data = [*zip(cracks, children[1:], rims, fronts, strict=True)]
     for index, (crack, surfaces, rim, front) in reversed([*enumerate(crack_data)]):
         if len(surfaces) != 1 or any(rim & other_rim for other_rim in rims[:index]):
@@ -313,13 +330,30 @@ def insert_cracks(
     return [surfaces[0][1] for surfaces in children[1:]], fronts
 
 
+def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
+    """Describe the extent of a part, and whether a crack's position seems to be in mm."""
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    low_text, high_text = (
+        ", ".join(f"{crack['unit'] * x:.4g}" for x in end) for end in (low, high)
+    )
+    small = 1e-3 * np.array(crack["middle"])
+    hint = "; in mm?" if np.any(small) and np.all((low <= small) & (small <= high)) else ""
+    return f", which is from ({low_text}) to ({high_text}) m{hint}"
+
+
 def _draw_crack_face(crack: CrackData) -> Tags:
     """Draw the ellipse or rectangle of a crack, and return its dimension and tag."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
-    face = [(2, occ.addDisk(0.0, 0.0, 0.0, a, b) if crack["is_round"]
-             else occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]  # fmt: skip
+    if crack["is_round"]:
+        curve = occ.addEllipse(
+            0.0, 0.0, 0.0, a, min(b, MAX_RADII_RATIO * a),
+            angle1=SEAM_ANGLE, angle2=SEAM_ANGLE + 2.0 * math.pi,
+        )  # fmt: skip
+        face = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
+    else:
+        face = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
     e_2 = np.cross(normal, e_1)
     is_horizontal = math.hypot(normal[0], normal[1]) < 1e-12
     angles = (

@@ -78,10 +78,17 @@ def two(occ: Any) -> None:
     occ.addBox(50, 0, 0, 10, 10, 10)
 
 
+def holed(occ: Any) -> None:
+    """Draw the box with a slot, which divides its faces z = 0 and z = thickness."""
+    box(occ)
+    occ.cut([(3, 1)], [(3, occ.addBox(-1, 40, -1, 32, 10, 3))])
+
+
 DRAWN: dict[str, Callable[[Any], Any]] = {
     "box.step": box,
     "box.brep": box,
     "two.step": two,
+    "holed.step": holed,
     "flat.step": lambda occ: occ.addRectangle(0, 0, 0, 10, 10),
     "rod.step": lambda occ: occ.addCylinder(0, 0, 0, 0, 200, 0, 10),
 }
@@ -187,14 +194,20 @@ REFUSED = [
     ("geometry.unit", {"geometry.unit": "mm"}, "not allowed with a STEP file"),
     ("geometry.faces", {"geometry.faces": {}}, "one of them clamp"),
     ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, 0.0]]}}, "lists of points"),
-    ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, -0.02, 0.0]]}}, "away from the nearest"),
+    ("geometry.faces", {"geometry.faces": {"clamp": [[0.0, -0.02, 0.0]]}},
+     r"\(0, -0.02, 0\) of clamp is 20 mm away from the nearest"),
     ("geometry.width", {"geometry.width": 1.0}, "not allowed with geometry.file"),
     ("mesh.size", {"mesh.size": 1e-5}, "cells"),
     ("mesh.lip_elements", {"mesh.lip_elements": 5000}, "cells"),
     ("crack.point", {"crack.point": None}, "given with geometry.file"),
     ("crack.point", {"crack.point": [0.0, 0.2, 0.0]}, "misses the part"),
-    ("crack.point", {"crack.radii": [0.1, 0.1]}, "cut the part in two"),
+    ("crack.point", {"crack.point": [15.0, 30.0, 6.0]},
+     r"from \(0, 0, 0\) to \(0.03, 0.09, 0.006\) m; in mm"),
+    ("crack.radii", {"crack.radii": [0.1, 0.1]}, "cut the part in two"),
     ("crack.point", {"crack.point": [0.015, 0.0, 0.006]}, "lies in a face"),
+    ("crack.point", {"geometry.file": "holed.step", "crack.point": [0.015, 0.045, 0.0],
+                     "crack.normal": [0.0, 0.0, 1.0], "crack.radii": [0.012, 0.06]},
+     "lies in a face"),
     ("crack.point", {"crack.point": [0.0148, 0.03, 0.003], "crack.radii": [0.003, 0.003]},
      "farther from the surface"),
     ("crack.point", {"crack.radii": [0.008, 0.00599]}, "farther from the surface"),
@@ -219,6 +232,23 @@ def test_refused(parts: Path, key: str, changes: dict[str, Any], words: str) -> 
     with pytest.raises(InputError, match=words) as caught:
         fc.build_structure(part(parts).replace(changes), MPI.COMM_SELF)
     assert caught.value.key == key
+
+
+def test_a_rounded_point(parts: Path) -> None:
+    """A half ellipse whose middle is 0.1 um inside the part is meshed like one at its face."""
+    scene = part(parts, crack__point=[0.015, 0.03, 0.006 - 1e-7])
+    structure = fc.build_structure(scene, MPI.COMM_SELF)
+    assert structure.pair_areas is not None
+    area = structure.pair_areas.sum()
+    assert area == pytest.approx(0.5 * math.pi * 0.008 * 0.003, rel=0.06)  # of chords
+
+
+def test_remarks_before_the_mesh(tmp_path: Path, run_command: RunCommand) -> None:
+    """A young's modulus in GPa is remarked on before the part's file turns out to be none."""
+    scene = tmp_path / "scene.toml"
+    scene.write_text(TEXT.replace("box.step", str(tmp_path / "missing.step")))
+    told = run_command("check", scene, sets=["material.young=210.0"], code=2).err
+    assert told.index("in GPa?") < told.index("No such file")
 
 
 def test_a_load_near_the_surface(parts: Path) -> None:
@@ -260,7 +290,9 @@ def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> No
     checked = run_command("check", scene, sets=coarse).out
     [clamp] = [line for line in checked.splitlines() if line.startswith("face clamp")]
     assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
-    assert "the crack front" in checked and "from the surface" in checked
+    [crack] = [line for line in checked.splitlines() if line.startswith("the crack front")]
+    assert "mm deep" in crack and "from the surface straight ahead" in crack
+    assert "crack.point" in checked
 
 
 def environment() -> dict[str, str]:

@@ -319,6 +319,21 @@ def test_modes_that_few_harmonics_do_not_reach(
     assert 0.03 < abs(run.result.indicators().amplitude - limit) / stated < 1.5
 
 
+def test_a_coarser_mesh_that_cannot_be_made(
+    scene: fc.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody chose to leave its part out, so no error is stated, and the result says why."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise InputError("crack.length", 0.1, "meshed")
+
+    monkeypatch.setattr("fenics_crack.study.meshes.prepare", fails)
+    errors = fc.solve(scene, MPI.COMM_SELF).errors
+    assert errors is not None and np.isnan(errors.stated("amplitude")[0])
+    assert errors.doubt("amplitude") == "another mesh cannot be used, for its crack.length"
+    assert errors.contributions("amplitude")["harmonics"] > 0.0
+
+
 def test_without_the_mesh(scene: fc.Scene) -> None:
     """Where it is not asked for, or there is one mesh, that is said."""
     off = fc.solve(scene.replace({"mesh.error": False}), MPI.COMM_SELF).errors
