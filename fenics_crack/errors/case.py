@@ -224,7 +224,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
             other_run = OTHER_RUNS.get(cause, f"a run with more {cause}")
             errors = errors.with_unknown(cause, reason_of_failure(other_run, error))
             if cause == "mesh":
-                errors = replace(errors, failed=(cause,))
+                errors = replace(errors, failed_causes=(cause,))
     return errors
 
 

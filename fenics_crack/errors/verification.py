@@ -69,7 +69,7 @@ class Verification(Saved):
         Causes that contribute nothing, and why.
     unknown : dict of str to str
         Causes whose contribution is not known, and why: no total has it.
-    failed : tuple of str
+    failed_causes : tuple of str
         Those of them without which no error is known, as their other run failed.
     failures : tuple of str
         Runs that were refused or did not converge.
@@ -84,7 +84,7 @@ class Verification(Saved):
     counts: dict[str, tuple[int, ...]] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
     unknown: dict[str, str] = field(default_factory=dict)
-    failed: tuple[str, ...] = ()
+    failed_causes: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
     verdicts: dict[str, str] = field(default_factory=dict)
 
@@ -187,7 +187,7 @@ class Verification(Saved):
         other mesh failed, or nothing that was varied changes it and something else was not.
         Infinite where the estimate is as large as the quantity, as of a mesh that is too coarse.
         """
-        unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed))
+        unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed_causes))
         parts = self._parts(quantity) if quantity in self.values else {}
         if not parts or unknown:
             return math.nan, ""
@@ -200,7 +200,7 @@ class Verification(Saved):
     def doubt(self, quantity: str) -> str:
         """Return why the error of a quantity is unknown; empty where it is known, or was left out
         by choice."""
-        for cause in (*REQUIRED_CAUSES, *self.failed):
+        for cause in (*REQUIRED_CAUSES, *self.failed_causes):
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)

@@ -332,13 +332,17 @@ def insert_cracks(
 
 def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
-    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    low_text, high_text = (
-        ", ".join(f"{crack['unit'] * x:.4g}" for x in end) for end in (low, high)
+    start, end = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    start_text, end_text = (
+        ", ".join(f"{crack['unit'] * x:.4g}" for x in corner) for corner in (start, end)
     )
-    small = 1e-3 * np.array(crack["middle"])
-    hint = "; in mm?" if np.any(small) and np.all((low <= small) & (small <= high)) else ""
-    return f", which is from ({low_text}) to ({high_text}) m{hint}"
+    scaled_middle = 1e-3 * np.array(crack["middle"])
+    hint = (
+        "; in mm?"
+        if np.any(scaled_middle) and np.all((start <= scaled_middle) & (scaled_middle <= end))
+        else ""
+    )
+    return f", which is from ({start_text}) to ({end_text}) m{hint}"
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
