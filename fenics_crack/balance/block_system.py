@@ -118,11 +118,11 @@ class BlockSystem(Snes):
             (n_rows * n_pairs,) * 2,
         )
         # Absolute values do not cancel: no entry is missed.
-        contact_entries = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
-        entries = np.append(linear_part.data, 0.0 * contact_entries.data)
+        contact_pattern = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
+        entries = np.append(linear_part.data, 0.0 * contact_pattern.data)
         indices = (
-            np.append(linear_part.row, contact_entries.row),
-            np.append(linear_part.col, contact_entries.col),
+            np.append(linear_part.row, contact_pattern.row),
+            np.append(linear_part.col, contact_pattern.col),
         )
         matrix = distribute_rows(
             sparse.coo_matrix((entries, indices), linear_part.shape), structure.comm

@@ -441,7 +441,7 @@ class CoupledForces(ContactForces):
         return matrix
 
 
-class _KernelForces:
+class _KernelEvaluator:
     """Kernel's object for waves of a certain size, and the forces last evaluated with it."""
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:
@@ -450,7 +450,7 @@ class _KernelForces:
         self.evaluated_forces: CoupledForces | None = None
 
 
-_kernel_forces_for = lru_cache(maxsize=16)(_KernelForces)
+_kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
 
 
 class _ExactForces(CoupledForces):
@@ -468,18 +468,18 @@ class _ExactForces(CoupledForces):
 
         Raises ConvergenceError if an instant has no forces.
         """
-        kernel_forces = _kernel_forces_for(self.harmonics, self._gap.shape[1])
+        kernel_evaluator = _kernel_evaluator_for(self.harmonics, self._gap.shape[1])
         active_sets = self._integrals.active_sets
-        if kernel_forces.evaluated_forces is not self:
-            kernel_forces.evaluated_forces = None
+        if kernel_evaluator.evaluated_forces is not self:
+            kernel_evaluator.evaluated_forces = None
             arrays = map(pointer, (active_sets.compliance, self._gap, self.force))
-            outcome = kernel.find_forces(kernel_forces.handle, *arrays)
+            outcome = kernel.find_forces(kernel_evaluator.handle, *arrays)
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
             if outcome != kernel.FOUND:
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            kernel_forces.evaluated_forces = self
-        return kernel_forces.handle
+            kernel_evaluator.evaluated_forces = self
+        return kernel_evaluator.handle
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         change, force_change = require_shape(change, *self._gap.shape), np.empty(self._gap.shape)

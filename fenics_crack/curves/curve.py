@@ -577,8 +577,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return the estimated error of the displacement at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
-            wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
-            more_modes = wave.assessment.more_modes
+            orbit_solution = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
+            more_modes = orbit_solution.assessment.more_modes
             if more_modes is not None:
                 return UNKNOWN if more_modes.errors is None else more_modes.errors[1]
         return self.solution(index, search=False).report.displacement

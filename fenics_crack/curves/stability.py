@@ -103,17 +103,17 @@ def monodromy(
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap)).bit_length()
-    last_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+    coarser_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
     change_size = matrix_size = np.inf
     while n_steps < 2**13 and not change_size <= MULTIPLIER_TOLERANCE * matrix_size < np.inf:
         n_steps *= 2
         product = _multiply_steps(modes, contact, gap, base_omega, n_steps)
-        last_matrix = matrix
-        matrix = product + (product - last_product) / 3.0
-        last_product = product
+        coarser_matrix = matrix
+        matrix = product + (product - coarser_product) / 3.0
+        coarser_product = product
         scaled_matrices = (
             state_scale[:, None] * part_matrix / state_scale
-            for part_matrix in (matrix - last_matrix, matrix)
+            for part_matrix in (matrix - coarser_matrix, matrix)
         )
         change_size, matrix_size = (
             float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_matrices
@@ -146,7 +146,7 @@ def _multiply_steps(
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in stretch_kicks.swapaxes(0, 1):
             states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
-            states = _drift(modes, transition, states)
+            states = _advance_without_contact(modes, transition, states)
         product = states[0]
         for stretch_product in states[1:]:
             product = stretch_product @ product
@@ -164,7 +164,9 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
     return np.asarray(modes.pairs @ impulse)
 
 
-def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _advance_without_contact(
+    modes: AllModes, transition: np.ndarray, states: np.ndarray
+) -> np.ndarray:
     """Return E z for the structure without contact, with E from :meth:`AllModes.transition`."""
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)

@@ -141,9 +141,11 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
     for index, kind_index in np.argwhere(has_crossing).tolist():
         kind = ("period_doubling", "neimark_sacker")[kind_index]
-        pair_counts = multipliers_and_counts[index : index + 2, -1]
-        pair_index = int(pair_counts.real.max()) - 1
-        pair_test_function = partial(pair_modulus_excess, pair_index=pair_index)
+        multiplier_pair_counts = multipliers_and_counts[index : index + 2, -1]
+        multiplier_pair_index = int(multiplier_pair_counts.real.max()) - 1
+        pair_test_function = partial(
+            pair_modulus_excess, multiplier_pair_index=multiplier_pair_index
+        )
         test_function = pair_test_function if kind_index else period_doubling_function
         bifurcation_location = _locate_bifurcation(curve, index, test_function)
         bifurcations.append(curve.bifurcation(kind, *bifurcation_location))

@@ -127,8 +127,8 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
         end_positions = [end for span in spans for end in span]
-        columns = _divide_equally(width, scene.mesh.given("columns"), end_positions)
-        rows = _divide_equally(height, scene.mesh.given("rows"), levels)
+        columns = _equal_intervals(width, scene.mesh.given("columns"), end_positions)
+        rows = _equal_intervals(height, scene.mesh.given("rows"), levels)
     else:
         columns, rows = _graded_plate(scene, spans, levels)
     xs, ys = (
@@ -184,7 +184,7 @@ def count_plate_pairs(scene: Scene) -> int:
     )
 
 
-def _divide_equally(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
+def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
     grid_positions = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
@@ -271,10 +271,12 @@ def _graded_plate(
         crack_sizes.append((level, min(face.tip_size for face in crack_faces)))
         faces += crack_faces
     tip_sizes = [(face.tip, face.tip_size) for face in faces]
-    return _divide_side(width, tip_sizes, faces, size), _divide_side(height, crack_sizes, [], size)
+    return _graded_intervals(width, tip_sizes, faces, size), _graded_intervals(
+        height, crack_sizes, [], size
+    )
 
 
-def _divide_side(
+def _graded_intervals(
     extent: float, tips: list[tuple[float, float]], faces: list[_GradedFace], size: float
 ) -> list[Interval]:
     """Divide a side into intervals with given element lengths.

@@ -180,8 +180,10 @@ def _front_pressure_shares(
     rows = gather_rows(
         dofs.comm, np.column_stack([entries.row + first_node, entries.col, entries.data])
     )
-    n_nodes = space.dofmap.index_map.size_global
-    overlaps = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (n_nodes, n_nodes))
+    n_global_nodes = space.dofmap.index_map.size_global
+    overlaps = sparse.csr_matrix(
+        (rows[:, 2], rows[:, :2].astype(int).T), (n_global_nodes, n_global_nodes)
+    )
     return distribute_front_pressures(overlaps[node_numbers[n_inside:]][:, node_numbers[:n_inside]])
 
 

@@ -100,12 +100,16 @@ class CrackPath:
 
         None if the point is off the crack, or at a tip.
         """
-        (distance,), (position,) = self.locate(np.array([point]))
+        (distance_to_crack,), (position,) = self.locate(np.array([point]))
         length = float(self.corner_positions[-1])
         tip_distance = length - position if self.has_mouth else min(position, length - position)
         edge_index = np.searchsorted(self.corner_positions[1:-1], position)
         return points_on_both_sides(
-            point, distance, tip_distance, _facet_normals(self.edges[[edge_index]])[0], length
+            point,
+            distance_to_crack,
+            tip_distance,
+            _facet_normals(self.edges[[edge_index]])[0],
+            length,
         )
 
 
@@ -170,12 +174,12 @@ class CrackSurface:
         None if the point is off the crack, or at a front.
         """
         position = np.asarray(point, dtype=float)
-        (distance,), (front_distance,) = self.locate(position[None])
+        (distance_to_crack,), (front_distance,) = self.locate(position[None])
         nearest_triangle = np.linalg.norm(
             _offsets_from_triangles(position[None], self.triangles)[0], axis=1
         ).argmin()
         normal = _facet_normals(self.triangles[[nearest_triangle]])[0]
-        return points_on_both_sides(point, distance, front_distance, normal, self.size)
+        return points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
 
 
 def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -238,7 +242,7 @@ def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
 
 def points_on_both_sides(
     point: Sequence[float],
-    distance: float,
+    distance_to_crack: float,
     front_distance: float,
     normal: np.ndarray,
     crack_size: float,
@@ -249,7 +253,7 @@ def points_on_both_sides(
     the front too small.
     """
     if (
-        distance > POSITION_TOLERANCE * crack_size
+        distance_to_crack > POSITION_TOLERANCE * crack_size
         or front_distance <= POSITION_TOLERANCE * crack_size
     ):
         return None

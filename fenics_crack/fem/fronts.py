@@ -375,8 +375,8 @@ def _front_chains(
             inward_vectors[index] = centres[touching_facets].mean(axis=0) - point
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
         edge_vectors = np.diff(points, axis=0)
-        growth_directions = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
-        if (growth_directions * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
+        edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
+        if (edge_side_vectors * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
             points = points[::-1]
             point_normals = point_normals[::-1]
             edge_vectors = -edge_vectors[::-1]
@@ -514,7 +514,7 @@ def front_functionals(
         _check_resolved(front)
         domain = _Domain(scene, front, points, cells)
         displacement_functional, nodal_fields = (
-            _free_dofs_of_rank(nodes, domain.nodes, rows)
+            _values_at_free_dofs(nodes, domain.nodes, rows)
             for rows in domain.integrate_functionals(comm)
         )
         force_functional = np.zeros((len(displacement_functional), structure.n_pairs))
@@ -539,7 +539,7 @@ def front_functionals(
     return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
 
 
-def _free_dofs_of_rank(
+def _values_at_free_dofs(
     nodes: Nodes, node_numbers: np.ndarray, node_values: np.ndarray
 ) -> np.ndarray:
     """Return values at nodes as values of this rank's free dofs: (n, n_local).
@@ -555,9 +555,11 @@ def _free_dofs_of_rank(
     """
     local_nodes = node_numbers - nodes.mesh_dofs.first_node
     is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_nodes)
-    local_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_nodes, 3))
-    local_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
-    return np.asarray(nodes.mesh_dofs.restrict_to_free(local_values.reshape(len(local_values), -1)))
+    own_node_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_nodes, 3))
+    own_node_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
+    return np.asarray(
+        nodes.mesh_dofs.restrict_to_free(own_node_values.reshape(len(own_node_values), -1))
+    )
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:

@@ -190,7 +190,7 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_nodes][is_on_face]))
     for tip in tips:
         for mode in range(2):
-            field = _nodal_field(scene, tip, mode, points, face_normals)
+            field = _weighted_singular_field(scene, tip, mode, points, face_normals)
             displacement_rows.append(assemble_row(tip, mode, field))
             force_rows.append(
                 _pressure_row(scene, structure, tip, mode, dofs.restrict_to_free(field.ravel()))
@@ -237,7 +237,7 @@ def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
     return np.asarray(1.0 - xi**3 * (10.0 - 15.0 * xi + 6.0 * xi**2))
 
 
-def _nodal_field(
+def _weighted_singular_field(
     scene: Scene, tip: Tip, mode: int, points: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
     """Return w = q s at nodes: (n, 2).

@@ -101,8 +101,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         for row, acceleration in enumerate(scene.base.accelerations, 1):
             force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
     if watched_vector is None and point is not None and not any(map(any, force_vectors)):
-        unit_vectors = [np.eye(dofs.dimension)[0].tolist()] * 2
-        _, watched_vector = _point_load(scene, dofs, "excitation", point, unit_vectors)
+        watched_direction_parts = [np.eye(dofs.dimension)[0].tolist()] * 2
+        _, watched_vector = _point_load(scene, dofs, "excitation", point, watched_direction_parts)
     return force, watched_vector
 
 

@@ -507,7 +507,7 @@ def find_pairs(
         gap, areas, pair_index, front_nodes = _patch_gaps(twins, facets)
     else:
         is_plane = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
-        gap, front_nodes = _nodal_gaps(twins, 2 if is_plane else 1)
+        gap, front_nodes = _gap_matrix_and_front_nodes(twins, 2 if is_plane else 1)
         areas, pair_index = None, np.arange(len(twins.first_nodes))
     points = model.points[twins.first_nodes[pair_index]]
     crack_index = _number_cracks(twins, pair_index)
@@ -723,7 +723,9 @@ def _patch_gaps(
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _nodal_gaps(twins: _TwinNodes, n_tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
+def _gap_matrix_and_front_nodes(
+    twins: _TwinNodes, n_tangents: int
+) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Assemble the gaps of pairs of nodes.
 
     The crack faces have ``n_tangents`` directions.
@@ -746,8 +748,8 @@ def _nodal_gaps(twins: _TwinNodes, n_tangents: int) -> tuple[sparse.csr_matrix, 
         near_nodes = np.append(near_nodes[twins.pair_index[near_nodes] >= 0], front_nodes[-1])
         if len(np.unique(twins.place_labels[near_nodes])) <= n_tangents:
             near_nodes = twins.first_nodes
-        offsets = points[near_nodes] - points[near_nodes].mean(axis=0)
-        tangents = np.linalg.svd(offsets, full_matrices=False)[2][:n_tangents]
+        centred_points = points[near_nodes] - points[near_nodes].mean(axis=0)
+        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:n_tangents]
         normal = points[neighbours[1]].mean(axis=0) - points[neighbours[0]].mean(axis=0)
         normal -= tangents.T @ (tangents @ normal)
         if np.linalg.norm(normal) <= POSITION_TOLERANCE * size:

@@ -145,9 +145,12 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     determinants = (side_1 * normal).sum(axis=1)
     determinants = np.where(np.abs(determinants) < 1e-300, np.inf, determinants)
     offsets = point - triangles[:, 0]
-    u, offset_normals = (offsets * normal).sum(axis=1) / determinants, np.cross(offsets, side_1)
-    v = offset_normals @ direction / determinants
-    distances = (side_2 * offset_normals).sum(axis=1) / determinants
+    u, offset_cross_side_1 = (
+        (offsets * normal).sum(axis=1) / determinants,
+        np.cross(offsets, side_1),
+    )
+    v = offset_cross_side_1 @ direction / determinants
+    distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distances > 1e-6 * extent)
     return float(distances[is_hit].min(initial=extent))

@@ -291,7 +291,7 @@ def _draw_crack_face(crack: CrackData) -> Tags:
     return face
 
 
-def _curve_points(curve: int) -> np.ndarray:
+def _sample_curve(curve: int) -> np.ndarray:
     """Return points on a curve, including its ends: (n, 3)."""
     (start,), (stop,) = gmsh.model.getParametrizationBounds(1, curve)
     parameters = np.linspace(start, stop, N_CURVE_SAMPLES + 1)
@@ -306,7 +306,7 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
     curves, point_arrays, extent = [], [np.zeros((0, 3))], 0.0
     for curve in rim:
-        points = _curve_points(curve)
+        points = _sample_curve(curve)
         x, y, _ = ((points - crack["middle"]) @ frame.T).T
         if is_straight:
             scaled_radius, extent = 1.0 + x / half_axes[0], max(extent, -float(x.min()))

@@ -58,9 +58,9 @@ DIRECTION_NUMBERS |= {str(number): number for number in range(1, 10)}
 MIN_ENTRY_BYTES = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry with the end of its line."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
-MIRROR_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
+TRANSPOSE_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
-SYMMETRIES = ("general", *MIRROR_SIGNS)
+SYMMETRIES = ("general", *TRANSPOSE_SIGNS)
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
@@ -439,7 +439,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     if symmetry == "general":
         matrix = sparse.csr_matrix((entries, positions), shape)
     else:
-        matrix = _mirror_triangle(entries, *positions, shape[0], MIRROR_SIGNS[symmetry])
+        matrix = _mirror_triangle(entries, *positions, shape[0], TRANSPOSE_SIGNS[symmetry])
     if layout == "array":
         matrix.eliminate_zeros()
     return matrix
@@ -497,7 +497,7 @@ def _read_sizes(lines: Iterator[str], max_bytes: int) -> tuple[tuple[str, str], 
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
-    elif sign := MIRROR_SIGNS.get(header[1]):  # from the diagonal down
+    elif sign := TRANSPOSE_SIGNS.get(header[1]):  # from the diagonal down
         n_entries = n_rows * (n_rows + sign) // 2
     else:
         n_entries = n_rows * n_columns

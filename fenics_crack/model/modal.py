@@ -340,8 +340,8 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    root = structure.static_root
-    pairs = gap.T @ root  # exact even if root root^T is mostly rounding
+    flexibility_factor = structure.static_root
+    pairs = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding
     return AllModes(
         squares,
         shapes,
@@ -349,7 +349,7 @@ def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
         shapes.T @ gap,
         bool(np.any(squares == 0.0)),
         pairs @ pairs.T,
-        root @ pairs.T,
+        flexibility_factor @ pairs.T,
         structure.residual_flexibility,
         (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )

@@ -822,10 +822,10 @@ def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
         for omega in (open_modes.omega, bonded_modes.omega)
     )
-    is_slower = (
+    is_bonded_slower = (
         bonded_modes.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * open_modes.omega[:, None]
     )
-    is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_slower
+    is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_bonded_slower
     rows, columns = np.indices(overlaps.shape)
     # A match needs a weight > 0.
     weights = 1.0 + is_same_shape - MULTIPLE_FREQUENCY_TOLERANCE * (rows - columns) ** 2

@@ -319,10 +319,11 @@ def _add_rows(
 ) -> None:
     """Add the rows of some dofs to a receptance (collective)."""
     local_dofs = dofs - structure.first_dof
-    owned_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
+    owned_entry_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
     shape = structure.n_local, len(dofs)
     unit_forces = sparse.csr_matrix(
-        (np.ones(len(owned_indices)), (local_dofs[owned_indices], owned_indices)), shape
+        (np.ones(len(owned_entry_indices)), (local_dofs[owned_entry_indices], owned_entry_indices)),
+        shape,
     )
     residual_parts = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:

@@ -319,13 +319,13 @@ class MasslessStructure(MasslessInterface):
         ties, is_soft = ties @ rotation, softness > NEGLIGIBLE
         rigid_ties = b @ ties[:, ~is_soft]
         motions = scipy.linalg.null_space(rigid_ties.T) if rigid_ties.size else np.eye(self.n_modes)
-        forces = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
+        tie_stiffness = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
         squares, shapes = np.linalg.eigh(
-            motions.T @ (np.diag(self.omega**2) + b @ forces) @ motions
+            motions.T @ (np.diag(self.omega**2) + b @ tie_stiffness) @ motions
         )
         modal_shapes = motions @ shapes
         static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
-        static_amplitudes[: self.n_pairs] = -forces @ modal_shapes
+        static_amplitudes[: self.n_pairs] = -tie_stiffness @ modal_shapes
         return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
 
     @property

@@ -170,9 +170,9 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     """
     subject, problem = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:
-        sides = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        problem += f"; it measures {' x '.join(f'{side:.3g}' for side in sides)} m"
-        if len(sides) == 3:
+        extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
+        problem += f"; it measures {' x '.join(f'{extent:.3g}' for extent in extents)} m"
+        if len(extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"
 

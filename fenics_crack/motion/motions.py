@@ -181,7 +181,10 @@ class Record:
         """Return the record of some rows."""
         evaluate_all = self.evaluate
         evaluate = evaluate_all and (
-            lambda parts: ((arrays := evaluate_all(parts))[0][:, rows], *arrays[1:])
+            lambda period_fractions: (
+                (arrays := evaluate_all(period_fractions))[0][:, rows],
+                *arrays[1:],
+            )
         )
         return replace(
             self,
@@ -207,14 +210,17 @@ class Record:
         n_pairs, evaluate, is_in_crack = self.n_pairs, self.evaluate, self.pairs_of_cracks
 
         def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-            parts = [motion, -motion]
+            columns = [motion, -motion]
             if n_pairs:
                 gap, force = gap[:, :n_pairs], force[:, :n_pairs]
-                parts += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
-            return np.column_stack(parts)
+                columns += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
+            return np.column_stack(columns)
 
         samples = stack_columns(self.motion, self.gap, self.force)
-        return find_maxima(samples, evaluate and (lambda parts: stack_columns(*evaluate(parts))))
+        return find_maxima(
+            samples,
+            evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
+        )
 
 
 class Harmonics:
@@ -469,7 +475,7 @@ class ObservedMotion:
             if index < len(self._face_numbers):
                 record = replace(record, gap=record.gap[:, :0])
             else:
-                self._face_numbers.append(_read_faces(record))
+                self._face_numbers.append(_read_face_numbers(record))
             shared = {"omega": record.omega} | self._face_numbers[index]
             points = (Point(record, row) for row in range(len(rows)))
             points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
@@ -511,7 +517,7 @@ class ObservedMotion:
         return []
 
 
-def _read_faces(record: Record) -> dict[str, float]:
+def _read_face_numbers(record: Record) -> dict[str, float]:
     """Return the numbers of the crack faces in a record by name.
 
     Numbers without pairs, or without friction, are nan.

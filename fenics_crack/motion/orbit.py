@@ -246,8 +246,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         barycentric_weights = signs * np.sqrt((1.0 - nodes**2) * weights)
         splits = np.cumsum([part.shape[1] for part in columns])[:2]
 
-        def evaluate(parts: np.ndarray) -> Any:
-            time = self.period * np.mod(parts, 1.0)
+        def evaluate(period_fractions: np.ndarray) -> Any:
+            time = self.period * np.mod(period_fractions, 1.0)
             piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
             position = 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
             distances = position[:, None] - nodes
@@ -263,13 +263,13 @@ class PeriodicOrbit(ObservedMotion, Described):
             return np.split(interpolation @ node_values, splits, axis=1)
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
-        parts = np.arange(n_instants) / n_instants
-        motion, gap, force = evaluate(parts)
+        period_fractions = np.arange(n_instants) / n_instants
+        motion, gap, force = evaluate(period_fractions)
         if instants is None:
             track, exact_numbers = self.motion.track, dict(self.sliding)
             exact_numbers |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
-            self.omega, self.subharmonic, self.period * parts,
+            self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(motion, OBSERVED_HARMONICS),
             motion, gap, force,
             structure=self.structure,
@@ -698,15 +698,17 @@ class _Search:
                 inverse = _make_inverse(self._flow, self.motion.track, self._weights)
                 is_current = True
                 steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
-            step = steps[-1]
-            trial_state = self.state + damping * step
+            newton_step = steps[-1]
+            trial_state = self.state + damping * newton_step
             trial_motion = self._follow(trial_state)
             simplified_step = inverse(trial_motion.state - trial_state, COMPARISON_TOLERANCE)
             for earlier_step, later_step in pairwise(steps):
                 fraction = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + fraction * later_step
-            step_size, simplified_size = self.size(step), self.size(simplified_step)
-            nonlinearity = self.size(simplified_step - (1.0 - damping) * step) + sys.float_info.min
+            step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
+            nonlinearity = (
+                self.size(simplified_step - (1.0 - damping) * newton_step) + sys.float_info.min
+            )
             state_size = self.size(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
@@ -723,7 +725,9 @@ class _Search:
                 return True
             # After a good step the inverse serves once more.
             if forms_monodromy and damping == 1.0 and simplified_size <= 0.1 * step_size:
-                steps.append(simplified_step / (1.0 - self._fraction_along(simplified_step, step)))
+                steps.append(
+                    simplified_step / (1.0 - self._fraction_along(simplified_step, newton_step))
+                )
                 continue
             steps = []
             damping = min(1.0, 0.5 * damping**2 * step_size / nonlinearity)

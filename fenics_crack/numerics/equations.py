@@ -103,7 +103,7 @@ class System(Protocol):
     - ``counts``: weight of each unknown in angles between tangents.
     - ``means``: number of leading unknowns that are means over time.
     - ``records``: number of entries in a linearisation's ``record``.
-    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_records).
+    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_record_entries).
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:

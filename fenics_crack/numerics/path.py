@@ -131,18 +131,18 @@ class PathSegment(Sequence[PathPoint]):
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
         Events between the last two points, each with its place.
-    records, control_values : (n, n_records) and (n, ...), optional
+    records, control_values : (n, n_record_entries) and (n, ...), optional
         For a step control: records of linearisations, and values that follow from the records.
     """
 
     control_values: np.ndarray
 
     def __init__(
-        self, start_points: Sequence[PathPoint], capacity: int, n_records: int = 0
+        self, start_points: Sequence[PathPoint], capacity: int, n_record_entries: int = 0
     ) -> None:
         shape = start_points[0].unknown.shape
-        if n_records:
-            self.records = np.zeros((capacity, n_records))
+        if n_record_entries:
+            self.records = np.zeros((capacity, n_record_entries))
         self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
         self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
         self.weights, self.mean_weights = np.zeros((2, capacity))
@@ -640,7 +640,7 @@ class Path:
         """Continue from a point with a given step."""
         self._start_points, self._step, self._orientation = [point], step, 0.0
 
-    def _cut_at_halved_step(
+    def _cut_at_rejected_step(
         self, segment: PathSegment, n_known: int, step: float
     ) -> PathSegment | None:
         """Cut a segment at the first rejected step, and halve that step.
@@ -702,8 +702,10 @@ class Path:
         n_points = min(
             n_remaining, self._points_per_call if self._equations.follows_many_points else 1
         )
-        n_records = 0 if self._control is None else int(self._equations.function_table.records)
-        segment = PathSegment(start_points, len(start_points) + n_points, n_records)
+        n_record_entries = (
+            0 if self._control is None else int(self._equations.function_table.records)
+        )
+        segment = PathSegment(start_points, len(start_points) + n_points, n_record_entries)
         path_struct = segment.struct(
             len(start_points), step=self._step, orientation=self._orientation
         )
@@ -721,6 +723,6 @@ class Path:
             self._equations.check_outcome(outcome)
         if path_struct.address.n_known == len(start_points) or self._control is None:
             return segment[len(start_points) - 1 : path_struct.address.n_known]
-        return self._cut_at_halved_step(
+        return self._cut_at_rejected_step(
             segment[: path_struct.address.n_known], len(start_points), step
         )

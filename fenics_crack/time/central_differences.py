@@ -202,10 +202,12 @@ class _ContactEnergy:
         gap, force = gap[:, :n_pairs], force[:, :n_pairs]
         self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         if not self._request.rigid:
-            first_energy, last_energy = (
+            first_spring_energy, last_spring_energy = (
                 potential(self._request.contact, ends) for ends in (gap[:2], gap[-2:])
             )
-            self._created_energy += 0.5 * float(last_energy.sum() - first_energy.sum())
+            self._created_energy += 0.5 * float(
+                last_spring_energy.sum() - first_spring_energy.sum()
+            )
         work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
         self._energy_input += abs(float(self._request.structure.sum_over_ranks(work)[0]))
         return self._created_energy, self._energy_input
@@ -422,8 +424,8 @@ class _CentralDifferences(Scheme):
     def advance(self, step: int) -> None:
         """Integrate one step, from instant ``step`` of the period."""
         dt = self.step_size
-        pull = dt**2 * self._pull(step)
-        self.increment = self.increment + self._solve(pull, dt * self.increment)
+        squared_step_pull = dt**2 * self._pull(step)
+        self.increment = self.increment + self._solve(squared_step_pull, dt * self.increment)
         if self.rigid:
             next_gap = self.gap + self._gap_motion(self.increment)
             self.force = solve_complementarity(self._compliance, next_gap, self.force > 0.0)
