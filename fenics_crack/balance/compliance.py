@@ -177,7 +177,7 @@ class ModalCompliance:
         R_k, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
         Gap without contact, less the clearance.
-    basis : (n_pairs, n) or None
+    gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make; None if these are all gaps.
     gap_without_modes : (2H+1, n_pairs) [m]
         Part of the linear gap that no mode makes.
@@ -188,7 +188,7 @@ class ModalCompliance:
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
-        self.basis = (
+        self.gap_basis = (
             structure.compute_once(_gap_basis)
             if len(self._modes.pairs) < structure.n_pairs
             else None
@@ -207,7 +207,9 @@ class ModalCompliance:
     ) -> None:
         self._base_omega, self._damping = base_omega, damping
         has_load = self._unit_load != 0.0
-        self._receptance = self._modes.receptance(base_omega * self._order, damping, has_load)
+        self._receptance = self._modes.modal_receptances(
+            base_omega * self._order, damping, has_load
+        )
         self._modal_load = load * self._unit_load
         self._load = load
         self.gap_without_modes = load * self._static_gap
@@ -240,7 +242,9 @@ class ModalCompliance:
         """Return R_k for k = H+1 to ``max_harmonic``."""
         order = np.arange(len(self.matrices), max_harmonic + 1)
         has_load: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
-        receptance = self._modes.receptance(self._base_omega * order, self._damping, has_load)
+        receptance = self._modes.modal_receptances(
+            self._base_omega * order, self._damping, has_load
+        )
         return self._pair_compliance(receptance)
 
     def _pair_compliance(self, receptance: np.ndarray) -> np.ndarray:
@@ -271,7 +275,7 @@ class ModalCompliance:
         """
         modes, omega = self._modes, np.multiply.outer(self._order, base_omega)
         has_load = np.repeat(self._unit_load != 0.0, len(base_omega), axis=0)
-        receptance = modes.receptance(omega.ravel(), self._damping, has_load)
+        receptance = modes.modal_receptances(omega.ravel(), self._damping, has_load)
         drive = self._modal_load[:, None] - to_complex(force) @ modes.pairs.T
         response = modes.respond(receptance.reshape(*omega.shape, *receptance.shape[1:]), drive)
         displacement = from_complex(response @ modes.shapes.T)
@@ -396,7 +400,7 @@ class FactoredCompliance:
         c, the load's coefficients.
     """
 
-    basis: np.ndarray | None = None
+    gap_basis: np.ndarray | None = None
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load

@@ -37,7 +37,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
-    ActiveSets,
+    ActiveSetSolver,
     ContactLaw,
     is_piecewise_linear,
     is_unilateral,
@@ -87,7 +87,7 @@ class ContactForces(ABC):
         """Return the coefficients' derivative by the series compliance."""
 
     @abstractmethod
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         """Return the coefficients' derivative by ln k."""
 
 
@@ -121,7 +121,7 @@ class ContactIntegrals(ABC):
         return False
 
     @cached_property
-    def springs(self) -> np.ndarray:
+    def spring_compliance(self) -> np.ndarray:
         """Return 1/k of each pair, or one for all [m/N].
 
         It is zero for a law without penetration.
@@ -131,7 +131,11 @@ class ContactIntegrals(ABC):
     @cached_property
     def compliance_diagonal(self) -> np.ndarray:
         """Return the diagonal of R_inf + I/k: (n_pairs,), or one number [m/N]."""
-        return self.springs if self.residual is None else np.diag(self.residual) + self.springs
+        return (
+            self.spring_compliance
+            if self.residual is None
+            else np.diag(self.residual) + self.spring_compliance
+        )
 
     @cached_property
     def unit(self) -> float:
@@ -236,17 +240,17 @@ class ExactIntegrals(ContactIntegrals):
         return True
 
     @property
-    def stiffness(self) -> np.ndarray:
+    def closed_stiffness(self) -> np.ndarray:
         """Return the slope of a closed pair's force: (n_pairs,), or one number [N/m]."""
         return np.asarray(1.0 / (self.compliance_diagonal + self.softness * self.unit))
 
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
-        return np.asarray(self.stiffness * np.maximum(gap, 0.0))
+        return np.asarray(self.closed_stiffness * np.maximum(gap, 0.0))
 
     def linearise(self, gap: np.ndarray) -> PairForces:
         n_rows, n_pairs = gap.shape
         gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
-        stiffness = np.full(n_pairs, self.stiffness)
+        stiffness = np.full(n_pairs, self.closed_stiffness)
         force, tangent = np.empty((n_rows, n_pairs)), np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
             self.harmonics, n_pairs, pointer(gap), pointer(stiffness),
@@ -282,7 +286,7 @@ class PairForces(ContactForces):
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
 
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         """Return the forces: without coupling they are proportional to k."""
         return self.force
 
@@ -369,19 +373,21 @@ class CoupledIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    active_sets : ActiveSets
+    active_sets : ActiveSetSolver
         Sets of closed pairs for R_inf + I/k and the softness.
     """
 
     samples: int | None = None
-    active_sets: ActiveSets = field(init=False, repr=False, compare=False)
+    active_sets: ActiveSetSolver = field(init=False, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         assert self.residual is not None
-        softness = self.softness * self.unit + (self.springs if self.is_piecewise else 0.0)
+        softness = self.softness * self.unit + (
+            self.spring_compliance if self.is_piecewise else 0.0
+        )
         compliance = self.residual + softness * np.eye(len(self.residual))
-        object.__setattr__(self, "active_sets", ActiveSets(compliance))
+        object.__setattr__(self, "active_sets", ActiveSetSolver(compliance))
 
     @property
     def is_piecewise(self) -> bool:
@@ -506,9 +512,9 @@ class _ExactForces(CoupledForces):
     def by_softness(self) -> np.ndarray:
         return self._by_diagonal_compliance(np.full(self._gap.shape[1], self._integrals.unit))
 
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         return self._by_diagonal_compliance(
-            np.broadcast_to(-self._integrals.springs, self._gap.shape[1])
+            np.broadcast_to(-self._integrals.spring_compliance, self._gap.shape[1])
         )
 
 
@@ -559,9 +565,9 @@ class _SampledForces(CoupledForces):
     def by_softness(self) -> np.ndarray:
         return self._force_change(-self._integrals.unit * self._force_samples)
 
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         if self._integrals.is_piecewise:
-            return self._force_change(self._force_samples * self._integrals.springs)
+            return self._force_change(self._force_samples * self._integrals.spring_compliance)
         # d lambda = (I + h' D)^-1 lambda = lambda - S D lambda.
         return self.force - self._force_change(
             self._force_samples @ self._integrals.active_sets.compliance

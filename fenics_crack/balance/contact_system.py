@@ -114,9 +114,9 @@ class ContactSystem:
         self.residual = integrals.residual
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
-        self.basis = compliance.basis if integrals.has_coupled_pairs else None
+        self.gap_basis = compliance.gap_basis if integrals.has_coupled_pairs else None
         """U, None where it is not needed."""
-        n_step_unknowns = n_rows * (n_pairs if self.basis is None else self.basis.shape[1])
+        n_step_unknowns = n_rows * (n_pairs if self.gap_basis is None else self.gap_basis.shape[1])
         self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
         self.work = min(n_step_unknowns, MATRIX_FREE)
         """Unknowns by which the time of a step grows."""
@@ -156,7 +156,7 @@ class ContactSystem:
         """
         return CompiledEquations(
             self.residual, self._springs(self.integrals.law), linear, compliance,
-            has_coupled_pairs=self.integrals.has_coupled_pairs, basis=self.basis,
+            has_coupled_pairs=self.integrals.has_coupled_pairs, gap_basis=self.gap_basis,
             forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
 
@@ -167,8 +167,8 @@ class ContactSystem:
     @cached_property
     def dynamic_part_in_basis(self) -> np.ndarray:
         """Return R'_k = U^T (R_k - R_inf) U [m/N]."""
-        assert self.basis is not None
-        return self.basis.T @ self.dynamic_part @ self.basis
+        assert self.gap_basis is not None
+        return self.gap_basis.T @ self.dynamic_part @ self.gap_basis
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return s = g + R_inf lambda with the harmonics of the system.
@@ -242,7 +242,7 @@ class FrictionPath(ContactSystem):
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return the equations at s with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
-        integrals = replace(self.integrals, friction_factor=max(parameter, 0.0))
+        integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
         return ContactPoint(self, unknown, integrals, by_friction)
 
 
@@ -274,10 +274,10 @@ class ContactPoint(DenseLinearisation):
         """Return I + (R - R_inf) T."""
         return self.forces.identity_plus(self.system.dynamic_part)
 
-    def condense(self) -> np.ndarray:
+    def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
-        if system.basis is not None:
-            return self.forces.identity_plus(system.dynamic_part_in_basis, system.basis)
+        if system.gap_basis is not None:
+            return self.forces.identity_plus(system.dynamic_part_in_basis, system.gap_basis)
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
@@ -288,9 +288,11 @@ class ContactPoint(DenseLinearisation):
         if system.matrix_free:
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
-        if system.basis is not None:
-            response = respond(system.dynamic_part, self.forces.apply(right_side)) @ system.basis
-            return right_side - solve_factored(factors, response) @ system.basis.T
+        if system.gap_basis is not None:
+            response = (
+                respond(system.dynamic_part, self.forces.apply(right_side)) @ system.gap_basis
+            )
+            return right_side - solve_factored(factors, response) @ system.gap_basis.T
         return solve_factored(factors, right_side)
 
     @property
@@ -510,7 +512,7 @@ class CompiledEquations(Equations):
         R_k - R_inf at p = 0, or modes from which it follows.
     has_coupled_pairs : bool
         True if R_inf has more than a diagonal.
-    basis : (n_pairs, n) or None
+    gap_basis : (n_pairs, n) or None
         U, with fewer modes than coupled pairs.
     forms_jacobian : bool
         False: solutions take products with J, and its sign is nan.
@@ -530,7 +532,7 @@ class CompiledEquations(Equations):
         compliance: np.ndarray | Mapping[str, Any],
         *,
         has_coupled_pairs: bool = False,
-        basis: np.ndarray | None = None,
+        gap_basis: np.ndarray | None = None,
         forms_jacobian: bool = True,
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
@@ -541,7 +543,7 @@ class CompiledEquations(Equations):
         if isinstance(compliance, np.ndarray):
             matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
-        n_columns = n_pairs if basis is None else basis.shape[1]
+        n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
         static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
         rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         structure = Struct(
@@ -556,7 +558,7 @@ class CompiledEquations(Equations):
             spring_compliances=require_shape(springs, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,
-            basis=None if basis is None else require_shape(basis, n_pairs, n_columns),
+            basis=None if gap_basis is None else require_shape(gap_basis, n_pairs, n_columns),
         )  # fmt: skip
         self._point = attach_destructor(
             kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point
@@ -632,4 +634,4 @@ class CompiledPoint(Linearisation):
 def by_friction(point: ContactPoint) -> np.ndarray:
     """Return the derivative of F by the friction coefficient's factor."""
     assert isinstance(point.forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.forces.by_friction_factor())
+    return respond(point.system.dynamic_part, point.forces.by_friction_scale())

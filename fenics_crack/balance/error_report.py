@@ -322,7 +322,7 @@ def _penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
     """Return one coefficient per pair, whose mean square is that of max(g, 0)."""
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
-        penetration = (point.force * integrals.springs)[:, : problem.structure.n_pairs]
+        penetration = (point.force * integrals.spring_compliance)[:, : problem.structure.n_pairs]
         return np.sqrt(
             penetration[:1] ** 2 + 0.5 * np.sum(penetration[1:] ** 2, axis=0, keepdims=True)
         )

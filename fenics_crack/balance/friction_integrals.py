@@ -61,30 +61,30 @@ class FrictionIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         N; None: 32 H, or 128 if that is more.
-    friction_factor : float
+    friction_scale : float
         Factor of the law's friction coefficient.
     """
 
     samples: int | None = field(default=None, kw_only=True)
-    friction_factor: float = field(default=1.0, kw_only=True)
+    friction_scale: float = field(default=1.0, kw_only=True)
     sets: FrictionSets = field(init=False, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         friction = friction_of(self.law)
         assert self.residual is not None and friction is not None
-        coefficient = np.multiply(self.friction_factor, friction.coefficient)
+        coefficient = np.multiply(self.friction_scale, friction.coefficient)
         object.__setattr__(self, "sets", FrictionSets(self.compliance, coefficient))
 
     @cached_property
     def compliance(self) -> np.ndarray:
         """Return D = R_inf + I/k plus the series softness: (2 n_pairs, 2 n_pairs) [m/N]."""
         assert self.residual is not None
-        softness = self.springs + self.softness * self.unit
+        softness = self.spring_compliance + self.softness * self.unit
         return np.ascontiguousarray(self.residual + np.diag(softness))
 
     @cached_property
-    def springs(self) -> np.ndarray:
+    def spring_compliance(self) -> np.ndarray:
         """Return 1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
         assert self.residual is not None
         return spring_compliances(self.law, len(self.residual) // 2)
@@ -197,10 +197,10 @@ class FrictionForces(CoupledForces):
     def by_softness(self) -> np.ndarray:
         return self._force_change(-self._integrals.unit * self._force_samples)
 
-    def by_stiffness(self) -> np.ndarray:
-        return self._force_change(self._force_samples * self._integrals.springs)
+    def by_log_stiffness(self) -> np.ndarray:
+        return self._force_change(self._force_samples * self._integrals.spring_compliance)
 
-    def by_friction_factor(self) -> np.ndarray:
+    def by_friction_scale(self) -> np.ndarray:
         """Return the coefficients' derivative by the factor of the friction coefficient.
 
         With lambda = E x, f = E' x for pairs that slip, and D E x = s - h there, the derivative is

@@ -44,7 +44,7 @@ from fenics_crack.numerics.path import (
 )
 
 
-class ParentJunction(Event):
+class ReturnToParent(Event):
     """Junction of a branch with its parent branch, which has half the period.
 
     At the junction the parent branch crosses or the parameter turns back, and the motion repeats

@@ -36,7 +36,7 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import counted, in_unit
-from fenics_crack.curves.branch import ParentJunction, branch_start
+from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
     MIN_HARMONICS,
     Bifurcation,
@@ -245,7 +245,7 @@ class GrowingCurve:
         if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
-                events.insert(0, ParentJunction(system))
+                events.insert(0, ReturnToParent(system))
         options = PathOptions(
             initial_step=0.2 * longest_step,
             max_step=longest_step,

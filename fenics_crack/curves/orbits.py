@@ -99,7 +99,7 @@ class Orbits(CurveSystem):
         return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
 
     @property
-    def records(self) -> int:
+    def n_record_entries(self) -> int:
         """Number of entries in M."""
         return self.n_unknowns**2
 
@@ -107,7 +107,7 @@ class Orbits(CurveSystem):
     def points_per_call(self) -> int:
         # Monodromy matrices with 8192 entries together: matrices after a rejected step are lost,
         # and a few large matrices outweigh the time between calls.
-        return 2**13 // self.records
+        return 2**13 // self.n_record_entries
 
     def make_step_control(self, longest_step: float) -> MultiplierControl:
         return MultiplierControl(longest_step)

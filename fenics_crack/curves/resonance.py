@@ -44,7 +44,7 @@ from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import LOCATION_TOLERANCE
+from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
@@ -136,7 +136,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     ]
     drive = max(drives, key=lambda drive: abs(drive.power(contact_point).imag))
     power = drive.power(contact_point)
-    if not abs(power.imag) > LOCATION_TOLERANCE * abs(power):
+    if not abs(power.imag) > MAX_LOCATION_RESIDUAL * abs(power):
         raise InputError("load", "no damped mode answers to it", requirement)
 
     def in_phase(point: PathPoint) -> float:
@@ -166,7 +166,7 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
     system = ResonanceSystem(problem, resonance_point.drive, resonance_point.contact_point)
-    tolerance = max(LOCATION_TOLERANCE, system.rounding(0.0))
+    tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
     path_point = solve_robustly(system, system.start_unknown, 0.0, tolerance=tolerance)
     if path_point is None:
         return first_resonance(problem, problem.omega)

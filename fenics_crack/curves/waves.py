@@ -297,7 +297,7 @@ class StiffnessWaves(Waves):
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return respond(point.system.dynamic_part, point.forces.by_stiffness()) / value
+        return respond(point.system.dynamic_part, point.forces.by_log_stiffness()) / value
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(

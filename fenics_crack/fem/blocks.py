@@ -370,7 +370,7 @@ def _count_graded_elements(
 # --- a plate --------------------------------------------------------------------------------------
 
 
-def draw_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
+def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill gmsh's current model with the mesh of a scene's plate.
 
     Returns

@@ -273,9 +273,9 @@ class Station:
         Index of the crack.
     point, growth_direction : (3,) [m], (3,)
         Position, and direction of straight growth.
-    position : float [m]
+    arc_length : float [m]
         Distance along the front.
-    touching_pairs : (k,) int
+    adjacent_pairs : (k,) int
         Contact pairs whose patches touch the front within the station's hat. While all of them
         are closed, the crack is closed there.
     """
@@ -284,8 +284,8 @@ class Station:
     crack: int
     point: np.ndarray
     growth_direction: np.ndarray
-    position: float
-    touching_pairs: np.ndarray
+    arc_length: float
+    adjacent_pairs: np.ndarray
 
 
 # --- finding fronts -------------------------------------------------------------------------------
@@ -554,8 +554,8 @@ def _values_at_free_dofs(
         Values at these nodes.
     """
     local_nodes = node_numbers - nodes.mesh_dofs.first_node
-    is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_nodes)
-    own_node_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_nodes, 3))
+    is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_own_nodes)
+    own_node_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_own_nodes, 3))
     own_node_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
     return np.asarray(
         nodes.mesh_dofs.restrict_to_free(own_node_values.reshape(len(own_node_values), -1))
@@ -565,10 +565,10 @@ def _values_at_free_dofs(
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return the stations of a front."""
     pairs, is_in_hats = structure.pairs, front.hats(front.parameters)[0] > 0.0
-    touching_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
+    adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
         nearest_nodes = cKDTree(pairs.nodes).query(front.nodes)[1]
-        touching_pairs = [
+        adjacent_pairs = [
             np.unique(pairs.shares[nearest_nodes[is_in_hat]].nonzero()[1])
             for is_in_hat in is_in_hats.T
         ]
@@ -578,20 +578,20 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     arc_lengths = np.append(
         0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
     )
-    positions = np.interp(front.station_parameters, fine_parameters, arc_lengths)
+    station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
     points = front.curve(front.station_parameters, 0)
     directions = front.frame(front.station_parameters)[0][:, 0]
     return [
         Station(
-            f"{front.name} at {quantity(float(position), 'm')}",
+            f"{front.name} at {quantity(float(station_arc_length), 'm')}",
             front.crack,
             point,
             direction,
-            float(position),
+            float(station_arc_length),
             station_pairs,
         )
-        for point, direction, position, station_pairs in zip(
-            points, directions, positions, touching_pairs, strict=True
+        for point, direction, station_arc_length, station_pairs in zip(
+            points, directions, station_arc_lengths, adjacent_pairs, strict=True
         )
     ]
 

@@ -96,10 +96,10 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         if watched_vector is None:
             clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
             # Watch the node farthest from the clamp.
-            all_nodes = np.arange(dofs.n_nodes)
+            all_nodes = np.arange(dofs.n_own_nodes)
             watched_vector = _watch_node(dofs, all_nodes, clamp_center, -1, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations, 1):
-            force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
+            force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_own_nodes))
     if watched_vector is None and point is not None and not any(map(any, force_vectors)):
         watched_direction_parts = [np.eye(dofs.dimension)[0].tolist()] * 2
         _, watched_vector = _point_load(scene, dofs, "excitation", point, watched_direction_parts)
@@ -143,7 +143,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
         )
         raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
     positions = gather_rows(dofs.comm, dofs.points)
-    node_numbers = dofs.first_node + np.arange(dofs.n_nodes)
+    node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
     if len(exact_nodes := find_nodes_at(positions, point)):
         return np.where(node_numbers == exact_nodes[0], 1.0, 0.0)
     nodes, basis_values = compat.evaluate_basis(dofs.space, scene.mesh.order, np.array(point))
@@ -164,8 +164,8 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     cell_nodes = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
     cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
     cell_fractions = gather_rows(dofs.comm, basis_values)
-    is_owned = (cell_nodes >= dofs.first_node) & (cell_nodes < dofs.first_node + dofs.n_nodes)
-    fractions = np.zeros(dofs.n_nodes)
+    is_owned = (cell_nodes >= dofs.first_node) & (cell_nodes < dofs.first_node + dofs.n_own_nodes)
+    fractions = np.zeros(dofs.n_own_nodes)
     np.add.at(fractions, cell_nodes[is_owned] - dofs.first_node, cell_fractions[is_owned])
     return fractions
 
@@ -296,6 +296,6 @@ def _watch_node(
     distance = np.linalg.norm(all_points - position, axis=1)
     order = np.lexsort([*all_points.T, np.round(distance / max(distance.max(), 1e-300), 9)])
     matching_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[order_index]], axis=1)]
-    displacement = np.zeros((dofs.n_nodes, dofs.dimension))
+    displacement = np.zeros((dofs.n_own_nodes, dofs.dimension))
     displacement[matching_nodes[:1]] = direction
     return dofs.restrict_to_free(displacement.ravel())

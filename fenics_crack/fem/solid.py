@@ -52,7 +52,7 @@ MAX_CELLS = 2e6
 """Maximum number of cells of a part. gmsh makes about 1e4 in a second."""
 
 
-def draw_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
+def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill gmsh's current model with the mesh of a scene's solid.
 
     Returns

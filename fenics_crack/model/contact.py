@@ -514,7 +514,7 @@ def is_regular(matrix: np.ndarray) -> bool:
     )
 
 
-class ActiveSets:
+class ActiveSetSolver:
     """Contact at instants under a compliance D; inverses on closed sets are kept.
 
     Attributes
@@ -611,7 +611,9 @@ def solve_complementarity(
         There is no solution, or none was found.
     """
     guess = None if is_closed is None else np.array(is_closed)[None]
-    return np.asarray(ActiveSets(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0])
+    return np.asarray(
+        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0]
+    )
 
 
 def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
@@ -671,7 +673,7 @@ def smooth_forces(
         As :func:`solve_forces`.
     """
     spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
-    guess = ActiveSets(compliance + np.diag(spring_compliance)).solve(gap)[0]
+    guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
     force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
     slope = law.tangent(gap - force @ compliance)
     jacobian = np.eye(gap.shape[1]) + compliance * slope[:, None, :]

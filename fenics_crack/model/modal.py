@@ -30,7 +30,7 @@ from fenics_crack.model.modes import (
     damping_on_modes,
     solve_modes,
 )
-from fenics_crack.model.reduced import MasslessInterface
+from fenics_crack.model.reduced import QuasiStaticReduction
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MACHINE_EPSILON
 
@@ -90,7 +90,7 @@ class AllModes:
         """True if rounding of the highest modes may spoil the lowest ones."""
         return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
-    def receptance(
+    def modal_receptances(
         self, omega: np.ndarray, factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
         """Return the receptance H at some frequencies.
@@ -320,8 +320,8 @@ def all_modes(structure: Structure) -> AllModes:
 
 def _compute_all_modes(structure: Structure) -> AllModes:
     """Compute all modes of a small structure."""
-    if isinstance(structure, MasslessInterface):
-        return _massless_interface_modes(structure)
+    if isinstance(structure, QuasiStaticReduction):
+        return _quasi_static_reduction_modes(structure)
     damping_modes = damped_modes(structure)
     if damping_modes is not None and len(damping_modes.omega) == structure.n_dofs:
         squares, shapes, damping = damping_modes.omega**2, damping_modes.shapes, damping_modes.rate
@@ -337,7 +337,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
     return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, is_unconstrained)
 
 
-def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
+def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
     gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     flexibility_factor = structure.static_root

@@ -168,7 +168,7 @@ class ReducedStructure(Structure):
         return super()._with_changes(**({"nodes": None} | changes))
 
 
-class MasslessInterface(ReducedStructure):
+class QuasiStaticReduction(ReducedStructure):
     """Modes with mass, and a quasi-static truncated part.
 
     Base of :class:`MasslessStructure` and :class:`fenics_crack.model.rotation.RunUpStructure`.
@@ -222,7 +222,7 @@ class MasslessBody(ReducedBody):
     root: np.ndarray
 
 
-class MasslessStructure(MasslessInterface):
+class MasslessStructure(QuasiStaticReduction):
     """Modes with free crack faces, and a massless truncated part.
 
         u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T

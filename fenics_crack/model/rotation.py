@@ -40,7 +40,7 @@ from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
 from fenics_crack.model.matrices import read_only_array, read_only_rows
 from fenics_crack.model.modes import ZERO_TOLERANCE, Modes, independent_part, multiply, solve_modes
 from fenics_crack.model.nodes import body_property
-from fenics_crack.model.reduced import MasslessInterface, ReducedBody
+from fenics_crack.model.reduced import QuasiStaticReduction, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, shared_property
 
@@ -357,7 +357,7 @@ class RunUpBody(ReducedBody):
     dense_stiffness: np.ndarray
 
 
-class RunUpStructure(MasslessInterface):
+class RunUpStructure(QuasiStaticReduction):
     """A rotating structure at one speed, in coordinates for all speeds.
 
     The lowest modes have mass. The truncated part is quasi-static, as in

@@ -365,7 +365,7 @@ class ExtraRows(NamedTuple):
     read_numbers: Callable[[Record], dict[str, float]]
 
 
-class Displacement(NamedTuple):
+class ObservedDisplacement(NamedTuple):
     """An observed displacement.
 
     Attributes
@@ -425,14 +425,14 @@ class ObservedMotion:
 
     def observe(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
-    ) -> tuple[list[Displacement], dict[str, Any]]:
+    ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe displacements of dofs and numbers at places (collective).
 
         The motion is formed once for everything new.
 
         Returns
         -------
-        displacements : list of Displacement
+        displacements : list of ObservedDisplacement
             One for each dof.
         numbers : dict
             Numbers at all places by name.
@@ -450,7 +450,7 @@ class ObservedMotion:
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
-    ) -> tuple[list[Displacement], dict[str, Any]]:
+    ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe products of rows and numbers at places in one pass (collective).
 
         Parameters
@@ -461,7 +461,7 @@ class ObservedMotion:
 
         Returns
         -------
-        displacements : list of Displacement
+        displacements : list of ObservedDisplacement
             One for each row.
         numbers : dict
             Numbers at all places by name.
@@ -484,7 +484,7 @@ class ObservedMotion:
             for place, row_range in zip(places, pairwise(row_ends), strict=True):
                 numbers[-1] |= place.read_numbers(full_record.select_rows(slice(*row_range)))
         displacements = [
-            Displacement(
+            ObservedDisplacement(
                 Indicators(**self._gather_numbers(row_numbers)),
                 self._gather(list(row_coefficients)),
             )
@@ -507,7 +507,7 @@ class ObservedMotion:
         return record_value
 
     @cached_property
-    def _observed_displacements(self) -> dict[int, Displacement]:
+    def _observed_displacements(self) -> dict[int, ObservedDisplacement]:
         """Return the displacements observed so far, by dof."""
         return {}
 

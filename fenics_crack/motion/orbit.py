@@ -48,7 +48,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
-    LOCATION_TOLERANCE,
+    MAX_LOCATION_RESIDUAL,
     ROOT_TOLERANCE,
     factorise,
     solve_factored,
@@ -611,7 +611,7 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     inverse: Inverse | None = None,
-    step_tolerance: float = LOCATION_TOLERANCE,
+    step_tolerance: float = MAX_LOCATION_RESIDUAL,
     failure_reasons: list[str] | None = None,
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.

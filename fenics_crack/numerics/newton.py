@@ -307,14 +307,14 @@ class Tangent:
         t_x and t_p.
     weight : float
         w.
-    mean_weight : float
+    time_mean_weight : float
         Factor of the squares of means over time within |x|^2.
     """
 
     x: np.ndarray
     p: float
     weight: float
-    mean_weight: float = 1.0
+    time_mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
         """Return the opposite tangent."""
@@ -322,12 +322,12 @@ class Tangent:
 
     def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y> in the norm of the tangent."""
-        if self.mean_weight == 1.0:
+        if self.time_mean_weight == 1.0:
             return self.weight * float(np.vdot(vector, other_vector))
         x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
         oscillation_product = float(x[n_means:] @ y[n_means:])
         return self.weight * (
-            oscillation_product + self.mean_weight * float(x[:n_means] @ y[:n_means])
+            oscillation_product + self.time_mean_weight * float(x[:n_means] @ y[:n_means])
         )
 
     def cosine_to(self, reference: Tangent, system: System) -> float:
@@ -414,7 +414,7 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     -------
     weight : float
         w = 1 / |x|^2.
-    mean_weight : float
+    time_mean_weight : float
         Factor of the squares of means.
     """
     mean_unknowns = unknown.ravel()[: means_of(system)]
@@ -423,8 +423,8 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     # Equations are solved to a fraction of this size: it must exceed the rounding of the means.
     oscillation_square = max(total_square - mean_square, MACHINE_EPSILON**0.5 * total_square)
     size_squared = motion_square(oscillation_square, mean_square)
-    mean_weight = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
-    return 1.0 / size_squared, mean_weight
+    time_mean_weight = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
+    return 1.0 / size_squared, time_mean_weight
 
 
 def tangent_of(
@@ -497,7 +497,7 @@ def solve_in_plane(
     n_iterations, border = np.zeros(1, np.intc), NULL
     if plane is not None:
         normal = require_shape(plane.x, *equations.shape)
-        norm = Struct("norm", weight=plane.weight, mean_weight=plane.mean_weight)
+        norm = Struct("norm", weight=plane.weight, time_mean_weight=plane.time_mean_weight)
         border = Struct("plane", normal=normal, slope=plane.p, metric=norm).address
     min_damping = -1.0 if least_damping is None else least_damping
     options = correction_struct(tolerance, reach, iterations, min_damping, stall)

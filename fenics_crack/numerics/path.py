@@ -44,8 +44,8 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import (
-    LOCATION_TOLERANCE,
     MACHINE_EPSILON,
+    MAX_LOCATION_RESIDUAL,
     ROUNDING,
     Linearisation,
     System,
@@ -124,7 +124,7 @@ class PathSegment(Sequence[PathPoint]):
     ----------
     unknowns, tangents : (n, *shape)
         x, and t_x of the tangent.
-    parameters, slopes, weights, mean_weights, lengths : (n,)
+    parameters, slopes, weights, time_mean_weights, lengths : (n,)
         p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
     crossings : (n,) int
@@ -145,7 +145,7 @@ class PathSegment(Sequence[PathPoint]):
             self.records = np.zeros((capacity, n_record_entries))
         self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
         self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
-        self.weights, self.mean_weights = np.zeros((2, capacity))
+        self.weights, self.time_mean_weights = np.zeros((2, capacity))
         self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
         self.located_events: list[tuple[Event, PathPoint]] = []
         for index, point in enumerate(start_points):
@@ -155,9 +155,9 @@ class PathSegment(Sequence[PathPoint]):
         """Overwrite a point."""
         self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
         self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
-        self.weights[index], self.mean_weights[index] = (
+        self.weights[index], self.time_mean_weights[index] = (
             point.tangent.weight,
-            point.tangent.mean_weight,
+            point.tangent.time_mean_weight,
         )
         self.lengths[index] = point.length
         if "records" in vars(self) and point.record is not None:
@@ -193,7 +193,7 @@ class PathSegment(Sequence[PathPoint]):
                 {name: array[index] for name, array in arrays.items()}, located_events=[]
             )
             return segment
-        norm_weights = float(self.weights[index]), float(self.mean_weights[index])
+        norm_weights = float(self.weights[index]), float(self.time_mean_weights[index])
         tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
         return PathPoint(
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
@@ -498,7 +498,7 @@ class Path:
     options : PathOptions
     events : sequence of Event
     control : StepControl, optional
-        Needs ``records`` and ``observe`` of the system.
+        Needs ``n_record_entries`` and ``observe`` of the system.
 
     Attributes
     ----------
@@ -584,7 +584,7 @@ class Path:
         first_index = 1
         for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
             ends = segment[index], segment[index + 1]
-            tolerance = max(LOCATION_TOLERANCE, self._rounding_at(ends[1]))
+            tolerance = max(MAX_LOCATION_RESIDUAL, self._rounding_at(ends[1]))
             part = segment[first_index : index + 2]
             for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
                 location = event.locate(self._system, ends, tolerance) if is_candidate else None
@@ -703,7 +703,7 @@ class Path:
             n_remaining, self._points_per_call if self._equations.follows_many_points else 1
         )
         n_record_entries = (
-            0 if self._control is None else int(self._equations.function_table.records)
+            0 if self._control is None else int(self._equations.function_table.n_record_entries)
         )
         segment = PathSegment(start_points, len(start_points) + n_points, n_record_entries)
         path_struct = segment.struct(

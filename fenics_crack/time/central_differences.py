@@ -45,7 +45,7 @@ from fenics_crack.basics.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import Struct, kernel, pointer
 from fenics_crack.model.contact import (
-    ActiveSets,
+    ActiveSetSolver,
     ContactLaw,
     FrictionSets,
     add_friction_pairs,
@@ -188,7 +188,7 @@ class _ContactEnergy:
 
     def __init__(self, request: March, energy: float) -> None:
         self._request, self._created_energy, self._energy_input = request, 0.0, energy
-        pairs, rows = request.n_rows, len(request.load_rows)
+        pairs, rows = request.n_rows, len(request.loaded_dofs)
         widths = rows, pairs, pairs, rows
         self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
 
@@ -293,7 +293,7 @@ class _ModalDifferences(Scheme):
         self._kernel_data = Struct(
             "central_differences", vibration=body,
             keep=2.0 * inverse - identity, gain=dt**2 * inverse, push=contiguous(force_step.T),
-            contact=ActiveSets(modes.pairs.T @ force_step).handle if request.rigid else None,
+            contact=ActiveSetSolver(modes.pairs.T @ force_step).handle if request.rigid else None,
             displacements=self._shape, increment=self._increment, closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
@@ -335,7 +335,7 @@ class _ModalDifferences(Scheme):
                     f"contact: no forces of step {first_step + n_made} were found"
                 )
             window.motion[steps] = shape @ modes.shapes[request.recorded_dofs].T
-            window.load_motion[steps] = shape @ modes.shapes[request.load_rows].T
+            window.load_motion[steps] = shape @ modes.shapes[request.loaded_dofs].T
         self.book(*self._energy.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
@@ -365,7 +365,7 @@ class _CentralDifferences(Scheme):
         self.structure, dt = request.structure, request.step_size
         structure = self.structure
         self.contact, self.rigid, self.step_size = request.contact, request.rigid, dt
-        self.load, self.load_rows = request.load, request.load_rows
+        self.load, self.loaded_dofs = request.load, request.loaded_dofs
         self.force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
         contact_structure = add_friction_pairs(request.contact, structure)
@@ -410,7 +410,7 @@ class _CentralDifferences(Scheme):
             displacement = self.displacement
             self.advance(step)
             window.gap[step], window.force[step] = self.gap, self.force
-            window.load_motion[step] = displacement[self.load_rows]
+            window.load_motion[step] = displacement[self.loaded_dofs]
             window.motion[step] = displacement[self._columns]
         self.book(*self._energy.add_period(window))
 
@@ -439,7 +439,7 @@ class _CentralDifferences(Scheme):
         """
         self.gap = self._gap_of(self.displacement)
         pull = -self._apply(self.structure.stiffness.mult, self.displacement)
-        pull[self.load_rows] += self.load[step]
+        pull[self.loaded_dofs] += self.load[step]
         if not self.rigid:
             self.force = self._forces(self.gap)
             pull[self._gap_rows] -= self._gap_block @ self.force

@@ -41,7 +41,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, require_shape
-from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
+from fenics_crack.model.contact import ActiveSetSolver, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow
@@ -154,8 +154,8 @@ def _load_motion_weights(request: March) -> np.ndarray:
     Coordinates of massless crack faces are no displacements; the load's work on them counts.
     """
     if not request.structure.light_lips:
-        return np.ones(len(request.load_rows))
-    return np.asarray(np.linalg.norm(request.structure.force[:, request.load_rows], axis=0))
+        return np.ones(len(request.loaded_dofs))
+    return np.asarray(np.linalg.norm(request.structure.force[:, request.loaded_dofs], axis=0))
 
 
 def _displacement_and_velocity(
@@ -189,7 +189,9 @@ class _ByEvents(Scheme):
         self._motion = displacement[-1]
         window.gap[:], window.force[:] = samples.gaps[:-1], samples.forces[:-1]
         window.motion[:] = displacement[:-1, request.recorded_dofs]
-        window.load_motion[:] = displacement[:-1, request.load_rows] * _load_motion_weights(request)
+        window.load_motion[:] = displacement[:-1, request.loaded_dofs] * _load_motion_weights(
+            request
+        )
 
     def state(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._motion, self._state)
@@ -231,8 +233,8 @@ class ExponentialFlow(Flow):
         compliance = self.compliance + gap_response
         set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
-            self._initial_sets = ActiveSets(self.compliance)
-            set_members = {"contact": ActiveSets(compliance).handle}
+            self._initial_sets = ActiveSetSolver(self.compliance)
+            set_members = {"contact": ActiveSetSolver(compliance).handle}
         else:
             self._initial_friction = FrictionSets(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
@@ -345,7 +347,7 @@ class _ByExponentials(Scheme):
         states, forces = steps.states, steps.forces
         window.gap[:], window.force[:] = steps.gaps[:-1], forces[:-1]
         window.motion[:] = flow.coordinates(states[:-1], forces[:-1], request.recorded_dofs)
-        load_motion = flow.coordinates(states, forces, request.load_rows)
+        load_motion = flow.coordinates(states, forces, request.loaded_dofs)
         window.load_motion[:] = load_motion[:-1] * _load_motion_weights(request)
         if number == 0:
             self._energy_input = self._energy(steps, 0)

@@ -157,7 +157,7 @@ class March:
         return requested_dofs[(requested_dofs >= first_dof) & (requested_dofs < end_dof)]
 
     @cached_property
-    def load_rows(self) -> np.ndarray:
+    def loaded_dofs(self) -> np.ndarray:
         """Local dofs of this rank under load: (n_loaded,)."""
         return np.flatnonzero(np.any(self.structure.force, axis=0))
 
@@ -170,7 +170,7 @@ class March:
     @cached_property
     def load(self) -> np.ndarray:
         """Load on the loaded dofs at the N instants of a period: (N, n_loaded) [N]."""
-        return np.asarray(self.waves @ self.structure.force[:, self.load_rows])
+        return np.asarray(self.waves @ self.structure.force[:, self.loaded_dofs])
 
     @property
     def n_rows(self) -> int:
@@ -328,12 +328,14 @@ class TimeHistory(ObservedMotion, Tabular):
             return self.structure.values_at(self.recorded, dofs)
         dof_numbers = self.structure.check_dofs(dofs)
         selection = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
-        n_records = self.structure.sum_over_ranks(
+        n_recording_ranks = self.structure.sum_over_ranks(
             selection.sum(axis=0)
         )  # a dof may be recorded twice
-        if not n_records.all():
-            raise InputError("dofs", dof_numbers[n_records == 0.0].tolist(), "among those recorded")
-        return self.structure.sum_over_ranks(self.recorded @ (selection / n_records))
+        if not n_recording_ranks.all():
+            raise InputError(
+                "dofs", dof_numbers[n_recording_ranks == 0.0].tolist(), "among those recorded"
+            )
+        return self.structure.sum_over_ranks(self.recorded @ (selection / n_recording_ranks))
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield the recorded products of the displacement with rows (m, n_local) (collective).
@@ -415,7 +417,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     widths = request.n_rows, request.n_rows, len(request.recorded_dofs)
     records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
     gap, force, motion = records
-    load_motion = np.empty((steps, len(request.load_rows)))
+    load_motion = np.empty((steps, len(request.loaded_dofs)))
     n_periods = 0
     previous: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0

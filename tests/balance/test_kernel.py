@@ -45,7 +45,7 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.balance.contact_system import CompiledEquations
 from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
-from fenics_crack.model.contact import ActiveSets, solve_complementarity
+from fenics_crack.model.contact import ActiveSetSolver, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING, Linearisation, System
 from fenics_crack.numerics.fourier import evaluate, sample_period, to_complex
 from fenics_crack.numerics.newton import (
@@ -126,7 +126,7 @@ class Intervals:
         return found / (2.0 * np.pi)
 
 
-def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
+def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
     """The intervals of waves s with coefficients (2H+1, n_pairs).
 
     Raises ConvergenceError where an instant has no forces.
@@ -181,7 +181,7 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
     assert np.abs(force * opening).max() <= 1e-9 * np.abs(gap).max() * max(1.0, force.max())
 
 
-TWO = ActiveSets(np.eye(2))
+TWO = ActiveSetSolver(np.eye(2))
 BEHIND = CoupledIntegrals(fc.UnilateralPenalty(1.0), 1, residual=np.eye(2))
 SYSTEM = CompiledEquations(None, np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
 WRONG = {
@@ -197,7 +197,7 @@ WRONG = {
     "intervals, other pairs": lambda: contact_intervals(np.ones((3, 5)), TWO),
     "coupled forces, other harmonics": lambda: BEHIND.linearise(np.ones((5, 2))),
     "coupled forces, another change": lambda: BEHIND.linearise(np.ones((3, 2))).apply(np.ones(6)),
-    "sets, a compliance not square": lambda: ActiveSets(np.ones((3, 2))),
+    "sets, a compliance not square": lambda: ActiveSetSolver(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
     "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
@@ -245,9 +245,9 @@ def test_shapes_that_fit_are_not_copied() -> None:
 # --- when which pairs are closed ------------------------------------------------------------------
 
 
-def coupled_sets(pairs: int, seed: int = 1) -> ActiveSets:
+def coupled_sets(pairs: int, seed: int = 1) -> ActiveSetSolver:
     """Of a random compliance that couples all pairs."""
-    return ActiveSets(np.linalg.inv(random_stiffness(np.random.default_rng(seed), pairs)))
+    return ActiveSetSolver(np.linalg.inv(random_stiffness(np.random.default_rng(seed), pairs)))
 
 
 def closed_at(intervals: Intervals, theta: np.ndarray) -> np.ndarray:
@@ -298,7 +298,7 @@ def test_stiffness_follows_from_its_changes(pairs: int, harmonics: int, seed: in
     random = np.random.default_rng(seed)
     gap = random.normal(size=(2 * harmonics + 1, pairs))
     compliance = np.linalg.inv(random_stiffness(random, pairs))
-    intervals = contact_intervals(gap, ActiveSets(compliance))
+    intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     found = intervals.stiffness.copy()
     changes = zip(intervals.gains, intervals.vectors, strict=True)
     for closed, change in zip(intervals.closed, [*changes, None], strict=True):
@@ -316,7 +316,7 @@ def test_a_compliance_close_to_singular(stiffness: float) -> None:
     place = np.linspace(0.0, 3.0, 40)
     compliance = np.exp(-((place[:, None] - place) ** 2)) + np.eye(40) / stiffness
     gap = random_gaps(6, 40, 1)
-    intervals = contact_intervals(gap, ActiveSets(compliance))
+    intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 200)
     values = evaluate(gap, 1.0, theta)
     for value, closed in zip(values, closed_at(intervals, theta), strict=True):
@@ -331,7 +331,7 @@ def test_events_of_one_pair_are_its_zeros() -> None:
     """The instants of the search for pairs that nothing couples."""
     for seed in range(5):
         gap = random_gaps(8, 1, seed)
-        intervals = contact_intervals(gap, ActiveSets(np.full((1, 1), 0.3)))
+        intervals = contact_intervals(gap, ActiveSetSolver(np.full((1, 1), 0.3)))
         switching = switching_instants(to_complex(gap))
         expected = np.sort(np.mod(switching.theta, 2.0 * np.pi))
         assert np.allclose(intervals.theta[1:], expected, rtol=0.0, atol=1e-11)
@@ -349,7 +349,7 @@ def test_contact_that_comes_and_goes_in_a_cell(depth: float) -> None:
         width = phase[1] - phase[0]
         bend = (wave[top - 1] - 2.0 * wave[top] + wave[(top + 1) % len(wave)]) / width**2
         long = 2.0 * np.sqrt(2.0 * depth / -bend)
-        contact = ActiveSets(np.eye(1))
+        contact = ActiveSetSolver(np.eye(1))
         found = closed_for(contact_intervals(gap, contact))
         assert found == pytest.approx(long, rel=0.2 if depth > 1e-4 else 0.02)
         missing = contact_intervals(-gap, contact)
@@ -362,11 +362,11 @@ def test_pairs_that_open_and_close_together() -> None:
     """Equal waves on equal pairs, in pairs that differ by rounding: their events coincide."""
     one = random_gaps(6, 1, 3)
     compliance = 2.0 * np.eye(4) + 0.5
-    together = ActiveSets(np.array([[compliance.sum(axis=1)[0]]]))
+    together = ActiveSetSolver(np.array([[compliance.sum(axis=1)[0]]]))
     alone = contact_intervals(one, together)
     for noise in (0.0, 1e-16, 1e-13):
         gap = np.tile(one, 4) * (1.0 + noise * np.arange(4))
-        intervals = contact_intervals(gap, ActiveSets(compliance))
+        intervals = contact_intervals(gap, ActiveSetSolver(compliance))
         for pair in range(4):
             assert closed_for(intervals, pair) == pytest.approx(closed_for(alone), abs=1e-9)
         theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 500)
@@ -381,7 +381,7 @@ def test_events_at_the_ends_of_cells(wave: str, harmonics: int) -> None:
     gap = np.zeros((2 * harmonics + 1, 2))
     row = {"sine": [2, 2], "cosine": [1, 1], "both": [1, 2]}[wave]
     gap[row[0], 0], gap[row[1], 1] = 1.0, -1.0
-    contact = ActiveSets(np.diag([1.0, 3.0]))
+    contact = ActiveSetSolver(np.diag([1.0, 3.0]))
     for sign in (1.0, -1.0):
         intervals = contact_intervals(sign * gap, contact)
         assert closed_for(intervals, 0) == pytest.approx(np.pi, abs=1e-12)
@@ -397,7 +397,7 @@ def test_always_open_and_always_closed() -> None:
     for mean, closed in ((-100.0, False), (100.0, True)):
         gap[0] = mean
         compliance = np.eye(3) + 0.1
-        intervals = contact_intervals(gap, ActiveSets(compliance))
+        intervals = contact_intervals(gap, ActiveSetSolver(compliance))
         assert len(intervals.theta) == 1 and np.all(intervals.closed == closed)
         assert np.allclose(means_of(intervals, 8), np.eye(9)[0], rtol=0.0, atol=1e-14)
 
