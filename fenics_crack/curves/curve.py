@@ -541,8 +541,10 @@ class ResponseCurve(ObservedMotion, Tabular):
             verdict = floquet(solution.structure, solution).verdict
         else:
             verdict = str(self.verdicts[top.index])
-        error = solution.report.displacement
-        return Peak(**vars(top), omega=omega, error=error, verdict=verdict, damping=damping)
+        displacement_error = solution.report.displacement
+        return Peak(
+            **vars(top), omega=omega, error=displacement_error, verdict=verdict, damping=damping
+        )
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:

@@ -34,7 +34,7 @@ from fenics_crack.curves.curve import ResponseCurve, leading_multiplier
 from fenics_crack.curves.orbit_events import (
     count_changes,
     leading_multipliers,
-    pair_modulus_excess,
+    multiplier_pair_excess,
     period_doubling_function,
 )
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
@@ -143,10 +143,10 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
         kind = ("period_doubling", "neimark_sacker")[kind_index]
         multiplier_pair_counts = multipliers_and_counts[index : index + 2, -1]
         multiplier_pair_index = int(multiplier_pair_counts.real.max()) - 1
-        pair_test_function = partial(
-            pair_modulus_excess, multiplier_pair_index=multiplier_pair_index
+        multiplier_pair_test = partial(
+            multiplier_pair_excess, multiplier_pair_index=multiplier_pair_index
         )
-        test_function = pair_test_function if kind_index else period_doubling_function
+        test_function = multiplier_pair_test if kind_index else period_doubling_function
         bifurcation_location = _locate_bifurcation(curve, index, test_function)
         bifurcations.append(curve.bifurcation(kind, *bifurcation_location))
     bifurcations.sort(key=curve.nearest)

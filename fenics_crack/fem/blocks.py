@@ -552,8 +552,8 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
     points = (start, end) if center is None else (start, center, end)
     curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
     if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
-        n_nodes, ratio = interval.n_elements + 1, interval.length_ratio
-        gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes, "Progression", ratio)
+        n_nodes_on_curve, ratio = interval.n_elements + 1, interval.length_ratio
+        gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes_on_curve, "Progression", ratio)
     return curve
 
 

@@ -89,7 +89,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
         crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
-        length = float(crack.corner_positions[-1])
+        length = float(crack.corner_arc_lengths[-1])
         tip_ends = [("crack tip" if crack.has_mouth else "right crack tip", crack.points, length)]
         if not crack.has_mouth:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
@@ -339,8 +339,8 @@ def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndar
 
     The intervals between ``ends`` are integrated with xi^2 = r.
     """
-    roots = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
+    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
     gauss_points, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
-    half_widths = 0.5 * np.diff(roots)[:, None]
-    xi = roots[:-1, None] + half_widths * (1.0 + gauss_points)
+    half_widths = 0.5 * np.diff(sqrt_ends)[:, None]
+    xi = sqrt_ends[:-1, None] + half_widths * (1.0 + gauss_points)
     return (xi**2).ravel(), (2.0 * half_widths * weights).ravel()

@@ -429,21 +429,24 @@ class _TwinNodes:
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
-        n_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
+        n_model_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
         self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
-        node_of_row = np.full(self.n_dofs, n_nodes)
+        node_of_row = np.full(self.n_dofs, n_model_nodes)
         node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
         entries = stiffness.tocoo()
         node_links = node_of_row[entries.row].astype(np.int64), node_of_row[entries.col]
         graph = np.ones(len(entries.data), bool), node_links
-        self.connectivity = sparse.csr_matrix(graph, (n_nodes + 1, n_nodes + 1))[:n_nodes, :n_nodes]
+        self.connectivity = sparse.csr_matrix(graph, (n_model_nodes + 1, n_model_nodes + 1))[
+            :n_model_nodes, :n_model_nodes
+        ]
         is_free = np.any(dofs >= 0, axis=1)
         is_pair = is_free[node_pairs].all(axis=1) & ~np.isin(
-            n_nodes * node_pairs[:, 0] + node_pairs[:, 1], n_nodes * node_links[0] + node_links[1]
+            n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
+            n_model_nodes * node_links[0] + node_links[1],
         )
-        self.place_labels = np.arange(n_nodes)
+        self.place_labels = np.arange(n_model_nodes)
         self.place_labels[node_pairs[:, 1]] = node_pairs[:, 0]
-        self.has_held_twin = np.zeros(n_nodes, dtype=bool)
+        self.has_held_twin = np.zeros(n_model_nodes, dtype=bool)
         self.has_held_twin[node_pairs[is_free[node_pairs[:, 0]] != is_free[node_pairs[:, 1]]]] = (
             True
         )
@@ -466,7 +469,7 @@ class _TwinNodes:
             raise InputError(
                 "model", problem, "one with two nodes at each place of a crack's faces"
             )
-        self.pair_index = np.full(n_nodes, -1)
+        self.pair_index = np.full(n_model_nodes, -1)
         self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
             len(self.first_nodes)
         )
@@ -511,20 +514,20 @@ def find_pairs(
         areas, pair_index = None, np.arange(len(twins.first_nodes))
     points = model.points[twins.first_nodes[pair_index]]
     crack_index = _number_cracks(twins, pair_index)
-    positions = np.zeros(len(pair_index))
+    front_distances = np.zeros(len(pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
 
-        positions = cKDTree(model.points[front_nodes]).query(points)[0]
-    order = np.lexsort((positions, crack_index))
-    crack_index, positions = crack_index[order], positions[order]
+        front_distances = cKDTree(model.points[front_nodes]).query(points)[0]
+    order = np.lexsort((front_distances, crack_index))
+    crack_index, front_distances = crack_index[order], front_distances[order]
     mouth_pairs = np.flatnonzero(np.append(np.diff(crack_index), 1))
     names = [
         f"the mouth of crack {number + 1}" if len(mouth_pairs) > 1 else "the mouth"
         for number in crack_index[mouth_pairs]
     ]
     pairs = Pairs(
-        points[order], None if areas is None else areas[order], crack_index, positions,
+        points[order], None if areas is None else areas[order], crack_index, front_distances,
         dict(zip(names, mouth_pairs.tolist(), strict=True)),
     )  # fmt: skip
     return gap[:, order], pairs

@@ -279,8 +279,8 @@ def _select_named_groups(
             is_right_kind = kind == kinds[dimension] and np.isin(nodes, used_numbers).all()
             requirement = "one whose named groups hold facets, and corners, of its cells"
             require(is_right_kind, f"other elements in the group {name!r}", requirement)
-            n_nodes = gmsh.model.mesh.getElementProperties(kind)[3]
-            rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes)
+            n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
+            rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
             rows_by_group.setdefault((dimension, name), []).append(rows)
     merged_rows = {key: np.concatenate(rows) for key, rows in rows_by_group.items()}
     n_load_points = len(merged_rows.get((0, "load"), [0]))
@@ -658,9 +658,9 @@ def _are_in_cells(
 
 def _reference_nodes(kind: int) -> np.ndarray:
     """Return the nodes of a reference cell, by gmsh's kind: (n_nodes, 3)."""
-    _, dimension, _, n_nodes, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
-    positions = np.zeros((n_nodes, 3))
-    positions[:, :dimension] = np.reshape(coordinates, (n_nodes, dimension))
+    _, dimension, _, n_nodes_per_cell, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
+    positions = np.zeros((n_nodes_per_cell, 3))
+    positions[:, :dimension] = np.reshape(coordinates, (n_nodes_per_cell, dimension))
     return positions
 
 

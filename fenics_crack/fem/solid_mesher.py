@@ -151,10 +151,10 @@ def _face_triangles(tag: int) -> np.ndarray:
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))
-    n_nodes = gmsh.model.mesh.getElementProperties(kinds[0])[3]
+    n_nodes_per_element = gmsh.model.mesh.getElementProperties(kinds[0])[3]
     numbers, positions, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(numbers)
-    corner_numbers = nodes[0].reshape(-1, n_nodes)[:, :3]
+    corner_numbers = nodes[0].reshape(-1, n_nodes_per_element)[:, :3]
     node_index = order[np.searchsorted(numbers, corner_numbers, sorter=order)]
     return positions.reshape(-1, 3)[node_index]
 

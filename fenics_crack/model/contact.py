@@ -626,13 +626,15 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     symmetric_part = 0.5 * (matrix + matrix.T)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric_part), np.finfo(float).tiny))
     eigenvalues, eigenvectors = np.linalg.eigh(scale[:, None] * symmetric_part * scale)
-    root = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
+    sqrt_eigenvalues = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
     tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
     for _ in range(MAX_NEWTON_SMOOTH):
-        target = (eigenvectors.T @ (scale * (gap - (matrix - symmetric_part) @ force))) / root
+        target = (
+            eigenvectors.T @ (scale * (gap - (matrix - symmetric_part) @ force))
+        ) / sqrt_eigenvalues
         try:
-            force = scale * scipy.optimize.nnls((eigenvectors * root).T, target)[0]
+            force = scale * scipy.optimize.nnls((eigenvectors * sqrt_eigenvalues).T, target)[0]
         except RuntimeError:
             break
         opening = matrix @ force - gap

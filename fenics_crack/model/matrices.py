@@ -776,10 +776,10 @@ def _assemble_load(forces: Mapping[str, Any], n: int) -> np.ndarray:
         _read_load_columns(key, part, n, max_columns.get(key, MOST_HARMONICS))
         for key, part in forces.items()
     ]
-    force = np.zeros((2 * max(map(len, parts)) + 1, n))
+    load_coefficients = np.zeros((2 * max(map(len, parts)) + 1, n))
     for first_row, part in enumerate(parts):
-        force[first_row::2][: len(part)] = part
-    return force
+        load_coefficients[first_row::2][: len(part)] = part
+    return load_coefficients
 
 
 def _read_load_columns(name: str, data: Any, n: int, max_columns: int = 1) -> np.ndarray:
@@ -797,13 +797,13 @@ def _read_load_columns(name: str, data: Any, n: int, max_columns: int = 1) -> np
 
 
 def add_harmonics(
-    force: np.ndarray, harmonics: Mapping[int, tuple[Any, Any]], mass: Any
+    load_coefficients: np.ndarray, harmonics: Mapping[int, tuple[Any, Any]], mass: Any
 ) -> np.ndarray:
     """Add harmonics to a load, on the rows of this rank.
 
     Parameters
     ----------
-    force : (2K+1, n_local) [N]
+    load_coefficients : (2K+1, n_local) [N]
     harmonics : dict of int to (cosine, sine)
         By their orders; each part is (n,) [N] or None.
 
@@ -817,15 +817,17 @@ def add_harmonics(
         raise InputError("harmonics", harmonics, "cosine and sine part by the order")
     for order in harmonics:
         check_count("order in harmonics", order, 1, MOST_HARMONICS)
-    new_force = resize_harmonics(force, max([len(force) // 2, *harmonics]))
+    new_coefficients = resize_harmonics(
+        load_coefficients, max([len(load_coefficients) // 2, *harmonics])
+    )
     for order, cosine_and_sine in harmonics.items():
         name = f"harmonics[{order}]"
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
             raise InputError(name, cosine_and_sine, "(cosine, sine), each (n,) or None")
-        new_force[2 * order - 1 : 2 * order + 1] += [
+        new_coefficients[2 * order - 1 : 2 * order + 1] += [
             _read_load_columns(name, part, n)[0, own_rows] for part in cosine_and_sine
         ]
-    return new_force
+    return new_coefficients
 
 
 def lump_mass(mass: Any) -> Any:

@@ -192,15 +192,15 @@ def sources_of(structure: Structure) -> sparse.csr_matrix:
     return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
 
 
-def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.ndarray:
+def loaded_parts(structure: Structure, load_coefficients: np.ndarray | None = None) -> np.ndarray:
     """Return True for nonzero parts of a load, by default the structure's (collective).
 
     Returns
     -------
     (2K+1,) bool
     """
-    force = structure.force if force is None else force
-    return np.asarray(structure.sum_over_ranks((force**2).sum(axis=1)) > 0.0)
+    load_coefficients = structure.force if load_coefficients is None else load_coefficients
+    return np.asarray(structure.sum_over_ranks((load_coefficients**2).sum(axis=1)) > 0.0)
 
 
 def _extend_receptance(
@@ -330,9 +330,9 @@ def _add_rows(
         stiffness_factor = factor or Factor(structure.stiffness, definite=True)
         with nullcontext(stiffness_factor) if factor else stiffness_factor as open_factor:
             residual_parts = flexibility.project(open_factor, unit_forces)[0]
-    shapes = structure.values_at(flexibility.shapes.T, dofs).T
+    mode_shapes = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
-        zip(map(int, dofs), zip(shapes, residual_parts, strict=True), strict=True)
+        zip(map(int, dofs), zip(mode_shapes, residual_parts, strict=True), strict=True)
     )
 
 

@@ -274,7 +274,7 @@ class MasslessStructure(QuasiStaticReduction):
         gap, tangents = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangents
         fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        fields |= {"root": _root_of_inverse(compliance), "share": share}
+        fields |= {"root": _factor_of_inverse(compliance), "share": share}
         Structure.__init__(self, MasslessBody(**fields, reference=reference))
 
     @property
@@ -314,16 +314,16 @@ class MasslessStructure(QuasiStaticReduction):
             return super().known_modes(is_bonded=False)
         b, residual = self.gap[: self.n_modes].toarray(), self.residual
         scaled_b = b / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
-        ties = _root_of_inverse(scaled_b.T @ scaled_b + residual)
+        ties = _factor_of_inverse(scaled_b.T @ scaled_b + residual)
         softness, rotation = np.linalg.eigh(ties.T @ residual @ ties)
         ties, is_soft = ties @ rotation, softness > NEGLIGIBLE
         rigid_ties = b @ ties[:, ~is_soft]
         motions = scipy.linalg.null_space(rigid_ties.T) if rigid_ties.size else np.eye(self.n_modes)
         tie_stiffness = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
-        squares, shapes = np.linalg.eigh(
+        squares, eigenvectors = np.linalg.eigh(
             motions.T @ (np.diag(self.omega**2) + b @ tie_stiffness) @ motions
         )
-        modal_shapes = motions @ shapes
+        modal_shapes = motions @ eigenvectors
         static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
         static_amplitudes[: self.n_pairs] = -tie_stiffness @ modal_shapes
         return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
@@ -337,8 +337,8 @@ class MasslessStructure(QuasiStaticReduction):
     @property
     def residual(self) -> np.ndarray:
         """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
-        pairs = self.gap[self.n_modes :].T @ self.root
-        return np.asarray(pairs @ pairs.T)
+        pair_factor = self.gap[self.n_modes :].T @ self.root
+        return np.asarray(pair_factor @ pair_factor.T)
 
     @property
     def _size_description(self) -> str:
@@ -390,8 +390,8 @@ def as_massless_structure(structure: Structure | None) -> MasslessStructure | No
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _root_of_inverse(compliance: np.ndarray) -> np.ndarray:
-    """Return a root W of the pseudoinverse W W^T of a compliance C.
+def _factor_of_inverse(compliance: np.ndarray) -> np.ndarray:
+    """Return the factor W of the pseudoinverse W W^T of a compliance C.
 
     It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.
     """

@@ -93,10 +93,12 @@ class Rotation:
         with Factor(static_stiffness, definite=True) as factor:
             rotation_displacement = factor.solve(speed**2 * self.force[None]).T
         static_stiffness.destroy()
-        force = self.at_rest.force.copy()
-        force[0] += multiply(stiffness, rotation_displacement)[:, 0]
+        load_coefficients = self.at_rest.force.copy()
+        load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
-        return self.at_rest._with_changes(stiffness=stiffness, force=force, rotation=rotation)
+        return self.at_rest._with_changes(
+            stiffness=stiffness, force=load_coefficients, rotation=rotation
+        )
 
     def stiffnesses(self, speed: float) -> tuple[Any, Any]:
         """Return the stiffness for the static shape and for motion (collective).
@@ -121,7 +123,7 @@ class Rotation:
 
 
 def static_state(
-    structure: Structure, force: np.ndarray, clearance: np.ndarray
+    structure: Structure, constant_load: np.ndarray, clearance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find displacement and contact forces under a constant load (collective).
 
@@ -132,7 +134,7 @@ def static_state(
 
     Parameters
     ----------
-    force : (n_local,) [N]
+    constant_load : (n_local,) [N]
         f.
     clearance : (n_pairs,) [m]
         g0.
@@ -151,7 +153,7 @@ def static_state(
     """
     contact_forces = np.zeros(structure.n_pairs)
     with Factor(structure.stiffness, definite=True) as factor:
-        displacement = factor.solve(force[None])[0]
+        displacement = factor.solve(constant_load[None])[0]
         gap = structure.apply_bt(displacement[None])[0] - clearance
         if np.any(gap > ZERO_TOLERANCE * np.abs(gap).max(initial=0.0)):
             pair_responses = factor.solve(structure.gap.T.toarray())
@@ -335,15 +337,17 @@ class Ritz:
         term_1, term_2, term_3 = speed**2 * self.stiffness
         stiffness = self.at_rest + term_1 + term_2 + speed**2 * term_3
         rotation_displacement = np.linalg.solve(self.at_rest + term_1, speed**2 * self.centrifugal)
-        force = self.force.copy()
-        force[0] += stiffness @ rotation_displacement
-        return stiffness, force
+        load_coefficients = self.force.copy()
+        load_coefficients[0] += stiffness @ rotation_displacement
+        return stiffness, load_coefficients
 
     def at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
-        stiffness, force = self.matrices(speed)
+        stiffness, load_coefficients = self.matrices(speed)
         matrix = distribute_rows(stiffness, MPI.COMM_SELF)
-        return Structure(Body(self.mass, matrix, self.gap, force, self.structure.clearance))
+        return Structure(
+            Body(self.mass, matrix, self.gap, load_coefficients, self.structure.clearance)
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -377,7 +381,7 @@ class RunUpStructure(QuasiStaticReduction):
     static_root: np.ndarray = body_property("static_root")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
-        stiffness, force = ritz.matrices(speed)
+        stiffness, load_coefficients = ritz.matrices(speed)
         try:
             inverse_factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
@@ -393,8 +397,8 @@ class RunUpStructure(QuasiStaticReduction):
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(squares_inverse)
         body = RunUpBody(
-            ritz.mass, None, ritz.gap, force, ritz.structure.clearance,
-            damping=None if damping is None else damping.for_modes(len(force[0])),
+            ritz.mass, None, ritz.gap, load_coefficients, ritz.structure.clearance,
+            damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
             shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],

@@ -311,8 +311,10 @@ class ContactFlow(Flow):
 
             # D lambda - gap >= 0 and lambda >= 0, complementary, with D = L L^T: the minimum of
             # |L^T lambda - L^-1 gap|.
-            root = np.linalg.cholesky(compliance[:n_pairs] + normals.T @ displacement_by_force)
-            force = nnls(root.T, np.linalg.solve(root, gap))[0]
+            cholesky_factor = np.linalg.cholesky(
+                compliance[:n_pairs] + normals.T @ displacement_by_force
+            )
+            force = nnls(cholesky_factor.T, np.linalg.solve(cholesky_factor, gap))[0]
             displacement = displacement - displacement_by_force @ force
         parts = [displacement, np.zeros_like(displacement)]
         if self.friction:

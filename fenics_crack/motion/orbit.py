@@ -90,7 +90,7 @@ class Prediction(NamedTuple):
 
     Attributes
     ----------
-    error : float
+    gap_error : float
         Predicted error |P^T d| / |P^T Z|.
     states : (n, flow.size)
         Z + d.
@@ -100,7 +100,7 @@ class Prediction(NamedTuple):
         (I - M)^-1 with the M of the track.
     """
 
-    error: float
+    gap_error: float
     states: np.ndarray
     track: Track
     inverse: Inverse
@@ -249,8 +249,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         def evaluate(period_fractions: np.ndarray) -> Any:
             time = self.period * np.mod(period_fractions, 1.0)
             piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
-            position = 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
-            distances = position[:, None] - nodes
+            piece_coordinate = (
+                1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
+            )
+            distances = piece_coordinate[:, None] - nodes
             distances = np.where(distances == 0.0, sys.float_info.min, distances)
             node_weights = barycentric_weights / distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)

@@ -306,9 +306,9 @@ class _ModalDifferences(Scheme):
 
         Forces of a constraint are left out: they belong to the next step.
         """
-        modes, force = self._modes, self._request.structure.force
+        modes, load_coefficients = self._modes, self._request.structure.force
         acceleration = (
-            force[0] + force[1::2].sum(axis=0)
+            load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._shape
         if not self._request.rigid:
             acceleration -= modes.pairs @ self._forces(self._gap())
@@ -501,8 +501,10 @@ class _CentralDifferences(Scheme):
     def _linear_energy(self, velocity: np.ndarray) -> float:
         """Return the energy (u^T K u + v^T M v) / 2 [J]."""
         structure = self.structure
-        parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
-        energy = 0.5 * sum(rows @ multiply(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
+        matrix_and_rows = (structure.stiffness, self.displacement), (structure.mass, velocity)
+        energy = 0.5 * sum(
+            rows @ multiply(matrix, rows[:, None])[:, 0] for matrix, rows in matrix_and_rows
+        )
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
