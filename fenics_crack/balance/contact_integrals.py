@@ -41,7 +41,7 @@ from fenics_crack.model.contact import (
     ContactLaw,
     is_piecewise_linear,
     is_unilateral,
-    smooth_forces,
+    smooth_forces_and_slopes,
 )
 from fenics_crack.numerics.fourier import (
     count_instants,
@@ -415,7 +415,7 @@ class CoupledIntegrals(ContactIntegrals):
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         if self.is_piecewise:
             return self.active_sets.solve(gap)[0]
-        return smooth_forces(self.law, self.active_sets.compliance, gap)[0]
+        return smooth_forces_and_slopes(self.law, self.active_sets.compliance, gap)[0]
 
     def linearise(self, gap: np.ndarray) -> CoupledForces:
         return _ExactForces(self, gap) if self.exact else _SampledForces(self, gap)
@@ -534,7 +534,7 @@ class _SampledForces(CoupledForces):
             self._force_samples, closed_sets = active_sets.solve(gap_samples)
             self._slope_samples = active_sets.invert_sets(closed_sets)
         else:
-            self._force_samples, self._slope_samples = smooth_forces(
+            self._force_samples, self._slope_samples = smooth_forces_and_slopes(
                 integrals.law, active_sets.compliance, gap_samples
             )
         self._slope_coefficients = fourier_coefficients(self._slope_samples, 2 * self.harmonics)

@@ -423,7 +423,7 @@ class Wave:
             return basis, slow_gap, np.zeros_like(slow_gap)
         if friction_of(contact) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
-            force = self._integrals.forces_at(self.slow_gap_coefficients, phase)[0]
+            force = self._integrals.forces_and_places_at(self.slow_gap_coefficients, phase)[0]
         elif self.residual is not None:
             force = self._integrals.forces_in_time(slow_gap)
         elif not is_rigid(contact):
@@ -472,7 +472,9 @@ class Wave:
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)
-        return self._integrals.forces_at(self.slow_gap_coefficients, self.base_omega * time)[1]
+        return self._integrals.forces_and_places_at(
+            self.slow_gap_coefficients, self.base_omega * time
+        )[1]
 
     def _check_friction(self) -> None:
         if friction_of(self.contact) is None:

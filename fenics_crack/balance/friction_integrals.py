@@ -114,7 +114,9 @@ class FrictionIntegrals(ContactIntegrals):
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]
 
-    def forces_at(self, gap: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def forces_and_places_at(
+        self, gap: np.ndarray, phase: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return forces and sticking places at phases (n,).
 
         Parameters

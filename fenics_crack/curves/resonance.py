@@ -29,6 +29,11 @@ from fenics_crack.basics.errors import (
     check_number,
 )
 from fenics_crack.basics.tables import counted
+from fenics_crack.curves.balance_equations import (
+    BALANCE_EQUATIONS,
+    BalanceAlongFrequency,
+    require_run_up_structure,
+)
 from fenics_crack.curves.continuation import (
     GrowingCurve,
     StepLimits,
@@ -39,7 +44,6 @@ from fenics_crack.curves.continuation import (
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
-from fenics_crack.curves.waves import WAVES, FrequencyWaves, require_run_up_structure
 from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -77,7 +81,7 @@ class ResonanceSystem(CurveSystem):
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
         self.start, self.end = factor_range
-        self._waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
+        self._waves = waves = BalanceAlongFrequency(problem, problem.omega, 0.5 * problem.omega)
         slow_gap = waves.system(problem.omega).slow_gap(nearby_point.gap, nearby_point.force)
         slow_gap = slow_gap / self.start
         self._slow_gap_size = float(np.linalg.norm(slow_gap[1:]))
@@ -127,7 +131,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", requirement)
     start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # a linear phase is then not 0
-    waves = FrequencyWaves(problem, start_omega, 0.5 * start_omega)
+    waves = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(waves.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = waves.linearise(start_unknown, 0.0)
     n_harmonics = len(problem.structure.force) // 2
@@ -349,7 +353,9 @@ def resonance_under_small_load(problem: Problem, near_omega: float) -> float:
 
     Under such a load a crack that the mean load holds open or closed stays open or closed.
     """
-    return first_resonance(WAVES["resonance"].vary(problem, SMALL_LOAD_FACTOR), near_omega).omega
+    return first_resonance(
+        BALANCE_EQUATIONS["resonance"].vary(problem, SMALL_LOAD_FACTOR), near_omega
+    ).omega
 
 
 def follow_resonance(
@@ -394,7 +400,10 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    (problem, near), vary_load = _prepare_search(problem, near, tolerance), WAVES["resonance"].vary
+    (problem, near), vary_load = (
+        _prepare_search(problem, near, tolerance),
+        BALANCE_EQUATIONS["resonance"].vary,
+    )
     if tolerance is not None:
         end_point = _refine_to_tolerance(first_resonance(vary_load(problem, end), near), tolerance)[
             0

@@ -48,7 +48,7 @@ from fenics_crack.model.contact import (
     check_law,
     check_slope,
     is_unilateral,
-    smooth_forces,
+    smooth_forces_and_slopes,
 )
 from fenics_crack.model.modal import CACHE_BLOCK_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -98,7 +98,7 @@ def monodromy(
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap, 4 * len(gap))
     if modes.residual is not None:
-        forces = smooth_forces(contact, modes.residual, gap_samples)[0]
+        forces = smooth_forces_and_slopes(contact, modes.residual, gap_samples)[0]
         gap_samples = gap_samples - forces @ modes.residual
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
@@ -136,7 +136,7 @@ def _multiply_steps(
     if modes.residual is None:
         kicks = h * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces(contact, modes.residual, gap_samples)[1]
+        kicks = h * smooth_forces_and_slopes(contact, modes.residual, gap_samples)[1]
     n_stretches = 1
     while n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < CACHE_BLOCK_SIZE:
         n_stretches *= 2

@@ -29,6 +29,7 @@ import numpy as np
 from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
+from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import chord_ends
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier
 from fenics_crack.curves.orbit_events import (
@@ -38,7 +39,6 @@ from fenics_crack.curves.orbit_events import (
     period_doubling_function,
 )
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
-from fenics_crack.curves.waves import Waves
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
@@ -176,7 +176,7 @@ def _locate_bifurcation(
     unknown : (2H+1, n_pairs) [m]
     """
     system = curve.system
-    assert isinstance(system, Waves)
+    assert isinstance(system, BalanceEquations)
     ends = chord_ends(system, curve, index, index + 1)
     first_end, last_end = (
         point_on_path(system, point.unknown, point.parameter, point.tangent) for point in ends

@@ -159,7 +159,7 @@ class Front:
             else [station for is_at_surface, station in ends if not is_at_surface]
         )
 
-    def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the hat functions.
 
         Returns
@@ -184,7 +184,7 @@ class Front:
         length_weights = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(
             half_spacing * w, len(self.peak_parameters) - 1
         )
-        return np.asarray(length_weights @ self.hats(t)[0])
+        return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
     def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the frame and curvature of the front.
@@ -564,7 +564,7 @@ def _values_at_free_dofs(
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return the stations of a front."""
-    pairs, is_in_hats = structure.pairs, front.hats(front.parameters)[0] > 0.0
+    pairs, is_in_hats = structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
         nearest_nodes = cKDTree(pairs.nodes).query(front.nodes)[1]
@@ -623,7 +623,7 @@ def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _weight_function(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return q and its derivative with respect to r / R."""
     x = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
     slope = -30.0 * x**2 * (1.0 - x) ** 2 / (1.0 - PLATEAU_FRACTION)
@@ -830,7 +830,7 @@ class _Domain:
         radius = front.radius(kappa)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
-        hat, hat_slope_by_t = front.hats(t)
+        hat, hat_slope_by_t = front.hats_and_slopes(t)
         return frame, xi, y, r, hat, hat_slope_by_t / speed[..., None], kappa, kappa_slope, radius
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
@@ -844,7 +844,7 @@ class _Domain:
         is_at_front = r < 1e-6 * radius
         is_at_front[:, 4:] = is_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
         r = np.where(is_at_front, radius, r)
-        q = np.where(is_at_front, 0.0, _weight_function(r / radius)[0])
+        q = np.where(is_at_front, 0.0, _weight_and_slope(r / radius)[0])
         fields = []
         for mode in range(3):
             _, a_1, _ = self._plane_field(mode, xi, y, r)
@@ -906,7 +906,7 @@ class _Domain:
         )
         if normal is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, q_slope = _weight_function(r / radius)
+        q, q_slope = _weight_and_slope(r / radius)
         q_slope /= radius
         g = 1.0 + kappa * xi
         k = kappa / g
@@ -1033,8 +1033,8 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         radius = front.radius(front.frame(t)[2])
-        kernel = _weight_function(r / radius)[0] / np.sqrt(r) * area_weights
+        kernel = _weight_and_slope(r / radius)[0] / np.sqrt(r) * area_weights
         node_numbers = node_tree.query(corners[order])[1]
-        factors[:, node_numbers] += front.hats(t)[0].T @ (kernel[:, None] * shape_values)
+        factors[:, node_numbers] += front.hats_and_slopes(t)[0].T @ (kernel[:, None] * shape_values)
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
     return np.asarray((pairs.shares.T @ factors.T).T / pairs.areas)

@@ -117,7 +117,7 @@ def _make_structure(
             parts["gap"], pairs = find_pairs(
                 model, node_dofs, parts["stiffness"], has_rotations=has_rotations
             )
-        start, stop = _own_rows(node_starts, comm)
+        start, stop = _own_row_range(node_starts, comm)
         for name in matrices:
             parts[name] = distribute_rows(parts[name][start:stop], comm)
         nodes = _own_nodes(model, node_dofs, start, stop, comm)
@@ -223,7 +223,7 @@ def _order_by_nodes(
     return order, node_dofs, np.append(node_starts, len(labels))
 
 
-def _own_rows(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
+def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
     """Return start and stop of this rank's rows.
 
     A rank has whole nodes, and about as many rows as others.

@@ -646,7 +646,7 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
 
 
-def smooth_forces(
+def smooth_forces_and_slopes(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find lambda = h(s - D lambda) for a law h without falling parts.

@@ -419,7 +419,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     """
     with opened_text(path) as (text, max_bytes):
         lines = iter(text)
-        (layout, symmetry), sizes, n_entries = _read_sizes(lines, max_bytes)
+        (layout, symmetry), sizes, n_entries = _read_header_and_sizes(lines, max_bytes)
         shape = sizes[0], sizes[1]
         if n_rows is not None and shape[0] != n_rows:
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
@@ -471,13 +471,15 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
         As :func:`read_matrix_market`.
     """
     with opened_text(path) as (lines, max_bytes):
-        _, sizes, _ = _read_sizes(iter(lines), max_bytes)
+        _, sizes, _ = _read_header_and_sizes(iter(lines), max_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
 
 
-def _read_sizes(lines: Iterator[str], max_bytes: int) -> tuple[tuple[str, str], list[int], int]:
+def _read_header_and_sizes(
+    lines: Iterator[str], max_bytes: int
+) -> tuple[tuple[str, str], list[int], int]:
     """Read the header and the line with the sizes.
 
     Returns

@@ -217,7 +217,9 @@ def _extend_receptance(
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
             shape = flexibility.modal_sources.shape[:1]
             zero_parts = np.zeros(shape * 2), np.zeros(shape)
-            compliance, inertia = zero_parts if has_all_modes else flexibility.compliance(factor)
+            compliance, inertia = (
+                zero_parts if has_all_modes else flexibility.compliance_and_inertia(factor)
+            )
             new_receptance = Receptance(
                 squares,
                 flexibility.modal_sources,
@@ -329,7 +331,7 @@ def _add_rows(
     if known_receptance.n_modes < structure.n_dofs:
         stiffness_factor = factor or Factor(structure.stiffness, definite=True)
         with nullcontext(stiffness_factor) if factor else stiffness_factor as open_factor:
-            residual_parts = flexibility.project(open_factor, unit_forces)[0]
+            residual_parts = flexibility.project_with_inertia(open_factor, unit_forces)[0]
     mode_shapes = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
         zip(map(int, dofs), zip(mode_shapes, residual_parts, strict=True), strict=True)
@@ -384,7 +386,9 @@ class ResidualFlexibility:
         inertia_forces = multiply(structure.mass, displacements.T).T
         return displacements - structure.sum_over_ranks(inertia_forces @ shapes) @ shapes.T
 
-    def project(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
+    def project_with_inertia(
+        self, factor: Factor, columns: sparse.spmatrix
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return Y^T G X, and the diagonal of Y^T G M G Y (collective).
 
         Parameters
@@ -418,7 +422,7 @@ class ResidualFlexibility:
             inertias -= np.sum(modal_flexibility**2, axis=1)
         return products, inertias
 
-    def compliance(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
+    def compliance_and_inertia(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
         """Return S = X^T G X, and the diagonal of X^T G M G X (collective).
 
         Returns
@@ -428,5 +432,5 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X.
         """
-        products, inertia = self.project(factor, self.sources)
+        products, inertia = self.project_with_inertia(factor, self.sources)
         return 0.5 * (products + products.T), inertia

@@ -324,7 +324,7 @@ class Ritz:
             modes,
         )
 
-    def matrices(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    def stiffness_and_load(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """Return stiffness and load at a speed [rad/s].
 
         Returns
@@ -343,7 +343,7 @@ class Ritz:
 
     def at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
-        stiffness, load_coefficients = self.matrices(speed)
+        stiffness, load_coefficients = self.stiffness_and_load(speed)
         matrix = distribute_rows(stiffness, MPI.COMM_SELF)
         return Structure(
             Body(self.mass, matrix, self.gap, load_coefficients, self.structure.clearance)
@@ -381,7 +381,7 @@ class RunUpStructure(QuasiStaticReduction):
     static_root: np.ndarray = body_property("static_root")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
-        stiffness, load_coefficients = ritz.matrices(speed)
+        stiffness, load_coefficients = ritz.stiffness_and_load(speed)
         try:
             inverse_factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:

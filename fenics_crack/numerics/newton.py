@@ -9,7 +9,7 @@ the equations, and no SNES option is given, the kernel takes the same steps.
 Bordered by a plane
 -------------------
 A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2 with w = 1 / |x_0|^2
-(:func:`norm_at`). In the plane orthogonal to the tangent, Newton's method solves
+(:func:`norm_weights_at`). In the plane orthogonal to the tangent, Newton's method solves
 
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
@@ -402,7 +402,7 @@ def relative_to_motion(change: np.ndarray, motion: np.ndarray) -> float:
     return float(np.linalg.norm(change)) / motion_size(motion) if motion.any() else 0.0
 
 
-def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
+def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     """Return the weights of the norm at a solution x.
 
     Means over time contribute at most as much as all else to the size |x|. A clearance or a steady
@@ -438,7 +438,7 @@ def tangent_of(
     It points towards growing p, or along ``direction`` if given.
     """
     slope = -linearisation.solve(linearisation.by_parameter)
-    slope_tangent = Tangent(slope, 1.0, *norm_at(system, unknown))
+    slope_tangent = Tangent(slope, 1.0, *norm_weights_at(system, unknown))
     length = float(np.sqrt(slope_tangent.product(system, slope, slope) + 1.0))
     tangent = replace(slope_tangent, x=slope / length, p=1.0 / length)
     points_back = direction is not None and tangent.cosine_to(direction, system) < 0.0

@@ -43,7 +43,7 @@ from fenics_crack.balance.contact_integrals import (
     respond_to_columns,
 )
 from fenics_crack.balance.contact_system import CompiledEquations
-from fenics_crack.curves.waves import WAVES, Waves
+from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import ActiveSetSolver, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING, Linearisation, System
@@ -562,7 +562,7 @@ def test_equations_at_a_point(
     random = np.random.default_rng(seed)
     law = fc.UnilateralPenalty(random.uniform(0.5, 20.0, pairs))
     structure = chain(damping, pairs=pairs, seed=seed % 1000)
-    family = WAVES[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
     kernel = family.compiled
     if damping == "matrix" and name in ("omega", "damping"):
         assert kernel is None  # it couples modes
@@ -586,7 +586,9 @@ def test_equations_at_a_point(
 def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
     """Compiled equations take the steps that those in Python take."""
     law = fc.UnilateralPenalty(stiffness)
-    family = WAVES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3)
+    family = BALANCE_EQUATIONS["omega"](
+        fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3
+    )
     start = fc.solve_harmonic_balance(oscillator(0.02, 0.1), 2.0, law, harmonics=harmonics)
     options = PathOptions(0.01, max_step=0.1, min_step=1e-10, min_cosine=0.85)
     assert_same_path(family, start.gap_coefficients, options, 150)
@@ -596,7 +598,7 @@ def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
 def test_path_of_a_chain(name: str) -> None:
     """With three pairs, in every family, by steps that are too long for some points."""
     structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = WAVES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     first = family.problem_at(family.start)
     start = fc.solve_harmonic_balance(
         first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
@@ -612,7 +614,9 @@ def followed(
     return list(islice(Path(system, point_on_path(system, start, 0.0), options).points(), count))
 
 
-def assert_same_path(family: Waves, start: np.ndarray, options: PathOptions, count: int) -> None:
+def assert_same_path(
+    family: BalanceEquations, start: np.ndarray, options: PathOptions, count: int
+) -> None:
     """Followed both ways."""
     ways = [followed(system, start, options, count) for system in (family, Plain(family))]
     compared = 0
@@ -637,7 +641,7 @@ def assert_same_path(family: Waves, start: np.ndarray, options: PathOptions, cou
 def test_corrections(bordered: bool, least_damping: float | None) -> None:
     """From random guesses, far ones among them: found or not, the same."""
     law = fc.UnilateralPenalty(10.0)
-    family = WAVES["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
     start = fc.solve_harmonic_balance(oscillator(), 0.9, law, harmonics=4).gap_coefficients
     plane = tangent_of(family, start, family.linearise(start, 0.0)) if bordered else None
     random, outcomes = np.random.default_rng(3), []
@@ -662,7 +666,9 @@ def test_corrections(bordered: bool, least_damping: float | None) -> None:
 def test_undamped_resonance() -> None:
     """One error, as from Python."""
     structure = oscillator(None, 0.1)
-    family = WAVES["omega"](fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5)
+    family = BALANCE_EQUATIONS["omega"](
+        fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
+    )
     with pytest.raises(fc.ConvergenceError, match="singular"):
         solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9)
 
@@ -671,7 +677,7 @@ def test_fold_and_value_between_two_points() -> None:
     """p(s) turns at t_p = 0, and takes the value asked for, on the path; the same from Python."""
     law = fc.UnilateralPenalty(1.0)
     structure = oscillator(0.02, 0.1)
-    family = WAVES["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
     start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=10).gap_coefficients
     points = followed(
         family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 95
@@ -706,7 +712,7 @@ def assert_same_point(one: PathPoint, other: PathPoint) -> None:
 def test_largest_compliance(name: str) -> None:
     """Of random chains, at parameters in and out of the range."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = WAVES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance.matrices
         expected = np.abs(matrices).sum(axis=2).max()
@@ -727,7 +733,7 @@ def test_folds_of_a_stiff_curve() -> None:
     )
     for _ in growing:
         pass
-    family = WAVES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3)
     folds = growing.curve.bifurcations
     assert len(folds) == 16
     for fold in folds:
@@ -745,7 +751,7 @@ def test_path_of_many_unknowns() -> None:
     """144 unknowns, so that solutions take products with J: points and tangents are on the path,
     and each is where equations in Python, whose J is factored at every iteration, have one."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = WAVES["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
     start = fc.solve_harmonic_balance(
         structure, 1.4, law, harmonics=24, residual_tolerance=1e-12
     ).gap_coefficients
@@ -773,7 +779,7 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
         damping=0.05 * np.eye(2), clearance=1.0,
     )  # fmt: skip
     law = fc.UnilateralPenalty(1.0)
-    family = WAVES["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
     start = fc.solve_harmonic_balance(
         twins, 0.8, law, harmonics=25, residual_tolerance=1e-12
     ).gap_coefficients
@@ -800,7 +806,7 @@ def test_derivative_by_each_parameter(name: str) -> None:
     """dF/dp against central differences, along the whole range."""
     structure, (start, end) = two_masses(), RANGES[name]
     law = fc.UnilateralPenalty(np.array([3.0]))
-    family = WAVES[name](fc.Problem(structure, 0.9, law, 4), start, end)
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.9, law, 4), start, end)
     gap = np.random.default_rng(2).normal(size=(9, 1))
     for parameter in (0.0, 0.4, 1.0):
         exact = family.linearise(gap, parameter).by_parameter
@@ -816,7 +822,7 @@ def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     law = fc.UnilateralPenalty(0.5)
     alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
     assert alone.converged
-    family = WAVES["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
     found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
     np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
@@ -829,14 +835,14 @@ LAWS = ("rigid", "penalty", "stiff")
 
 def coupled_family(
     name: str, law: str, damping: str, harmonics: int, pairs: int, modes: int, seed: int
-) -> Waves:
+) -> BalanceEquations:
     """Of a random chain on lips without mass."""
     random = np.random.default_rng(seed)
     stiffness = random.uniform(0.5, 20.0, pairs) * (1e4 if law == "stiff" else 1.0)
     contact = fc.UnilateralConstraint() if law == "rigid" else fc.UnilateralPenalty(stiffness)
     whole = chain(damping, pairs=pairs, seed=seed % 1000)
     structure = fc.reduce_structure(whole, modes=modes, method="massless")
-    return WAVES[name](fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name])
+    return BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name])
 
 
 def assert_same_equations(found: Linearisation, expected: Linearisation, right: np.ndarray) -> None:
@@ -908,7 +914,7 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
-    family = WAVES["omega"](problem, 0.6, 0.45)
+    family = BALANCE_EQUATIONS["omega"](problem, 0.6, 0.45)
     begun = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
     start = begun.slow_gap_coefficients
     ends = []
@@ -935,7 +941,7 @@ def test_equations_are_freed_with_their_points() -> None:
 
 
 def test_an_instant_without_forces_is_no_solution() -> None:
-    """Waves that are not finite: no point, and no crash."""
+    """BalanceEquations that are not finite: no point, and no crash."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
     for wrong in (np.nan, np.inf, 1e300):
         guess = np.full(family.shape, wrong)

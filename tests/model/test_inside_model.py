@@ -26,7 +26,7 @@ from fenics_crack.model import contact as contact_module
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model.contact import (
     ActiveSetSolver,
-    smooth_forces,
+    smooth_forces_and_slopes,
     solve_by_least_squares,
     solve_complementarity,
     solve_forces,
@@ -190,7 +190,7 @@ def test_smoothed_law_against_a_root_finder(stiffness: float, sharpness: float) 
     law = fc.SmoothedPenalty(stiffness, sharpness)
     compliance = np.linalg.inv(random_stiffness(rng, 3))
     gap = rng.normal(size=(25, 3))
-    force, _ = smooth_forces(law, compliance, gap)
+    force, _ = smooth_forces_and_slopes(law, compliance, gap)
     for row, found in zip(gap, force, strict=True):
         result = scipy.optimize.root(
             lambda g, s=row: g + compliance @ law.force(g) - s,
@@ -206,7 +206,7 @@ def test_smoothed_law_alone_against_bisection() -> None:
     """One pair: the only root of g + R h(g) = s, bracketed."""
     law = fc.SmoothedPenalty(200.0, 40.0)
     gap = np.linspace(-2.0, 2.0, 41)[:, None]
-    force, _ = smooth_forces(law, np.full((1, 1), 0.3), gap)
+    force, _ = smooth_forces_and_slopes(law, np.full((1, 1), 0.3), gap)
     for s, found in zip(gap[:, 0], force[:, 0], strict=True):
         root = scipy.optimize.brentq(
             lambda g, s=s: g + 0.3 * float(law.force(np.array(g))) - s, -10.0, 10.0, xtol=1e-15
@@ -220,10 +220,12 @@ def test_slope_of_a_smoothed_law(sharpness: float) -> None:
     rng = np.random.default_rng(8)
     law, step = fc.SmoothedPenalty(50.0, sharpness), 1e-6
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(15, 3))
-    _, slope = smooth_forces(law, compliance, gap)
+    _, slope = smooth_forces_and_slopes(law, compliance, gap)
     for pair in range(3):
         change = step * np.eye(3)[pair]
-        after, before = (smooth_forces(law, compliance, gap + s * change)[0] for s in (1.0, -1.0))
+        after, before = (
+            smooth_forces_and_slopes(law, compliance, gap + s * change)[0] for s in (1.0, -1.0)
+        )
         assert relative((after - before) / (2.0 * step), slope[:, :, pair]) < 1e-5
 
 
@@ -250,7 +252,7 @@ def test_hertz_law_is_solved_at_all_instants_together() -> None:
     counts = []
     for instants in (gap, np.tile(gap, (100, 1))):
         Hertz.calls = 0
-        force, _ = smooth_forces(law, compliance, instants)
+        force, _ = smooth_forces_and_slopes(law, compliance, instants)
         counts.append(Hertz.calls)
         assert relative(law.force(instants - force @ compliance), force) < 1e-9
     assert counts[1] <= 2 * counts[0]
@@ -262,7 +264,7 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(20, 3))
     sharp = ActiveSetSolver(compliance + np.eye(3) / 10.0).solve(gap)[0]
     one, two = (
-        relative(smooth_forces(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], sharp)
+        relative(smooth_forces_and_slopes(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], sharp)
         for s in (1e3, 1e5)
     )
     assert one < 1e-2 and two < 2e-2 * one
@@ -271,7 +273,7 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
 def test_without_compliance_the_law_itself() -> None:
     """D = 0: h(s) and h'(s)."""
     law, gap = fc.SmoothedPenalty(7.0, 3.0), np.linspace(-1.0, 1.0, 20).reshape(10, 2)
-    force, slope = smooth_forces(law, np.zeros((2, 2)), gap)
+    force, slope = smooth_forces_and_slopes(law, np.zeros((2, 2)), gap)
     assert np.allclose(force, law.force(gap), rtol=1e-14)
     assert np.allclose(np.einsum("npp->np", slope), law.tangent(gap), rtol=1e-14)
     assert not np.any(slope[:, 0, 1])

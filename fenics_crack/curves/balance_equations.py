@@ -33,7 +33,7 @@ from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, residual_ro
 from fenics_crack.numerics.fourier import stretch_period
 
 
-class Waves(CurveSystem):
+class BalanceEquations(CurveSystem):
     """Condensed equations of a small or reduced structure along a parameter.
 
     Attributes
@@ -196,7 +196,7 @@ class Waves(CurveSystem):
         )
 
 
-class FrequencyWaves(Waves):
+class BalanceAlongFrequency(BalanceEquations):
     """Equations along v: load frequency [rad/s]."""
 
     name = "omega"
@@ -225,7 +225,7 @@ class FrequencyWaves(Waves):
         return self._compile_with_modes(start_system, (base_omega, base_omega_change), (1.0, 0.0))
 
 
-class _VariedStructureWaves(Waves):
+class _BalanceOfVariedStructure(BalanceEquations):
     """Equations along a parameter of :meth:`Structure.varied`, by its name."""
 
     @classmethod
@@ -248,7 +248,7 @@ class _VariedStructureWaves(Waves):
         )
 
 
-class LoadWaves(_VariedStructureWaves):
+class BalanceAlongLoad(_BalanceOfVariedStructure):
     """Equations along v: factor for the load; a negative factor reverses it."""
 
     name = "load"
@@ -263,7 +263,7 @@ class LoadWaves(_VariedStructureWaves):
             raise InputError("parameter", "load", requirement)
 
 
-class DampingWaves(_VariedStructureWaves):
+class BalanceAlongDamping(_BalanceOfVariedStructure):
     """Equations along v: factor for the damping."""
 
     name = "damping"
@@ -281,13 +281,13 @@ class DampingWaves(_VariedStructureWaves):
         )
 
 
-class ClearanceWaves(_VariedStructureWaves):
+class BalanceAlongClearance(_BalanceOfVariedStructure):
     """Equations along v: clearance [m] added to every pair."""
 
     name = "clearance"
 
 
-class StiffnessWaves(Waves):
+class BalanceAlongStiffness(BalanceEquations):
     """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
     name, logarithmic, has_varying_integrals = "stiffness", True, True
@@ -305,7 +305,7 @@ class StiffnessWaves(Waves):
         )
 
 
-class FrictionWaves(Waves):
+class BalanceAlongFriction(BalanceEquations):
     """Equations along v: factor for the coefficient of friction."""
 
     name, has_varying_integrals = "friction", True
@@ -322,7 +322,7 @@ class FrictionWaves(Waves):
         return by_friction(point) / value
 
 
-class SpeedWaves(Waves):
+class BalanceAlongSpeed(BalanceEquations):
     """Equations along v: rotor speed [rad/s], in a constant ratio to the load frequency.
 
     The modes change with the speed. dF/dv is a central difference, since the quasi-static part of
@@ -385,7 +385,7 @@ def require_run_up_structure(structure: Structure) -> RunUpStructure:
     return structure
 
 
-class ResonanceWaves(Waves):
+class BalanceAtResonance(BalanceEquations):
     """Equations along v: factor for the load without its mean, at a resonance (:mod:`resonance`).
 
     The load frequency follows the resonance; these equations hold at one frequency.
@@ -400,17 +400,17 @@ class ResonanceWaves(Waves):
         return replace(problem, structure=problem.structure.varied(load=load_weights))
 
 
-WAVES: dict[str, type[Waves]] = {
-    waves.name: waves
-    for waves in (
-        FrequencyWaves,
-        LoadWaves,
-        StiffnessWaves,
-        DampingWaves,
-        ClearanceWaves,
-        FrictionWaves,
-        SpeedWaves,
-        ResonanceWaves,
+BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
+    equations.name: equations
+    for equations in (
+        BalanceAlongFrequency,
+        BalanceAlongLoad,
+        BalanceAlongStiffness,
+        BalanceAlongDamping,
+        BalanceAlongClearance,
+        BalanceAlongFriction,
+        BalanceAlongSpeed,
+        BalanceAtResonance,
     )
 }
 """Equations of harmonic balance along each parameter of a curve, by name."""
