@@ -336,5 +336,5 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     samples = orbit.sampled
     if is_still(samples):
         return 0.0
-    gap_motion = samples.gaps + wave.row_structure.clearance
+    gap_motion = samples.gaps + wave.structure_with_row_pairs.clearance
     return relative_to_motion(samples.gaps - wave.over_period(len(gap_motion))[1], gap_motion)

@@ -93,10 +93,12 @@ class DynamicStiffness:
             squares = self._modes.omega**2
             stiffness = squares - omega**2
             is_near = np.abs(stiffness) < DEFLATION_BAND * squares
-            if np.any(self._modes.omega[is_near & (self._modes.rate == 0.0)] == omega):
+            if np.any(self._modes.omega[is_near & (self._modes.modal_damping == 0.0)] == omega):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
             factored_part = np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=~is_near)
-            self._correction = 1.0 / (stiffness + 1j * omega * self._modes.rate) - factored_part
+            self._correction = (
+                1.0 / (stiffness + 1j * omega * self._modes.modal_damping) - factored_part
+            )
             if is_near.any():
                 border = sparse.csr_matrix(self._modes.mass_shapes[:, is_near])
         self._factor = Factor(system_matrix, symmetric=self._damping is None, border=border)

@@ -360,10 +360,10 @@ class Wave:
         """
         if self.static_above is None:
             return None
-        return all_modes(self.row_structure).static_part(self.static_above)
+        return all_modes(self.structure_with_row_pairs).static_part(self.static_above)
 
     @cached_property
-    def row_structure(self) -> Structure:
+    def structure_with_row_pairs(self) -> Structure:
         """The structure with its gap rows as pairs."""
         return add_friction_pairs(self.contact, self.structure)
 
@@ -381,7 +381,7 @@ class Wave:
     def _integrals(self) -> ContactIntegrals:
         """Integrals of lambda(s) with a residual flexibility, or with friction."""
         assert self.contact is not None
-        residual_or_none, n_rows = self.residual, self.row_structure.n_pairs
+        residual_or_none, n_rows = self.residual, self.structure_with_row_pairs.n_pairs
         residual = np.zeros((n_rows, n_rows)) if residual_or_none is None else residual_or_none
         return coupled_integrals(self.contact, self.harmonics, residual)
 
@@ -486,7 +486,9 @@ class Wave:
         displacement = basis @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
-            static_response = all_modes(self.row_structure).static_displacement(self.static_above)
+            static_response = all_modes(self.structure_with_row_pairs).static_displacement(
+                self.static_above
+            )
             displacement -= (force - basis @ self.force_rows) @ static_response.T
         return displacement
 

@@ -188,7 +188,7 @@ class MoreModes:
         orbit_samples, motion_samples = self.nearest_orbit.sampled, self.motion.sampled
         gap_error = relative_to_motion(
             motion_samples.gaps - orbit_samples.gaps,
-            orbit_samples.gaps + self.wave.row_structure.clearance,
+            orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
         )
         displacement, reference_displacement = (
             motion_at_load(samples.flow.structure, samples.displacement)

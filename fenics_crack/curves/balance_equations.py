@@ -53,7 +53,9 @@ class BalanceEquations(CurveSystem):
             requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, requirement)
         self.problem, self.start, self.end = problem, start, end
-        self._compliance = ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
+        self._compliance = ModalCompliance(
+            problem.structure_with_row_pairs, problem.base_omega, problem.load
+        )
         self._last_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
         self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
@@ -365,7 +367,7 @@ class BalanceAlongSpeed(BalanceEquations):
 
     def compliance(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)
-        return ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
+        return ModalCompliance(problem.structure_with_row_pairs, problem.base_omega, problem.load)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         step = CENTRAL_DIFFERENCE_STEP * value

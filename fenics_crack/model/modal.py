@@ -325,7 +325,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
     damping_modes = damped_modes(structure)
     if damping_modes is not None and len(damping_modes.omega) == structure.n_dofs:
         squares, mode_shapes = damping_modes.omega**2, damping_modes.shapes
-        damping = damping_modes.rate
+        damping = damping_modes.modal_damping
     else:
         matrices = (
             local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)

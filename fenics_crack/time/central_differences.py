@@ -386,10 +386,10 @@ class _CentralDifferences(Scheme):
         damped_mass = () if self._damping is None else (matrix,)
         self.petsc_objects = self._x, self._y, self._inverse, *damped_mass
         if self._modes is not None:
-            mass_factors = 1.0 + 0.5 * dt * self._modes.rate
+            mass_factors = 1.0 + 0.5 * dt * self._modes.modal_damping
             self._correction, self._decay = (
                 1.0 / mass_factors - 1.0,
-                self._modes.rate / mass_factors,
+                self._modes.modal_damping / mass_factors,
             )
         if self.rigid:
             self._push, rest = dt**2 * structure.gap.toarray(), np.zeros(structure.n_local)
@@ -490,7 +490,7 @@ class _CentralDifferences(Scheme):
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.rate * modal_velocity)
+        return self._modes.mass_shapes @ (self._modes.modal_damping * modal_velocity)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""

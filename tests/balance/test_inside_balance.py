@@ -635,7 +635,7 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
         found += 1j * omega * product(structure.damping_matrix)
     if (modes := damped_modes(structure)) is not None:
         modal = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
-        found += 1j * omega * (modal * modes.rate) @ modes.mass_shapes.T
+        found += 1j * omega * (modal * modes.modal_damping) @ modes.mass_shapes.T
     return found
 
 

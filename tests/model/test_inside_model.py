@@ -399,7 +399,9 @@ def test_damped_modes() -> None:
     structure = Structure.from_matrices(mass, stiffness, gap=None, damping=ModalDamping(ratios, 3))
     damped = damped_modes(structure)
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
-    np.testing.assert_allclose(damped.rate, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8)
+    np.testing.assert_allclose(
+        damped.modal_damping, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
+    )
     np.testing.assert_allclose(damped.mass_shapes, mass @ damped.shapes, rtol=1e-12, atol=1e-14)
     assert damped_modes(structure) is damped
     assert damped_modes(structure.damped(None)) is None
@@ -493,7 +495,7 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
         assert (known is None) == (damping in ("rayleigh", "matrix", "none"))
         if known is not None:
             ratio = np.asarray(varied.damping.ratio)
-            np.testing.assert_allclose(known.rate, 2.0 * ratio * known.omega, rtol=1e-14)
+            np.testing.assert_allclose(known.modal_damping, 2.0 * ratio * known.omega, rtol=1e-14)
     assert eigensolutions == []
 
 
