@@ -106,10 +106,10 @@ class BlockSystem(Snes):
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ force_rows
             )
             self._constant_gap += self._load @ static_response
-        positions = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
+        entry_numbers = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
         self._gap_tangent_indices = (
-            np.repeat(positions, n_rows, axis=1).ravel(),
-            np.tile(positions, n_rows).ravel(),
+            np.repeat(entry_numbers, n_rows, axis=1).ravel(),
+            np.tile(entry_numbers, n_rows).ravel(),
         )
         if self.integrals.has_coupled_pairs:  # every force depends on every gap
             self._gap_tangent_indices = tuple(np.indices((n_rows * n_pairs,) * 2).reshape(2, -1))

@@ -134,10 +134,10 @@ class FrictionIntegrals(ContactIntegrals):
         n_instants, turn = self.instants, 2.0 * np.pi
         phases = np.concatenate([turn / n_instants * np.arange(n_instants), np.mod(phase, turn)])
         gap_samples = np.concatenate([sample_period(gap, n_instants), evaluate(gap, 1.0, phase)])
-        _, first_index, position = np.unique(phases, return_index=True, return_inverse=True)
+        _, first_index, phase_index = np.unique(phases, return_index=True, return_inverse=True)
         forces, _, places, _ = self.march(gap_samples[first_index])
-        requested_position = position[n_instants:]
-        return forces[requested_position], places[requested_position]
+        requested_indices = phase_index[n_instants:]
+        return forces[requested_indices], places[requested_indices]
 
     def linearise(self, gap: np.ndarray) -> FrictionForces:
         return FrictionForces(self, gap)

@@ -105,8 +105,10 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
         Growth per period. Between two irregular points, geometric interpolation; elsewhere nan.
     """
     growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    positions = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))
-    followed_indices = open_indices[positions.astype(int)].tolist()
+    spread_indices = np.linspace(
+        0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices))
+    )
+    followed_indices = open_indices[spread_indices.astype(int)].tolist()
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):

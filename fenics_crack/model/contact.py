@@ -469,7 +469,7 @@ class FrictionSets:
             Forces in the last period.
         states : (n, n_pairs) int
             States of the pairs.
-        positions : (n, n_pairs) [m]
+        sampled_slider_positions : (n, n_pairs) [m]
             Positions of the sliders.
         origins : (n_pairs,) int
             Last instant at which the pair did not stick, or 0.
@@ -481,14 +481,17 @@ class FrictionSets:
         """
         n_instants, n_gaps = gap.shape
         gap = require_shape(gap, n_instants, n_gaps)
-        start_positions = np.array(slider_positions, dtype=float)
-        forces, positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
-        states = np.empty(positions.shape, dtype=np.int8)
+        start_slider_positions = np.array(slider_positions, dtype=float)
+        forces, sampled_slider_positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
+        states = np.empty(sampled_slider_positions.shape, dtype=np.int8)
         origins = np.empty(n_gaps // 2, dtype=np.intc)
-        arrays = map(pointer, (gap, start_positions, forces, states, positions, origins))
+        arrays = map(
+            pointer,
+            (gap, start_slider_positions, forces, states, sampled_slider_positions, origins),
+        )
         if kernel.march_friction(self.handle, n_instants, max_periods, *arrays):
             raise ConvergenceError("contact: an instant has no forces, or more than one solution")
-        return forces, states, positions, origins
+        return forces, states, sampled_slider_positions, origins
 
 
 SETS_MEMORY_FRACTION = 1 / 32

@@ -106,8 +106,10 @@ class LabelledMatrix:
             raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
         entries, new_rows = self.matrix.tocoo(), np.array(rows, dtype=int)
         is_kept = (new_rows[entries.row] >= 0) & (new_rows[entries.col] >= 0)
-        positions = new_rows[entries.row[is_kept]], new_rows[entries.col[is_kept]]
-        return sparse.csr_matrix((entries.data[is_kept], positions), (len(labels), len(labels)))
+        rows_and_columns = new_rows[entries.row[is_kept]], new_rows[entries.col[is_kept]]
+        return sparse.csr_matrix(
+            (entries.data[is_kept], rows_and_columns), (len(labels), len(labels))
+        )
 
 
 def read_matrix(
@@ -215,9 +217,12 @@ def _mirror_triangle(
             raise ValueError(
                 f"row {row}, column {column} is there on both sides of the diagonal, others on one"
             )
-    positions = np.append(rows, columns[is_off_diagonal]), np.append(columns, rows[is_off_diagonal])
+    rows_and_columns = (
+        np.append(rows, columns[is_off_diagonal]),
+        np.append(columns, rows[is_off_diagonal]),
+    )
     return sparse.csr_matrix(
-        (np.append(entries, sign * entries[is_off_diagonal]), positions), (n, n)
+        (np.append(entries, sign * entries[is_off_diagonal]), rows_and_columns), (n, n)
     )
 
 
@@ -364,7 +369,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                 raise ValueError
             words_per_number = 2 if type_code in (2, 4) else 1
             entries: list[float] = []
-            positions: list[tuple[int, int]] = []
+            entry_indices: list[tuple[int, int]] = []
             while True:
                 column, first_row, n_words_left = read_integers(3)
                 while n_words_left > 0:
@@ -380,13 +385,13 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                     n_words_left -= length + n_header_words
                     if is_wanted and column <= n_columns:
                         entries += numbers
-                        positions += [
+                        entry_indices += [
                             (row - 1 + offset, column - 1) for offset in range(len(numbers))
                         ]
                 if column > n_columns:
                     break
             if is_wanted:
-                row_and_column = np.array(positions, dtype=np.int64).reshape(-1, 2).T
+                row_and_column = np.array(entry_indices, dtype=np.int64).reshape(-1, 2).T
                 matrix = sparse.csr_matrix(
                     (entries, tuple(row_and_column)), (abs(n_rows), n_columns)
                 )
@@ -431,15 +436,15 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         count = "more" if n_found > n_entries else n_found  # reading stops after one too many
         raise ValueError(f"it has {count} entries instead of {n_entries}")
     if layout == "array":
-        entries, positions = table.ravel(), _dense_positions(shape, symmetry)
+        entries, rows_and_columns = table.ravel(), _dense_rows_and_columns(shape, symmetry)
     elif max(shape) > max(len(table), n_rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(table)} entries")
     else:
-        entries, positions = _split_coordinates(table, shape, symmetry)
+        entries, rows_and_columns = _split_coordinates(table, shape, symmetry)
     if symmetry == "general":
-        matrix = sparse.csr_matrix((entries, positions), shape)
+        matrix = sparse.csr_matrix((entries, rows_and_columns), shape)
     else:
-        matrix = _mirror_triangle(entries, *positions, shape[0], TRANSPOSE_SIGNS[symmetry])
+        matrix = _mirror_triangle(entries, *rows_and_columns, shape[0], TRANSPOSE_SIGNS[symmetry])
     if layout == "array":
         matrix.eliminate_zeros()
     return matrix
@@ -524,7 +529,7 @@ def _parse_header(line: str) -> tuple[str, str]:
     return layout, symmetry
 
 
-def _dense_positions(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+def _dense_rows_and_columns(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
     """Return rows and columns of the entries in a dense file.
 
     Columns follow each other. A symmetric matrix has only the entries from the diagonal down.

@@ -208,8 +208,8 @@ class _ContactEnergy:
             self._created_energy += 0.5 * float(
                 last_spring_energy.sum() - first_spring_energy.sum()
             )
-        work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
-        self._energy_input += abs(float(self._request.structure.sum_over_ranks(work)[0]))
+        load_work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
+        self._energy_input += abs(float(self._request.structure.sum_over_ranks(load_work)[0]))
         return self._created_energy, self._energy_input
 
 
