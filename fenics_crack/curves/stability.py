@@ -386,7 +386,7 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    return find_attractor(orbits, np.zeros(flow.size), SearchOptions().periods(flow))
+    return find_attractor(orbits, np.zeros(flow.size), SearchOptions().period_budget(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:

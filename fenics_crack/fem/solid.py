@@ -283,7 +283,9 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 
 def _check_cell_number(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:
     """Raise InputError before gmsh makes too many cells."""
-    n_bulk, n_front = solid_mesher.estimate_cells(scene.mesh.given("size") / unit, fronts)
+    n_bulk, n_front = solid_mesher.estimate_bulk_and_front_cells(
+        scene.mesh.given("size") / unit, fronts
+    )
     key, size_note = "size", ""
     if n_front > n_bulk:
         shortest_length = unit * min(front["shortest"] for front in fronts)

@@ -79,7 +79,7 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     faces_by_name = _find_named_faces(request["faces"], triangles, owners)
     surfaces, fronts = insert_cracks(solid_tags, request["cracks"], triangles)
     size = request["size"]
-    n_bulk_cells, n_front_cells = estimate_cells(size, fronts)
+    n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
         requirement = f"so that there are at most {request['cells']:.0e} cells: about"
         key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
@@ -359,7 +359,7 @@ def _check_crack_position(
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
 
-def estimate_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
+def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
     """Estimate the number of cells of the current model.
 
     Returns

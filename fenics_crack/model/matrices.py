@@ -727,7 +727,7 @@ def _check_entries(name: str, entries: np.ndarray) -> None:
 
 
 def check_parts(
-    mass: Any, stiffness: Any, gaps: tuple[Any, Any], forces: Mapping[str, Any], clearance: Any,
+    mass: Any, stiffness: Any, gaps: tuple[Any, Any], load_parts: Mapping[str, Any], clearance: Any,
     comm: MPI.Comm,
 ) -> dict[str, Any]:  # fmt: skip
     """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
@@ -761,7 +761,7 @@ def check_parts(
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own_rows],
-        "force": _assemble_load(forces, n)[:, own_rows],
+        "force": _assemble_load(load_parts, n)[:, own_rows],
         "clearance": expand_to_pairs("clearance", clearance, gap.shape[1]),
     }
     if tangential is not None:
@@ -773,7 +773,7 @@ def check_parts(
     return parts
 
 
-def _assemble_load(forces: Mapping[str, Any], n: int) -> np.ndarray:
+def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """Return a load (2K+1, n) from mean, cosine and sine parts.
 
     Column k of a part is its k-th harmonic.
@@ -781,7 +781,7 @@ def _assemble_load(forces: Mapping[str, Any], n: int) -> np.ndarray:
     max_columns = {"force_mean": 1}
     parts = [
         _read_load_columns(key, part, n, max_columns.get(key, MOST_HARMONICS))
-        for key, part in forces.items()
+        for key, part in load_parts.items()
     ]
     load_coefficients = np.zeros((2 * max(map(len, parts)) + 1, n))
     for first_row, part in enumerate(parts):

@@ -655,8 +655,8 @@ class Structure(Coordinates):
             A shape does not fit, an entry is not finite or larger than 1e60, a matrix is not
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
-        forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = check_parts(mass, stiffness, (gap, tangential), forces, clearance, comm)
+        load_parts = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
+        parts = check_parts(mass, stiffness, (gap, tangential), load_parts, clearance, comm)
         if not isinstance(damping, DampingRule | None):
             mass_matrix = parts["mass"]
             damping = make_petsc_matrix(

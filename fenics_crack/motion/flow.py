@@ -323,7 +323,7 @@ class ContactFlow(Flow):
             )
         return np.concatenate(parts)
 
-    def pieces(self, duration: float) -> float:
+    def count_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion without events.
 
         The motion lasts ``duration`` [s].
@@ -402,7 +402,7 @@ class ContactFlow(Flow):
         )
         return Motion(end_state, n_events, n_pieces, track, samples)
 
-    def steps(
+    def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
         """Integrate the motion over equal parts of a period from time zero.

@@ -238,7 +238,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         On each piece of the period the motion is the polynomial through Gauss nodes. With a given
         number of ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
         """
-        samples, piece_lengths = self._at_nodes(len(self.flow.modal_load) // 2 * self.omega)
+        samples, piece_lengths = self._gauss_samples_and_lengths(
+            len(self.flow.modal_load) // 2 * self.omega
+        )
         nodes, weights, _ = gauss_nodes()
         columns = samples.products(rows), samples.gaps, samples.forces
         node_values, node_numbers = np.hstack(columns), np.arange(len(nodes))
@@ -285,7 +287,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
-        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
         gaps, forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
         node_values = np.hstack([gaps, forces, samples.states[:, :n_modes]])
         splits = np.cumsum([gaps.shape[1], forces.shape[1]])
@@ -302,13 +304,13 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         ``rows`` is (m, n_dofs).
         """
-        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
         return self._integrate_coefficients(samples.products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
         base_omega = self.omega / self.subharmonic
-        samples, piece_lengths = self._at_nodes(harmonics * base_omega)
+        samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
         time_weights = (0.5 * piece_lengths[:, None] * gauss_nodes()[1]).ravel() / self.period
         coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
         basis_buffer = np.empty((len(coefficients), INSTANTS_PER_BLOCK))
@@ -325,7 +327,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             coefficients += weighted_basis @ node_values[block]
         return coefficients
 
-    def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
+    def _gauss_samples_and_lengths(self, omega: float) -> tuple[Samples, np.ndarray]:
         """Return the motion at Gauss nodes in all pieces of the period.
 
         Within a piece no pair opens, closes, sticks or slips, and waves up to ``omega`` [rad/s]
@@ -362,7 +364,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes.
         """
         flow = self.flow
-        samples, piece_lengths = self._at_nodes(len(flow.modal_load) // 2 * self.omega)
+        samples, piece_lengths = self._gauss_samples_and_lengths(
+            len(flow.modal_load) // 2 * self.omega
+        )
         _, weights, differentiation = gauss_nodes()
 
         def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
@@ -530,7 +534,7 @@ def is_affordable(
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_too_slow(flow, omega, subharmonic)
-    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
+    pieces = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
     return flow.structure.light_lips and periods * pieces <= MAX_SEARCH_PIECES
 
 
@@ -539,7 +543,7 @@ def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
 
     Events are not counted. For a large model the result is False.
     """
-    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
+    pieces = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
     return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
 
 
@@ -561,7 +565,7 @@ def predict_orbit(
     weights = flow.weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, interval_counts = flow.steps(states, omega, period)
+        end_states, track, interval_counts = flow.integrate_parts(states, omega, period)
         excess = end_states - np.concatenate([states[1:], states[:1]])
         change = track.carry_changes(np.zeros(flow.size), excess, interval_counts)[-1]
         inverse = _make_inverse(flow, track, weights)
@@ -579,7 +583,7 @@ def predict_motion(
     """Return the motion of a prediction; None if it cannot be integrated."""
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, _ = flow.steps(prediction.states, omega, period)
+        end_states, track, _ = flow.integrate_parts(prediction.states, omega, period)
         motion = flow.advance(end_states[-1], omega, 0.0)._replace(track=track)
         return MotionInArcs(
             flow, omega, subharmonic, motion, prediction.states[0], 1, prediction.states
@@ -671,7 +675,9 @@ class _Search:
         self._period = 2.0 * np.pi * subharmonic / omega
         max_pieces = MAX_SEARCH_PIECES
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
-            max_pieces = max(max_pieces, math.ceil(MAX_SEARCH_PERIODS * flow.pieces(self._period)))
+            max_pieces = max(
+                max_pieces, math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period))
+            )
         self.budget = self._remaining_pieces = max_pieces
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0

@@ -75,14 +75,14 @@ class SearchOptions:
     harmonics: tuple[int, ...] = (5, 10, 20, 40)
     evaluations: int = 4000
 
-    def pieces(self, flow: ContactFlow) -> int:
+    def piece_budget(self, flow: ContactFlow) -> int:
         """Return the budget in Taylor pieces."""
         n_periods = (0.75 if flow.friction else 1.0) * self.evaluations
         return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
-    def periods(self, flow: ContactFlow) -> int:
+    def period_budget(self, flow: ContactFlow) -> int:
         """Return the maximum number of periods to integrate a motion."""
-        return max(self.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
+        return max(self.piece_budget(flow) // (4 * PIECES_PER_PERIOD), 60)
 
 
 class OrbitSearch(NamedTuple):
@@ -238,7 +238,7 @@ class Homotopy:
 def find_by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | None:
     """Return the orbit at the end of the path from the guess; None without success."""
     begin("an orbit along a path from the motion")
-    system = Homotopy(orbits, options.pieces(orbits.flow) // 2)
+    system = Homotopy(orbits, options.piece_budget(orbits.flow) // 2)
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
     try:
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
@@ -267,7 +267,7 @@ def _find_by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSear
     The motion may settle to the orbit, or pass near it.
     """
     flow, omega, subharmonic = orbits.flow, orbits.omega, orbits.subharmonic
-    max_periods, remaining_pieces = options.periods(flow), options.pieces(flow) // 4
+    max_periods, remaining_pieces = options.period_budget(flow), options.piece_budget(flow) // 4
     begin(f"the exact motion over up to {max_periods} periods, and orbits that it passes")
     states = np.array([orbits.start, *follow_periods(orbits, orbits.start, max_periods)])
     return_distances = np.linalg.norm(np.diff(states, axis=0), axis=1)

@@ -150,7 +150,7 @@ def test_parts_make_the_whole() -> None:
     whole = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega)
     starts = np.linspace(0.0, 2.0 * np.pi / omega, 33)[:-1]
     samples = flow.advance(thrown(flow), omega, 2.0 * np.pi / omega, instants=starts).samples
-    moved, track, ends = flow.steps(samples.states, omega, 2.0 * np.pi / omega)
+    moved, track, ends = flow.integrate_parts(samples.states, omega, 2.0 * np.pi / omega)
     assert relative(moved[:-1], samples.states[1:]) < 1e-12
     assert relative(moved[-1], whole.state) < 1e-12
     assert relative(track.tangent, whole.track.tangent) < 1e-11
