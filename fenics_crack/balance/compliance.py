@@ -422,11 +422,11 @@ class FactoredCompliance:
 
         They follow from the lowest modes, and from the rest of the static R_0.
         """
-        omega, rate, pair_shapes = self.structure.compute_once(_lowest_modes)
-        rate = self.structure.damping_factor * rate
+        omega, modal_damping, pair_shapes = self.structure.compute_once(_lowest_modes)
+        modal_damping = self.structure.damping_factor * modal_damping
         static_rest = self.matrices[0].real - (pair_shapes.T / omega**2) @ pair_shapes
         frequency = self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
-        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
+        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * modal_damping)
         return static_rest + np.matmul(pair_shapes.T * receptance[:, None, :], pair_shapes)
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
@@ -478,8 +478,8 @@ def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndar
     Returns
     -------
     omega : (n,) [rad/s]
-    rate : (n,) [1/s]
-        Modal damping.
+    modal_damping : (n,) [1/s]
+        2 xi omega.
     shapes : (n, n_pairs)
         B^T phi.
     """
@@ -489,6 +489,10 @@ def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndar
         if stored_modes and len(stored_modes.omega) >= n_modes
         else solve_modes(structure, n_modes)
     )
-    rate = np.diag(projected_damping(structure, modes.shapes))
+    modal_damping = np.diag(projected_damping(structure, modes.shapes))
     is_elastic = modes.omega > 0.0  # the lowest may be lost in rounding
-    return modes.omega[is_elastic], rate[is_elastic], structure.apply_bt(modes.shapes.T)[is_elastic]
+    return (
+        modes.omega[is_elastic],
+        modal_damping[is_elastic],
+        structure.apply_bt(modes.shapes.T)[is_elastic],
+    )

@@ -118,7 +118,7 @@ class ContactSystem:
         """U, None where it is not needed."""
         n_step_unknowns = n_rows * (n_pairs if self.gap_basis is None else self.gap_basis.shape[1])
         self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
-        self.work = min(n_step_unknowns, MATRIX_FREE)
+        self.n_cost_unknowns = min(n_step_unknowns, MATRIX_FREE)
         """Unknowns by which the time of a step grows."""
 
     @cached_property
@@ -197,10 +197,10 @@ class ContactSystem:
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return the equations at s, for the law itself or at another parameter."""
         distance = 1.0 - parameter
-        rate = -3.0 * self._softness * distance * abs(distance)
+        compliance_rate = -3.0 * self._softness * distance * abs(distance)
         return ContactPoint(
             self, unknown, self.integrals.with_softness(self._softness * abs(distance) ** 3),
-            lambda point: respond(self.dynamic_part, rate * point.forces.by_softness()),
+            lambda point: respond(self.dynamic_part, compliance_rate * point.forces.by_softness()),
         )  # fmt: skip
 
     def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
@@ -549,11 +549,11 @@ class CompiledEquations(Equations):
             compliance = {"compliance": matrices}
         n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
         static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
-        rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+        full_linear_rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         structure = Struct(
             "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,
             linear=require_shape(linear, *self.shape),
-            linear_rate=require_shape(rate, *self.shape), **compliance,
+            linear_rate=require_shape(full_linear_rate, *self.shape), **compliance,
         )  # fmt: skip
         self._kernel_input = Struct(
             "contact_pairs", structure=structure, n_basis_gaps=n_columns,

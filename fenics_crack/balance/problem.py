@@ -729,7 +729,7 @@ def _iteration_budget(system: ContactSystem) -> float:
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
-        return MAX_FRICTION_WORK / (integrals.instants * system.work)
+        return MAX_FRICTION_WORK / (integrals.instants * system.n_cost_unknowns)
     kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return kernel_limit

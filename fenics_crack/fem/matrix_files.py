@@ -336,12 +336,14 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         """Write the gathered matrices, on rank 0."""
         full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts.items()}
         if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
-            squares, shapes = eigh(
+            squares, mode_shapes = eigh(
                 full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
             )
             n_damped = check_damped_modes(structure)
-            rate = structure.damping.rate(squares[:n_damped])
-            damping_factors = full_matrices["mass"] @ shapes[:, :n_damped] * np.sqrt(rate)
+            modal_damping = structure.damping.rate(squares[:n_damped])
+            damping_factors = (
+                full_matrices["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)
+            )
             full_matrices["damping"] = sparse.csr_matrix(damping_factors @ damping_factors.T)
         texts = {
             f"{name}.mtx": format_matrix_market(matrix) for name, matrix in full_matrices.items()

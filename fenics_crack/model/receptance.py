@@ -380,11 +380,15 @@ class ResidualFlexibility:
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
         """Return G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
-        structure, shapes = self.structure, self.shapes
-        modal_forces = structure.sum_over_ranks(forces @ shapes)
-        displacements = factor.solve(forces - multiply(structure.mass, shapes @ modal_forces.T).T)
+        structure, mode_shapes = self.structure, self.shapes
+        modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
+        displacements = factor.solve(
+            forces - multiply(structure.mass, mode_shapes @ modal_forces.T).T
+        )
         inertia_forces = multiply(structure.mass, displacements.T).T
-        return displacements - structure.sum_over_ranks(inertia_forces @ shapes) @ shapes.T
+        return (
+            displacements - structure.sum_over_ranks(inertia_forces @ mode_shapes) @ mode_shapes.T
+        )
 
     def project_with_inertia(
         self, factor: Factor, columns: sparse.spmatrix

@@ -515,12 +515,12 @@ def initial_state(
             state = tuple(numbers(part) for part in initial)
         except TypeError:
             state = ()
-    shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
-    shape_matches = [part.shape == shape for part, shape in zip(state, shapes, strict=False)]
+    array_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
+    shape_matches = [part.shape == shape for part, shape in zip(state, array_shapes, strict=False)]
     has_right_shapes = all(shape_matches) and len(state) in ((2, 3) if has_friction else (2,))
     allowed = (
-        f"a solution of this structure, or finite displacement and velocity of shape {shapes[0]} "
-        f"as two arrays, with friction a third of finite places, of shape {shapes[2]}"
+        "a solution of this structure, or finite displacement and velocity of shape "
+        f"{array_shapes[0]} as two arrays, with friction a third of finite places, of shape {array_shapes[2]}"
     )
     error = InputError("initial", [part.shape for part in state], allowed)
     is_finite = all(np.all(np.isfinite(part)) for part in state)
