@@ -520,7 +520,8 @@ def initial_state(
     has_right_shapes = all(shape_matches) and len(state) in ((2, 3) if has_friction else (2,))
     allowed = (
         "a solution of this structure, or finite displacement and velocity of shape "
-        f"{array_shapes[0]} as two arrays, with friction a third of finite places, of shape {array_shapes[2]}"
+        f"{array_shapes[0]} as two arrays, with friction a third of finite places, of shape "
+        f"{array_shapes[2]}"
     )
     error = InputError("initial", [part.shape for part in state], allowed)
     is_finite = all(np.all(np.isfinite(part)) for part in state)
