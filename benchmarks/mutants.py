@@ -51,10 +51,11 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path("fenics_crack")
 FOLDERS = (
-    "model", "balance", "curves", "motion", "time", "fem", "numerics", "fatigue", "study", "kernel",
+    "model", "balance", "curves", "motion", "time", "fem", "disk", "numerics", "fatigue", "study",
+    "kernel",
 )  # fmt: skip
 """Folders of the package that compute."""
-READERS = ("msh_file", "msh_reader", "matrix_files", "model_files", "matrices")
+READERS = ("msh_file", "matrix_files", "model_files", "matrices")
 """Modules there that read files."""
 TEST_LIMIT = 60.0
 """Processor time of a test [s]; nearly all take less than a few seconds."""

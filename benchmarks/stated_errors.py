@@ -69,14 +69,15 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.balance.error_report import error_against_reference
 from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.basics.causes import MESH_CAUSES
+from fenics_crack.errors.convergence import UNCHANGED
+from fenics_crack.errors.numbers import numbers_of
+from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.study.meshes import finer_mesh
-from fenics_crack.study.numbers import numbers_of
-from fenics_crack.study.numbers import of_orbit as numbers_of_orbit
 from fenics_crack.study.prepare import Study
 from fenics_crack.study.solve import solve_prepared
-from fenics_crack.study.verification import MESH_CAUSES, UNCHANGED
 
 Numbers = dict[str, float]
 Vector = tuple[float, float, float]

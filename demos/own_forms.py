@@ -45,7 +45,7 @@ def main(output: Path = Path("output/own_forms"), springs: float = 1e13) -> fc.P
     strain = ufl.sym(ufl.grad(u))
     stress = young / (1 + nu) * (strain + nu / (1 - nu) * ufl.tr(strain) * ufl.Identity(2))
     foot = ufl.ds(domain=mesh, subdomain_data=tags)(FOOT)
-    plate = fc.Structure.from_forms(
+    plate = fc.structure_from_forms(
         V,
         t * ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx + t * springs * ufl.inner(u, v) * foot,
         t * density * ufl.inner(u, v) * ufl.dx,

@@ -1,7 +1,7 @@
 """Periodic vibration of structures with a crack that opens and closes.
 
 Start with ``docs/cracked_blade.md`` or ``demos/paper_plate.py``; equations and conventions are in
-``docs/theory.md``, and the reference is built from the docstrings (``docs/extend.md``).
+``docs/theory.md``, and the reference is built from the docstrings (``docs/contributing.md``).
 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
 brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.

@@ -79,7 +79,7 @@ COARSER = {
 }
 """Of the measured beams, of which 150 are solved, on one mesh; of the gallery's 119 cases, 7 speeds
 and 3 cracks; of the plate whose crack is found; and of the record, which is looked through as it is
-written in tests/monitoring/tip_timing/test_records.py."""
+written in tests/arrivals/test_records.py."""
 
 
 TABLES: dict[str, Any] = {

@@ -222,6 +222,27 @@ print("done")
     assert fresh(program) == "done"
 
 
+def test_arrivals_need_neither_meshes_nor_structures() -> None:
+    """An order in times that are computed here, with the other libraries blocked."""
+    program = f"""
+import sys
+for name in {(*HEAVY, "h5py", "slepc4py")}:
+    sys.modules[name] = None
+import numpy as np
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_order import fit_order
+
+probes, turns = np.array([0.1, 0.9, 2.3, 4.0]), 2.0 * np.pi * np.arange(31)
+angles = turns[:-1, None] + probes
+times = (angles - 1e-3 * np.cos(3.0 * angles)) / 100.0
+times += 1e-9 * np.random.default_rng(1).standard_normal(times.shape)
+print(fit_order(ArrivalTimes(times, turns / 100.0, probes, 0.5), range(1, 6)).order)
+print(sorted({{name.split(".")[1] for name in sys.modules if name.startswith("fenics_crack.")}}))
+"""
+    order, folders = fresh(program).splitlines()
+    assert order == "3.0" and folders == "['arrivals', 'basics', 'numerics', 'version']"
+
+
 @pytest.mark.nightly
 def test_pictures_of_own_matrices_need_no_meshes() -> None:
     """Spectra, orbits and curves come without DOLFINx and VTK; files for ParaView, which want

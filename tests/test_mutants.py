@@ -90,7 +90,7 @@ def test_mutants_of_c() -> None:
 
 def test_draw() -> None:
     """As many of each kind, the same for a seed."""
-    path = "fenics_crack/model/cyclic.py"
+    path = "fenics_crack/disk/cyclic.py"
     choices = mutants.all_mutations(mutants.ROOT, path)
     mutations = mutants.draw(choices, 1, 12)
     assert mutations == mutants.draw(choices, 1, 12) != mutants.draw(choices, 2, 12)

@@ -176,7 +176,7 @@ class Assessment:
 
     @cached_property
     def _orbit_and_acceptance(self) -> tuple[PeriodicOrbit | None, bool]:
-        """Return the nearest orbit, and True if it is accepted."""
+        """Return the nearest orbit, and True if it is accepted as the solution's exact form."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True
         orbit = self._source or self._nearest_orbit()
@@ -188,7 +188,7 @@ class Assessment:
         return orbit, orbit is not None and distance(self.wave, orbit) <= max_distance
 
     def _nearest_orbit(self) -> PeriodicOrbit | None:
-        """Search for an orbit by Newton's method."""
+        """Search for an orbit by Newton's method from the solution; None without success."""
         if self.prediction is None or self.too_slow:
             return None
         assert self.flow is not None
@@ -322,7 +322,11 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
 
 
 def _change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
-    """Return the change of the displacement at the load, relative to the motion's size."""
+    """Return the relative size of a displacement's change at the load (collective).
+
+    ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants; the reference is the
+    motion's size at the load.
+    """
     return relative_to_motion(
         *(motion_at_load(wave.structure, displacement) for displacement in (change, motion))
     )

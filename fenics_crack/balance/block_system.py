@@ -5,11 +5,11 @@ The coefficients u (2H+1, n) of the displacement solve (eqs 5 to 15, in their or
     r(u) = A u + B b(s) - c = 0,        s = B^T u - g0,        J = A + B T B^T,
 
 A = I x K - diag(k^2 w^2) x M + S x C follows from the matrices of the structure. S couples the
-cosine and the sine of each harmonic k by +-k w. b are the coefficients of the contact force, T =
-db/ds, both by the integrals of the condensed form (:mod:`contact_system`), and c those of the load.
-J is a sparse matrix (AIJ) on the structure's ranks, and each rank has all harmonics of its dofs.
-Modal damping C = M Phi diag(d) Phi^T M is dense. Its m modes add the unknowns q = Phi^T M u to each
-harmonic, on the last rank.
+cosine and the sine of each harmonic k by +-k w. b are the coefficients of the contact force and c
+those of the load. b and T = db/ds follow from the integrals of the condensed form
+(:mod:`contact_system`). J is a sparse matrix (AIJ) on the structure's ranks, and each rank has all
+harmonics of its dofs. Modal damping C = M Phi diag(d) Phi^T M is dense. Its m modes add the
+unknowns q = Phi^T M u to each harmonic, on the last rank.
 
 With a static compliance R_inf = W^T B in series with contact, as for crack faces without mass, s is
 the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is linear in the
@@ -45,7 +45,6 @@ from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import check_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
-from fenics_crack.model.wheel import Wheel
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, residual_rounding
 from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
@@ -61,12 +60,14 @@ REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping
 
 
 class BlockSystem(Snes):
-    """Block system of a problem; a context manager (collective).
+    """Equations r(u) = 0 for the displacement's coefficients u (2H+1, n_local) (collective).
+
+    A context manager frees the PETSc objects.
 
     Parameters
     ----------
     problem : Problem
-        Its structure has matrices.
+        Problem of a structure with PETSc matrices.
     linear : (2H+1, n_local) [m]
         Solution without contact.
     history : list, optional
@@ -139,7 +140,10 @@ class BlockSystem(Snes):
             factors.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
     def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
-        """Return this rank's rows of A in scaled units, those of modes on the last rank."""
+        """Return this rank's rows of the Jacobian's linear part A.
+
+        Units are scaled. Rows of damped modes are on the last rank.
+        """
         structure, n_rows = self.structure, self._shape[0]
         mass, stiffness = (
             local_rows(operator) for operator in (structure.mass, structure.stiffness)
@@ -170,9 +174,9 @@ class BlockSystem(Snes):
         return parts.tocoo()
 
     def _reorder_columns(self, matrix: sparse.spmatrix, size: int) -> sparse.csr_matrix:
-        """Return a matrix with columns rank by rank, from columns by harmonic and dof.
+        """Reorder columns by harmonic and dof to columns rank by rank.
 
-        ``size`` is the number of columns.
+        ``size`` is the number of columns of the result.
         """
         entries, n_rows, first_dofs = matrix.tocoo(), self._shape[0], self._first_dofs
         row, dof = np.divmod(entries.col, first_dofs[-1])
@@ -183,7 +187,11 @@ class BlockSystem(Snes):
         return sparse.csr_matrix((entries.data, (entries.row, columns)), (entries.shape[0], size))
 
     def _contact_part(self, tangent: np.ndarray) -> sparse.csr_matrix:
-        """Return this rank's rows of B T B^T for T of all pairs."""
+        """Return this rank's rows of the Jacobian's contact part, B T ds/du.
+
+        B takes contact forces to the dofs, s is the slow gap, and T = ``tangent`` is the forces'
+        derivative by s.
+        """
         n_gap_rows = self._force_map.shape[1]
         gap_tangent = sparse.csr_matrix(
             (tangent.ravel(), self._gap_tangent_indices), (n_gap_rows, n_gap_rows)
@@ -196,19 +204,19 @@ class BlockSystem(Snes):
             solver.getPC().setFactorSolverType("mumps")
 
     def displacement(self, unknown: Any) -> np.ndarray:
-        """Return u of a vector: (2H+1, n_local) [m]."""
+        """Return the displacement u of a PETSc vector of unknowns: (2H+1, n_local) [m]."""
         n_entries = int(np.prod(self._shape))
         return self.length_unit * unknown.array_r[:n_entries].reshape(self._shape)
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
-        """Return s of this rank's rows of a vector: (2H+1, n_pairs) [m] (collective)."""
+        """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
         relative_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
         return self._constant_gap + self.length_unit * relative_gap.reshape(
             self._constant_gap.shape
         )
 
     def vector_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return this rank's rows of a displacement's vector (collective)."""
+        """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
         relative_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_part = self.structure.sum_over_ranks(relative_displacement[1:] @ self._modes[0])
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
@@ -232,21 +240,22 @@ class BlockSystem(Snes):
 
     @property
     def reason(self) -> str:
-        """Return in PETSc's words why the last steps ended."""
+        """Return PETSc's name for the reason why the last steps ended."""
         codes = vars(PETSc.SNES.ConvergedReason).items()
         return next(name for name, code in codes if code == self._snes.getConvergedReason())
 
     def take_full_steps(
         self, displacement: np.ndarray, stiffness_factor: float, tolerance: float
     ) -> tuple[np.ndarray, bool, int]:
-        """Take full steps from a displacement (collective).
+        """Take full Newton steps from a displacement (collective).
 
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
         stiffness_factor : float
-            Factor of the contact stiffness.
+            Factor of the contact stiffness, from 0 to 1.
         tolerance : float
+            Maximum |F| / |x|.
 
         Returns
         -------
@@ -285,7 +294,7 @@ class BlockSolver(Solver):
         refusals = {
             "with UnilateralConstraint of crack faces with mass": problem.is_projected,
             "with friction": problem.friction,
-            "of a bladed disk that is not reduced": isinstance(structure, Wheel),
+            "of a bladed disk that is not reduced": structure.n_sectors > 1,
         }
         for condition in (condition for condition, is_refused in refusals.items() if is_refused):
             raise InputError("form", "block", f"'condensed' {condition}")
@@ -336,7 +345,7 @@ class BlockSolver(Solver):
 def _raise_stiffness(
     block: BlockSystem, search: Search, displacement: np.ndarray, stiffness_factor: float
 ) -> tuple[np.ndarray, float]:
-    """Raise the contact stiffness up to the law.
+    """Solve at growing contact stiffness, up to that of the law.
 
     Each search begins on a straight line through the last two solutions, over the logarithm of the
     factor.

@@ -3,11 +3,11 @@
 A force lambda_k exp(i k w t) on the pairs moves their gaps by -R_k lambda_k. The load alone opens
 them by the linear gap:
 
-    R_k = B^T Z_k^-1 B,        g_lin = B^T Z^-1 f - g0,        Z_k = K - (k w)^2 M + i k w C.
+    R_k = B^T Z_k^-1 B,        g_lin = B^T Z^-1 f - g0,        Z_k = K - (k w)^2 M + i k w C,
 
-The gap's harmonics solve g + R lambda(g) = g_lin exactly, for any structure. Small and reduced
-structures have closed forms from all of their modes. Large structures need a sparse factorisation
-for each harmonic.
+with the gaps B^T u - g0 of displacements u and the load f. The gap's harmonics solve
+g + R lambda(g) = g_lin exactly, for any structure. Small and reduced structures have closed forms
+from all of their modes. Large structures need a sparse factorisation for each harmonic.
 
 With modal damping C is dense and never formed. D = K - omega^2 M, real, symmetric and sparse, is
 factored. With mass-normalised modes phi_j of natural frequency omega_j and d_j = omega_j^2 -
@@ -53,7 +53,7 @@ DEFLATION_BAND = 1e-2
 
 
 class DynamicStiffness:
-    """Factorised dynamic stiffness Z(omega) of a structure.
+    """Factorised dynamic stiffness Z = K - omega^2 M + i omega C.
 
     Free it with :meth:`destroy`, or use it as a context manager (collective).
 
@@ -110,7 +110,7 @@ class DynamicStiffness:
             )
 
     def solve(self, force: np.ndarray) -> np.ndarray:
-        """Return Z^-1 f for real or complex forces (m, n_local) (collective)."""
+        """Return Z^-1 f, displacements by real or complex forces f (m, n_local) (collective)."""
         n_local = self.structure.n_local
         if self._damping is not None:
             real_rows = np.concatenate([np.real(force), -np.imag(force)], axis=1)
@@ -126,7 +126,10 @@ class DynamicStiffness:
         return solution + (modal_force * self._correction) @ self._modes.shapes.T
 
     def compliance(self) -> np.ndarray:
-        """Return R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N]."""
+        """Return the gaps' compliance R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N].
+
+        B takes contact forces to the dofs, B^T displacements to the gaps.
+        """
         return self.structure.apply_bt(self.solve(self.structure.gap.T.toarray())).T
 
     def destroy(self) -> None:
@@ -145,9 +148,9 @@ class DynamicStiffness:
 def dynamic_compliance(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
 ) -> Compliance:
-    """Return the compliance at multiples of ``base_omega`` (collective).
+    """Return the gaps' compliance at multiples of ``base_omega`` (collective).
 
-    The load acts at harmonic ``subharmonic``.
+    The load's frequency is ``subharmonic`` times ``base_omega``.
 
     Raises
     ------
@@ -161,7 +164,7 @@ def dynamic_compliance(
 
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
-    """Return c, the load's coefficients: (2H+1, n_local) [N]."""
+    """Return the load's Fourier coefficients in the response's period: (2H+1, n_local) [N]."""
     return resize_harmonics(stretch_period(structure.force, subharmonic), harmonics)
 
 
@@ -176,13 +179,13 @@ class ModalCompliance:
     shape : tuple of int
         (2H+1, n_pairs)
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
-        R_k, symmetric.
+        R_k for each harmonic k, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
-        Gap without contact, less the clearance.
+        Gap without contact forces, less the clearance.
     gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make; None if these are all gaps.
     gap_without_modes : (2H+1, n_pairs) [m]
-        Part of the linear gap that no mode makes.
+        Part of the linear gap by coordinates without mass, less the clearance.
     """
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
@@ -230,7 +233,7 @@ class ModalCompliance:
     ) -> ModalCompliance:
         """Return the compliance at another frequency, and for a varied structure.
 
-        The factors of load and damping, and the clearance to add [m], are those of
+        ``load`` and ``damping`` are factors, ``clearance`` [m] is added, as in
         :meth:`Structure.varied`.
         """
         compliance = object.__new__(type(self))  # faster than copy
@@ -241,7 +244,7 @@ class ModalCompliance:
         return compliance
 
     def compliance_above(self, max_harmonic: int) -> np.ndarray:
-        """Return R_k for k = H+1 to ``max_harmonic``."""
+        """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
         order = np.arange(len(self.matrices), max_harmonic + 1)
         has_load: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
         receptance = self._modes.modal_receptances(
@@ -250,12 +253,12 @@ class ModalCompliance:
         return self._pair_compliance(receptance)
 
     def _pair_compliance(self, receptance: np.ndarray) -> np.ndarray:
-        """Return R_k from modal receptances."""
+        """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
         compliance = self._modes.seen_by_pairs(receptance)
         return compliance if self._modes.residual is None else compliance + self._modes.residual
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
-        """Return u = A^-1 (c - B lambda): (2H+1, n_local) [m]."""
+        """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
         displacement = from_complex(-self._modal_response(force) @ self._modes.shapes.T)
         return (
             displacement
@@ -264,12 +267,13 @@ class ModalCompliance:
         )
 
     def displacements(self, base_omega: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return u at many base frequencies.
+        """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
         ----------
         base_omega : (n,) [rad/s]
         force : (2H+1, n, n_pairs) [N]
+            Contact forces at each frequency.
 
         Returns
         -------
@@ -287,7 +291,7 @@ class ModalCompliance:
         return displacement + self._load * self._unit_static[:, None] - force @ modes.static_pairs.T
 
     def selected_displacement(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return T u for rows T (m, n_local) that select displacements: (2H+1, m) [m]."""
+        """Return rows (m, n_local) times the displacement under contact forces: (2H+1, m)."""
         displacement = from_complex(-self._modal_response(force) @ (rows @ self._modes.shapes).T)
         return (
             displacement
@@ -306,19 +310,21 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
-        """Return the modes of R_k - R_inf for the kernel's ``structure_at_pairs``.
+        """Return fields of the C struct ``structure_at_pairs``: the modes in R_k - R_inf.
 
         The base frequency w and the damping factor d change along a path. Each is given by its
-        value at p = 0 and its rate. With h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),
+        value at p = 0 and its rate. ``residual`` is R_inf. With h_kj = 1 / (s_j - (k w)^2 + i k w d
+        c_j),
 
-            R_k - R_inf = P^T h_k P + at_once,        g_lin gains P^T h_k l_k from the load.
+            R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load.
 
         Returns
         -------
         dict or None
             None if damping couples modes. Otherwise ``squares``, s (n_modes,) [rad^2/s^2];
-            ``rates``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l (H+1,
-            n_modes); ``static_compliance`` (n_pairs, n_pairs); and the numbers of the path.
+            ``modal_damping``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l
+            (H+1, n_modes) complex; ``static_compliance`` (n_pairs, n_pairs) or None; ``modes``,
+            their number; ``omega``, ``damping``, w and d at p = 0, and ``..._rate``, their rates.
         """
         modes = self._modes
         if modes.damping.ndim == 2:
@@ -344,10 +350,11 @@ class ModalCompliance:
         }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
-        """Return the derivative of R lambda - g_lin for fixed forces: (2H+1, n_pairs).
+        """Return the derivative of R lambda - g_lin by a parameter: (2H+1, n_pairs).
 
-        ``name`` is a parameter of :meth:`with_parameters`; "omega" is the base frequency. With H =
-        Z^-1,
+        The contact forces lambda are fixed. ``name`` is a parameter of :meth:`with_parameters`;
+        "omega" is the base frequency w. With the modal impedance Z_k = omega_j^2 - (k w)^2 + i k w
+        d c, the damping factor d and H = Z^-1,
 
             dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
         """
@@ -366,23 +373,23 @@ class ModalCompliance:
     def selected_displacement_by_omega(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Return the derivative of :meth:`selected_displacement` by the base frequency.
 
-        Forces are fixed. The shape is (2H+1, m).
+        The contact forces are fixed: (2H+1, m).
         """
         return from_complex(-self._modal_response_by_omega(force) @ (rows @ self._modes.shapes).T)
 
     def _modal_response_by_omega(self, force: np.ndarray) -> np.ndarray:
-        """Return the derivative of :meth:`_modal_response` by the base frequency."""
+        """Return the derivative of modal displacements by the base frequency: (H+1, n_modes)."""
         order, response = self._order[:, None], self._modal_response(force)
         damping_force = 1j * self._damping * self._modes.damping_force(response)
         drive = order * (damping_force - 2.0 * self._base_omega * order * response)
         return -self._modes.respond(self._receptance, drive)
 
     def _gap_response(self, drive: np.ndarray) -> np.ndarray:
-        """Return gaps (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
+        """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
         return from_complex(self._modes.respond(self._receptance, drive) @ self._modes.pairs)
 
     def _modal_response(self, force: np.ndarray) -> np.ndarray:
-        """Return modal coordinates under the contact forces less the load: (H+1, n_modes)."""
+        """Return modal displacements under contact forces less load: (H+1, n_modes) complex."""
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
         return self._modes.respond(self._receptance, drive)
 
@@ -399,7 +406,7 @@ class FactoredCompliance:
     ----------
     structure : Structure
     load : (2H+1, n_local) [N]
-        c, the load's coefficients.
+        Fourier coefficients of the load.
     """
 
     gap_basis: np.ndarray | None = None
@@ -418,9 +425,9 @@ class FactoredCompliance:
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
     def compliance_above(self, max_harmonic: int) -> np.ndarray:
-        """Return R_k for k = H+1 to ``max_harmonic``.
+        """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N].
 
-        They follow from the lowest modes, and from the rest of the static R_0.
+        The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
         """
         omega, modal_damping, pair_shapes = self.structure.compute_once(_lowest_modes)
         modal_damping = self.structure.damping_factor * modal_damping
@@ -430,11 +437,11 @@ class FactoredCompliance:
         return static_rest + np.matmul(pair_shapes.T * receptance[:, None, :], pair_shapes)
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
-        """Return u = A^-1 (c - B lambda): (2H+1, n_local) [m]."""
+        """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
         return self.solve_blocks(self.load - self.structure.apply_b(force))
 
     def solve_blocks(self, force: np.ndarray) -> np.ndarray:
-        """Return A^-1 f for coefficients f (2H+1, n_local)."""
+        """Return the displacement under forces f, both coefficients (2H+1, n_local)."""
         rows = [
             block.solve(row.real[None] if k == 0 else row[None])[0]
             for k, (block, row) in enumerate(zip(self._blocks, to_complex(force), strict=True))
@@ -453,9 +460,10 @@ Compliance = ModalCompliance | FactoredCompliance
 
 
 def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
-    """Return a compliance with fewer harmonics, or with more.
+    """Return a compliance with another number of harmonics.
 
-    New harmonics have the accuracy of an error estimate. Displacements keep the harmonics they had.
+    New harmonics have the accuracy of an error estimate. :meth:`ModalCompliance.displacement` keeps
+    the number of harmonics.
     """
     new_compliance = copy(compliance)
     matrices = compliance.matrices[: harmonics + 1]
@@ -468,7 +476,7 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
 
 
 def _gap_basis(structure: Structure) -> np.ndarray:
-    """Return an orthonormal basis of B^T Phi: (n_pairs, n)."""
+    """Return an orthonormal basis of the gaps B^T Phi that modes make: (n_pairs, n)."""
     return scipy.linalg.orth(all_modes(structure).pairs.T)
 
 
@@ -478,10 +486,10 @@ def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndar
     Returns
     -------
     omega : (n,) [rad/s]
-    modal_damping : (n,) [1/s]
-        2 xi omega.
+    rate : (n,) [1/s]
+        Modal damping.
     shapes : (n, n_pairs)
-        B^T phi.
+        Gaps B^T phi of the mass-normalised modes.
     """
     stored_modes, n_modes = damped_modes(structure), min(20, structure.n_dofs)
     modes = (

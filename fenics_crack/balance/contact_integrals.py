@@ -13,9 +13,9 @@ c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows i 
 a Toeplitz plus a Hankel matrix for each pair. The row of the mean has c_0, c_j, s_j, and the column
 of the mean 2 c_i, 2 s_i.
 
-A static compliance couples pairs: the forces follow from all gaps. With S_A the stiffness for the
-set A of closed pairs (:mod:`fenics_crack.model.contact`), lambda = S_A(t) s(t). For a wave s of H
-harmonics the product needs only the means
+A static compliance couples pairs: the forces lambda follow from all slow gaps s = g + R_inf lambda.
+With S_A the stiffness for the set A of closed pairs (:mod:`fenics_crack.model.contact`), lambda =
+S_A(t) s(t). For s with H harmonics the product needs only the means
 
     S_m = 1/(2 pi) int S(theta) exp(i m theta) d theta,        m = 0 .. 2H.
 
@@ -52,57 +52,60 @@ from fenics_crack.numerics.fourier import (
 
 
 class ContactForces(ABC):
-    """Coefficients of the contact forces for a gap s, and their derivatives.
+    """Fourier coefficients b of the contact forces, and derivatives.
+
+    T = db/ds is the derivative by the coefficients of the slow gap s.
 
     Attributes
     ----------
     force : (2H+1, n_pairs) [N]
+        b.
     """
 
     force: np.ndarray
 
     @abstractmethod
     def apply(self, change: np.ndarray) -> np.ndarray:
-        """Return T ds for a change ds (2H+1, n_pairs)."""
+        """Return the forces' change T ds by a gap's change ds, both (2H+1, n_pairs)."""
 
     @abstractmethod
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        """Return I + R T as a dense matrix.
+        """Return the dense Jacobian I + R T of s + R b(s), with T = db/ds.
 
         Parameters
         ----------
         matrices : (H+1, n, n) complex [m/N]
-            R_k.
+            R_k, compliance of the pairs at harmonic k.
         basis : (n_pairs, n), optional
-            U. With a basis the matrix is I + R U^T T U.
+            Orthonormal basis U of gaps. The matrix is then I + R U^T T U, with R in this basis.
 
         Returns
         -------
         ((2H+1) n, (2H+1) n)
-            Unknowns are ordered (row, pair).
+            Entries are ordered (coefficient, pair).
         """
 
     @abstractmethod
     def by_softness(self) -> np.ndarray:
-        """Return the coefficients' derivative by the series compliance."""
+        """Return db by a compliance in series with all pairs: (2H+1, n_pairs) [N]."""
 
     @abstractmethod
     def by_log_stiffness(self) -> np.ndarray:
-        """Return the coefficients' derivative by ln k."""
+        """Return db by the logarithm of the contact stiffness k: (2H+1, n_pairs) [N]."""
 
 
 @dataclass(frozen=True)
 class ContactIntegrals(ABC):
-    """Strategy that integrates the contact forces for gaps s (2H+1, n_pairs).
+    """Integrals of the contact forces over a period, for slow gaps s (2H+1, n_pairs).
 
     Attributes
     ----------
     law : ContactLaw
         Law for all pairs.
     harmonics : int
-        H.
+        H, the highest harmonic.
     residual : (n_pairs, n_pairs) [m/N] or None
-        R_inf, the compliance in series with contact, s = g + R_inf lambda; None: s = g.
+        R_inf, the compliance in series with contact: s = g + R_inf lambda; None: s = g.
     softness : float
         Further compliance in series with every pair, in units of ``unit``.
     """
@@ -117,20 +120,23 @@ class ContactIntegrals(ABC):
 
     @property
     def exact(self) -> bool:
-        """True if the integrals are exact, without AFT samples."""
+        """True if the integrals are exact, without samples in time."""
         return False
 
     @cached_property
     def spring_compliance(self) -> np.ndarray:
-        """Return 1/k of each pair, or one for all [m/N].
+        """Return 1/k, with the contact stiffness k of each pair or of all [m/N].
 
-        It is zero for a law without penetration.
+        A law without penetration has zero.
         """
         return np.asarray(1.0 / np.asarray(self.law.stiffness, dtype=float))
 
     @cached_property
     def compliance_diagonal(self) -> np.ndarray:
-        """Return the diagonal of R_inf + I/k: (n_pairs,), or one number [m/N]."""
+        """Return each pair's own compliance: (n_pairs,), or one number [m/N].
+
+        It is the diagonal of static compliance plus contact springs, R_inf + I/k.
+        """
         return (
             self.spring_compliance
             if self.residual is None
@@ -139,31 +145,31 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def unit(self) -> float:
-        """Return the mean diagonal of R_inf + I/k [m/N]."""
+        """Return the pairs' mean compliance, the mean diagonal of R_inf + I/k [m/N]."""
         return float(np.mean(self.compliance_diagonal))
 
     @abstractmethod
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda(s) for values of s at instants (n, n_pairs), in the same shape [N]."""
+        """Return the contact forces for slow gaps at n instants, both (n, n_pairs) [m], [N]."""
 
     @abstractmethod
     def linearise(self, gap: np.ndarray) -> ContactForces:
-        """Return the coefficients of the forces, and their derivatives."""
+        """Return the forces' coefficients and derivatives for a gap (2H+1, n_pairs) [m]."""
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the coefficients of the forces: (2H+1, n_pairs) [N]."""
+        """Return the forces' coefficients for a gap (2H+1, n_pairs) [m]: same shape [N]."""
         return self.linearise(gap).force
 
     def with_harmonics(self, harmonics: int) -> Self:
-        """Return integrals with more harmonics, and with samples enough for them."""
+        """Return integrals with another number of harmonics, and enough samples for them."""
         return replace(self, harmonics=harmonics)
 
     def refine(self) -> ContactIntegrals | None:
-        """Return exact integrals, or ones with more samples; None if exact already."""
+        """Return exact integrals, or integrals with more samples; None if exact already."""
         return None
 
     def with_softness(self, softness: float) -> Self:
-        """Return integrals with another compliance in series."""
+        """Return integrals with another compliance in series with every pair."""
         return self if softness == self.softness else replace(self, softness=softness)
 
 
@@ -172,9 +178,9 @@ def contact_integrals(
 ) -> PairIntegrals:
     """Return integrals for uncoupled pairs.
 
-    They are exact if the law is piecewise linear and no samples are requested. Otherwise
-    :func:`default_samples` are taken for each of the load's ``periods``, unless ``samples`` says
-    how many.
+    The integrals are exact if the law is piecewise linear and no samples are requested. Otherwise
+    ``samples`` is the number of instants in the period; default: :func:`default_samples` for each
+    of the load's ``periods`` in it.
     """
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
@@ -182,7 +188,10 @@ def contact_integrals(
 
 
 def default_samples(harmonics: int) -> int:
-    """Return 1024 instants, or the next power of two from 32 H on if that is more."""
+    """Return the default number of instants.
+
+    It is 1024, or the next power of two from 32 H on if that is larger.
+    """
     return max(1024, 1 << (32 * harmonics - 1).bit_length())
 
 
@@ -195,7 +204,7 @@ class SampledIntegrals(ContactIntegrals):
     """
 
     samples: int
-    """N, AFT samples of the period."""
+    """N, number of instants in the period."""
 
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return self.law.force(gap)
@@ -241,7 +250,7 @@ class ExactIntegrals(ContactIntegrals):
 
     @property
     def closed_stiffness(self) -> np.ndarray:
-        """Return the slope of a closed pair's force: (n_pairs,), or one number [N/m]."""
+        """Return the slope d lambda / ds of a closed pair's force: (n_pairs,), or one [N/m]."""
         return np.asarray(1.0 / (self.compliance_diagonal + self.softness * self.unit))
 
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
@@ -266,12 +275,12 @@ PairIntegrals = ExactIntegrals | SampledIntegrals
 
 
 class PairForces(ContactForces):
-    """Forces on uncoupled pairs.
+    """Fourier coefficients of the forces on uncoupled pairs.
 
     Attributes
     ----------
     tangent : (n_pairs, 2H+1, 2H+1) [N/m]
-        T for each pair.
+        Derivative of a pair's force by its gap.
     """
 
     def __init__(self, force: np.ndarray, tangent: np.ndarray, by_softness: np.ndarray) -> None:
@@ -287,7 +296,10 @@ class PairForces(ContactForces):
         return jacobian
 
     def by_log_stiffness(self) -> np.ndarray:
-        """Return the forces: without coupling they are proportional to k."""
+        """Return the forces' derivative by ln k.
+
+        Forces of uncoupled pairs are proportional to k: the derivative is the forces.
+        """
         return self.force
 
     def by_softness(self) -> np.ndarray:
@@ -295,7 +307,10 @@ class PairForces(ContactForces):
 
 
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return R lambda for coefficients lambda (2H+1, n_pairs)."""
+    """Multiply contact forces (2H+1, n_pairs) [N] by the compliance R_k of each harmonic.
+
+    ``matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
+    """
     n_rows, n_pairs = force.shape
     matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
     force, response = (
@@ -307,21 +322,22 @@ def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 
 def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """Return R T as a dense matrix with unknowns ordered (row, pair).
+    """Return the compliance times the forces' derivative, R T, as a dense matrix.
 
-    A force a - i b on harmonic k moves the gap by R_k (a - i b). On (a, b) that is the real matrix
-    [[Re R_k, Im R_k], [-Im R_k, Re R_k]].
+    On coefficients (a, b) of a force a - i b, R_k is the real matrix [[Re R_k, Im R_k], [-Im R_k,
+    Re R_k]].
 
     Parameters
     ----------
     matrices : (H+1, n_pairs, n_pairs) complex
-        R_k.
+        Compliance R_k at harmonic k.
     tangent : (n_pairs, 2H+1, n)
-        T.
+        T of each pair: derivative of a force's coefficients by n unknowns.
 
     Returns
     -------
     ((2H+1) n_pairs, n n_pairs)
+        Rows are ordered (coefficient, pair), columns (unknown, pair).
     """
     n_pairs, n_rows, n_columns = tangent.shape
     matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
@@ -334,24 +350,29 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def grid_waves(harmonics: int) -> np.ndarray:
-    """Return waves on the first grid of the kernel's search for events."""
+    """Return cos k theta and sin k theta on a quarter period.
+
+    The kernel searches for sign changes of gaps on this grid: (H, 2, n_instants), k = 1 to H.
+    """
     waves = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
     kernel.switching_waves(harmonics, pointer(waves))
     return waves
 
 
 def tangent_from_means(means: np.ndarray) -> np.ndarray:
-    """Return T from the means c_0, c_1, s_1, ... of the stiffness.
+    """Return the derivative of forces by gaps from means of the contact stiffness.
 
     Parameters
     ----------
     means : (4H+1, n, n)
-        For n pairs.
+        Means over the period of the stiffness of n pairs: c_0, c_1, s_1, ..., with factors
+        cos(m theta) and sin(m theta).
 
     Returns
     -------
     (2H+1, n, (2H+1) n)
-        Row by row, each for unknowns ordered (row, pair).
+        For each coefficient of a pair's force: by the gaps' coefficients, ordered (coefficient,
+        pair).
     """
     harmonics, n_pairs = len(means) // 4, means.shape[1]
     means, n_rows = require_shape(means, 4 * harmonics + 1, n_pairs, n_pairs), 2 * harmonics + 1
@@ -367,31 +388,34 @@ def tangent_from_means(means: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CoupledIntegrals(ContactIntegrals):
-    """Contact forces on pairs that R_inf couples.
+    """Integrals of contact forces on pairs that the static compliance R_inf couples.
 
     Attributes
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    active_sets : ActiveSetSolver
-        Sets of closed pairs for R_inf + I/k and the softness.
+    shared_sets : ActiveSetSolver or None
+        Active sets of other integrals with the same law and R_inf, with their inverses.
     """
 
     samples: int | None = None
-    active_sets: ActiveSetSolver = field(init=False, repr=False, compare=False)
+    shared_sets: ActiveSetSolver | None = field(default=None, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def active_sets(self) -> ActiveSetSolver:
+        """Return the sets of closed pairs for R_inf + I/k and the softness."""
+        if self.shared_sets is not None:
+            return self.shared_sets
         assert self.residual is not None
         softness = self.softness * self.unit + (
             self.spring_compliance if self.is_piecewise else 0.0
         )
-        compliance = self.residual + softness * np.eye(len(self.residual))
-        object.__setattr__(self, "active_sets", ActiveSetSolver(compliance))
+        return ActiveSetSolver(self.residual + softness * np.eye(len(self.residual)))
 
     @property
     def is_piecewise(self) -> bool:
-        """True if the forces are piecewise linear in s."""
+        """True if the forces are piecewise linear in the slow gap s."""
         return is_unilateral(self.law)
 
     @property
@@ -401,10 +425,7 @@ class CoupledIntegrals(ContactIntegrals):
 
     def with_harmonics(self, harmonics: int) -> Self:
         samples = self.samples and max(self.samples, default_samples(harmonics))
-        integrals = replace(self, harmonics=harmonics, samples=samples)
-        # Keep the inverses already computed.
-        object.__setattr__(integrals, "active_sets", self.active_sets)
-        return integrals
+        return replace(self, harmonics=harmonics, samples=samples, shared_sets=self.active_sets)
 
     def refine(self) -> Self | None:
         if self.exact:
@@ -422,16 +443,18 @@ class CoupledIntegrals(ContactIntegrals):
 
 
 class CoupledForces(ContactForces):
-    """Forces that follow from the gaps of all pairs."""
+    """Coefficients of contact forces that follow from the gaps of all pairs."""
 
     @abstractmethod
     def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        """Return T, or U^T T U with a basis U (n_pairs, n).
+        """Return the derivative T of forces by gaps.
+
+        With a basis U (n_pairs, n) of gaps, return U^T T U.
 
         Returns
         -------
         (2H+1, n, (2H+1) n) [N/m]
-            Unknowns are ordered (row, pair).
+            For each coefficient of a pair's force: by the gaps', ordered (coefficient, pair).
         """
 
     def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
@@ -448,7 +471,10 @@ class CoupledForces(ContactForces):
 
 
 class _KernelEvaluator:
-    """Kernel's object for waves of a certain size, and the forces last evaluated with it."""
+    """C object that computes forces for given numbers of harmonics and pairs.
+
+    ``evaluated_forces`` are the forces whose gap it evaluated last.
+    """
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:
         new_object = kernel.new_coupled_forces(harmonics, n_pairs)
@@ -460,7 +486,7 @@ _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
 
 
 class _ExactForces(CoupledForces):
-    """Forces by the kernel, evaluated again if its object has moved to another gap."""
+    """Exact forces by the kernel, whose C object may serve several gaps in turn."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
@@ -470,7 +496,7 @@ class _ExactForces(CoupledForces):
         self._evaluate_in_kernel()
 
     def _evaluate_in_kernel(self) -> Any:
-        """Return the kernel's object, evaluated at this gap.
+        """Return the C object, evaluated at the gap of these forces.
 
         Raises ConvergenceError if an instant has no forces.
         """
@@ -504,7 +530,10 @@ class _ExactForces(CoupledForces):
         return tangent_from_means(means)
 
     def _by_diagonal_compliance(self, rate: np.ndarray) -> np.ndarray:
-        """Return the forces' derivative if the diagonal of D grows at a rate (n_pairs,)."""
+        """Return the forces' derivative (2H+1, n_pairs) by the series compliance.
+
+        The diagonal of D = R_inf + I/k plus the softness grows at a rate (n_pairs,).
+        """
         derivative, rate = np.empty(self._gap.shape), require_shape(rate, self._gap.shape[1])
         kernel.forces_by_compliance(self._evaluate_in_kernel(), pointer(rate), pointer(derivative))
         return derivative
@@ -519,11 +548,12 @@ class _ExactForces(CoupledForces):
 
 
 class _SampledForces(CoupledForces):
-    """Forces from samples, for any law h.
+    """Forces from samples in time, for any law h(g).
 
         lambda = h(s - D lambda),    d lambda = S (ds - dD lambda),    S = h' (I + D h')^-1
 
-    If the law is piecewise linear, S is the inverse of D on the closed pairs.
+    D is R_inf plus the softness. If the law is piecewise linear, D includes I/k, and S is the
+    inverse of D on the closed pairs.
     """
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
@@ -557,7 +587,7 @@ class _SampledForces(CoupledForces):
         return tangent_from_means(means if basis is None else basis.T @ means @ basis)
 
     def _force_change(self, change: np.ndarray) -> np.ndarray:
-        """Return the change of the forces for a change of the gaps, (samples, n_pairs)."""
+        """Return the forces' change (2H+1, n_pairs) for gaps' changes (samples, n_pairs)."""
         return fourier_coefficients(
             np.einsum("npq,nq->np", self._slope_samples, change), self.harmonics
         )

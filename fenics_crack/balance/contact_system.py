@@ -2,9 +2,10 @@
 
     F(s) = s - g_lin + (R_k - R_inf) b_k(lambda(s)) = 0,       J = I + (R - R_inf) T,
 
-R is the compliance (:mod:`compliance`), block diagonal in the harmonics. R_inf is the static
-compliance in series with contact, b are the coefficients of the contact forces lambda(s), and T is
-their derivative. The gap is g = s - R_inf lambda(s). Strategies for the forces:
+g_lin is the gap without contact forces. R is the compliance (:mod:`compliance`), block diagonal in
+the harmonics. R_inf is the static compliance in series with contact, b are the coefficients of the
+contact forces lambda(s), and T is their derivative. s is the slow gap, and the gap is g = s - R_inf
+lambda(s). Strategies for the forces:
 
 pair by pair   R_inf = 0, s = g: the penalty law of uncoupled pairs (:mod:`contact_integrals`)
 coupled        R_inf couples the pairs. R_k - R_inf falls like k^-2, so that s is smooth. Only s is
@@ -88,10 +89,14 @@ Below this ratio the solution is unique and close to the linear one.
 """
 
 ByParameter = Callable[["ContactPoint"], np.ndarray]
+"""Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
 def default_weight(compliance: Compliance) -> float:
-    """Return the inverse of the largest row sum of |R_0| [N/m]."""
+    """Return the default weight eps of a projected constraint [N/m].
+
+    It is the inverse of the largest row sum of the static compliance |R_0|.
+    """
     max_compliance = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
     if not max_compliance > 0.0:
         raise InputError("structure", "static compliance 0", "one whose pairs can move")
@@ -100,6 +105,9 @@ def default_weight(compliance: Compliance) -> float:
 
 class ContactSystem:
     """Equations F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0, equal on every rank.
+
+    Unknowns are coefficients (2H+1, n_rows) of the slow gap s. g_lin is the gap without contact
+    forces, R_k the dynamic and R_inf the static compliance, b the forces' coefficients.
 
     The parameter p leads from soft contact to the law itself, at p = 1. The compliance in series
     with every pair is ``softness`` |1 - p|^3, in units of ``integrals.unit``.
@@ -115,7 +123,7 @@ class ContactSystem:
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
         self.gap_basis = compliance.gap_basis if integrals.has_coupled_pairs else None
-        """U, None where it is not needed."""
+        """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
         n_step_unknowns = n_rows * (n_pairs if self.gap_basis is None else self.gap_basis.shape[1])
         self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
         self.n_cost_unknowns = min(n_step_unknowns, MATRIX_FREE)
@@ -123,12 +131,12 @@ class ContactSystem:
 
     @cached_property
     def linear(self) -> np.ndarray:
-        """Return g_lin: (2H+1, n_pairs) [m]."""
+        """Return g_lin, the gap without contact forces: (2H+1, n_pairs) [m]."""
         return self.compliance.linear_gap
 
     @cached_property
     def dynamic_part(self) -> np.ndarray:
-        """Return R_k - R_inf: (H+1, n_pairs, n_pairs) complex [m/N]."""
+        """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
         matrices = self.compliance.matrices
         return matrices if self.residual is None else matrices - self.residual
 
@@ -148,11 +156,12 @@ class ContactSystem:
         Parameters
         ----------
         linear : (2H+1, n_pairs) [m]
-            g_lin, without the part of modes if ``compliance`` has modes.
+            g_lin, without the modes' part if ``compliance`` has modes.
         compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
             R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_part`).
         **path_rates
-            What changes along p, as in :class:`CompiledEquations`.
+            Changes along p: ``linear_rate``, ``growth``, ``softness`` of
+            :class:`CompiledEquations`.
         """
         return CompiledEquations(
             self.residual, self._springs(self.integrals.law), linear, compliance,
@@ -161,22 +170,22 @@ class ContactSystem:
         )  # fmt: skip
 
     def _springs(self, law: ContactLaw) -> np.ndarray:
-        """Return 1/k of each row (n_rows,) [m/N]."""
+        """Return the compliance 1/k of each gap's contact spring: (n_rows,) [m/N]."""
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
     def dynamic_part_in_basis(self) -> np.ndarray:
-        """Return R'_k = U^T (R_k - R_inf) U [m/N]."""
+        """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
         assert self.gap_basis is not None
         return self.gap_basis.T @ self.dynamic_part @ self.gap_basis
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
-        """Return s = g + R_inf lambda with the harmonics of the system.
+        """Return the slow gap s = g + R_inf lambda with the system's harmonics.
 
         Parameters
         ----------
         gap, force : (2K+1, n_rows) [m], [N]
-            Coefficients with any number of harmonics K.
+            Coefficients of gap and contact force, with any number of harmonics K.
         n_periods : int
             Periods of ``gap`` that fit into one period of the response.
 
@@ -191,11 +200,17 @@ class ContactSystem:
         return gap if self.residual is None else gap + force @ self.residual
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return g = s - R_inf lambda, for coefficients or for values in time."""
+        """Return the gap s - R_inf lambda from slow gap and force (n, n_rows).
+
+        Rows are Fourier coefficients, or instants.
+        """
         return unknown if self.residual is None else unknown - force @ self.residual
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """Return the equations at s, for the law itself or at another parameter."""
+        """Return residual F and Jacobian at a slow gap s (2H+1, n_rows) [m].
+
+        ``parameter`` 1 is the law itself, 0 very soft contact.
+        """
         distance = 1.0 - parameter
         compliance_rate = -3.0 * self._softness * distance * abs(distance)
         return ContactPoint(
@@ -204,11 +219,11 @@ class ContactSystem:
         )  # fmt: skip
 
     def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
-        """Return the equations at s with another parameter's derivative."""
+        """Return residual F and Jacobian at a slow gap, with a given function for dF/dp."""
         return ContactPoint(self, unknown, self.integrals, by_parameter)
 
     def steepest_force(self, law: ContactLaw) -> float:
-        """Return the largest slope of lambda(s) for a law [N/m].
+        """Return the largest stiffness d lambda / ds for a law [N/m].
 
         It is the inverse of the smallest eigenvalue of R_inf + I/k.
         """
@@ -221,17 +236,20 @@ class ContactSystem:
         return 1.0 / max(min_compliance, 1e-300)
 
     def along_friction(self) -> FrictionPath:
-        """Return these equations with the friction coefficient's factor as parameter."""
+        """Return these equations with a factor of the friction coefficient as parameter p."""
         return FrictionPath(self.compliance, self.integrals)
 
     def along_softness(self) -> ContactSystem:
-        """Return these equations on a path that starts at very soft contact."""
+        """Return these equations with p from very soft contact, 0, to the law, 1."""
         max_compliance = float(np.abs(self.dynamic_part).sum(axis=2).max())
         softness = max_compliance / (MAX_COMPLIANCE_RATIO * self.integrals.unit)
         return ContactSystem(self.compliance, self.integrals, softness)
 
     def with_harmonics(self, harmonics: int) -> ContactSystem:
-        """Return these equations with more harmonics, to the accuracy of an error estimate."""
+        """Return these equations with another number of harmonics.
+
+        New harmonics have the accuracy of an error estimate.
+        """
         compliance = resized_compliance(self.compliance, harmonics)
         return ContactSystem(compliance, self.integrals.with_harmonics(harmonics))
 
@@ -240,14 +258,14 @@ class FrictionPath(ContactSystem):
     """:class:`ContactSystem` from contact without friction, at p = 0, to full friction."""
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """Return the equations at s with ``parameter`` times the friction coefficient."""
+        """Return residual and Jacobian with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
         integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
         return ContactPoint(self, unknown, integrals, by_friction)
 
 
 class ContactPoint(DenseLinearisation):
-    """:class:`ContactSystem` at s, with changes of the gap for changes of s."""
+    """Residual, Jacobian and contact forces of a :class:`ContactSystem` at a slow gap s."""
 
     def __init__(
         self,
@@ -261,17 +279,17 @@ class ContactPoint(DenseLinearisation):
         self.force = self.forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
         self.gap = system.gap(unknown, self.force)
-        """Coefficients (2H+1, n_pairs) [m]."""
+        """Coefficients of the gap g: (2H+1, n_pairs) [m]."""
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
-        """Return F(s)."""
+        """Return the residual F(s) of the equations: (2H+1, n_pairs) [m]."""
         system = self.system
         return self.unknown - system.linear + respond(system.dynamic_part, self.force)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return I + (R - R_inf) T."""
+        """Return J = I + (R - R_inf) T, where T is db/ds."""
         return self.forces.identity_plus(self.system.dynamic_part)
 
     def matrix_to_factorise(self) -> np.ndarray:
@@ -305,11 +323,11 @@ class ContactPoint(DenseLinearisation):
         return self._derivative(self)
 
     def gap_change(self, change: np.ndarray) -> np.ndarray:
-        """Return the change of g for a change of s."""
+        """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
         return self.system.gap(change, self.forces.apply(change))
 
     def gap_change_by_force(self, change: np.ndarray) -> np.ndarray:
-        """Return the change of g for a change of the contact force's coefficients."""
+        """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
         unknown_change = self.solve(-respond(self.system.dynamic_part, change))
         return self.system.gap(self.gap_change(unknown_change), change)
 
@@ -321,7 +339,7 @@ class ContactPoint(DenseLinearisation):
 class Wave:
     """Motion u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
-    For the attributes see :class:`fenics_crack.PeriodicSolution`.
+    u are displacements of dofs. For the attributes see :class:`fenics_crack.PeriodicSolution`.
     """
 
     frequency = hertz_of()
@@ -355,8 +373,8 @@ class Wave:
     def residual(self) -> np.ndarray | None:
         """R_inf, the residual flexibility: (n_rows, n_rows) [m/N], or None.
 
-        It responds quasi-statically to contact forces. Rows are the pairs; with friction the
-        normals come first, then the tangents.
+        It is the gaps' quasi-static response to contact forces. Rows are the pairs' normal gaps;
+        with friction their tangential gaps follow.
         """
         if self.static_above is None:
             return None
@@ -364,22 +382,22 @@ class Wave:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """The structure with its gap rows as pairs."""
+        """The structure with a pair for each normal gap and, with friction, tangential gap."""
         return add_friction_pairs(self.contact, self.structure)
 
     @property
     def gap_rows(self) -> np.ndarray:
-        """Coefficients of the gaps in all rows: (2H+1, n_rows) [m]."""
+        """Coefficients of normal gaps, then of tangential ones: (2H+1, n_rows) [m]."""
         return _join_rows(self.gap_coefficients, self.tangential_gap_coefficients)
 
     @property
     def force_rows(self) -> np.ndarray:
-        """Coefficients of the forces in all rows: (2H+1, n_rows) [N]."""
+        """Coefficients of normal forces, then of friction forces: (2H+1, n_rows) [N]."""
         return _join_rows(self.force_coefficients, self.tangential_force_coefficients)
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Integrals of lambda(s) with a residual flexibility, or with friction."""
+        """Integrals of contact forces with a residual flexibility, or with friction."""
         assert self.contact is not None
         residual_or_none, n_rows = self.residual, self.structure_with_row_pairs.n_pairs
         residual = np.zeros((n_rows, n_rows)) if residual_or_none is None else residual_or_none
@@ -389,7 +407,7 @@ class Wave:
     def slow_gap_coefficients(self) -> np.ndarray:
         """Coefficients of s = g + R_inf lambda: (2H+1, n_rows) [m].
 
-        s is the gap in all rows without its quasi-static part.
+        s, the slow gap, is the gap g without its quasi-static response to forces lambda.
         """
         if self.residual is None:
             return self.gap_rows
@@ -407,7 +425,10 @@ class Wave:
         return self._gaps_and_forces_at(fourier_basis_for(self.gap_coefficients, phase), phase)
 
     def over_period(self, n_instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same as :meth:`at_phase` at n instants i T / n."""
+        """Return Fourier basis, gaps and contact forces at n equally spaced instants.
+
+        Shapes are those of :meth:`at_phase`.
+        """
         phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
         return self._gaps_and_forces_at(
             fourier_basis_over_period(self.harmonics, n_instants), phase
@@ -416,7 +437,7 @@ class Wave:
     def _gaps_and_forces_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the basis (n, 2H+1), and gaps and forces (n, n_rows) at its instants."""
+        """Return the basis, gaps [m] and contact forces [N] (n, n_rows) at its phases."""
         contact = self.contact
         slow_gap = basis @ self.slow_gap_coefficients
         if contact is None:
@@ -439,9 +460,9 @@ class Wave:
         return gap, force
 
     def gap(self, time: np.ndarray) -> np.ndarray:
-        """Return g at times [s]: (len(time), n_pairs) [m].
+        """Return the normal gaps at times [s]: (len(time), n_pairs) [m].
 
-        With a residual flexibility it is s(t) - R_inf lambda(s(t)), with kinks.
+        With a residual flexibility R_inf, g = s(t) - R_inf lambda(s(t)) has kinks in time.
         """
         if self.residual is None:
             return evaluate(self.gap_coefficients, self.base_omega, time)
@@ -450,25 +471,26 @@ class Wave:
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Return the contact force at times [s]: (len(time), n_pairs) [N].
 
-        It is lambda(g(t)) or lambda(s(t)); for a constraint of uncoupled pairs, eps max(0, g +
-        lambda / eps) of the waves.
+        It follows from the law and the gap g(t), with a residual flexibility from the slow gap
+        s(t). A constraint of uncoupled pairs has eps max(0, g + lambda / eps), with truncated
+        series g and lambda and its weight eps.
         """
         return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 
     def tangential_gap(self, time: np.ndarray) -> np.ndarray:
-        """Return g_t of contact with friction at times [s]: (len(time), n_pairs) [m]."""
+        """Return the tangential gaps at times [s]: (len(time), n_pairs) [m]."""
         self._check_friction()
         return self.gaps_and_forces(time)[0][:, self.structure.n_pairs :]
 
     def tangential_force(self, time: np.ndarray) -> np.ndarray:
-        """Return lambda_t of contact with friction at times [s]: (len(time), n_pairs) [N]."""
+        """Return the friction forces at times [s]: (len(time), n_pairs) [N]."""
         self._check_friction()
         return self.gaps_and_forces(time)[1][:, self.structure.n_pairs :]
 
     def sticking_places(self, time: np.ndarray) -> np.ndarray:
-        """Return h of contact with friction at times [s]: (len(time), n_pairs) [m].
+        """Return the sliders' positions h at times [s]: (len(time), n_pairs) [m].
 
-        h is the tangential gap at which a pair sticks, or would stick.
+        h is the tangential gap, less its spring's deformation, at which a pair sticks or would.
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)
@@ -502,22 +524,23 @@ def _join_rows(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
 
 
 class CompiledEquations(Equations):
-    """Equations F(s, p) = 0 of contact pairs in the kernel.
+    """Equations F(s, p) = 0 of contact pairs in the kernel, for the slow gap s.
 
     Parameters
     ----------
     residual : (n_pairs, n_pairs) [m/N] or None
-        R_inf.
+        Static compliance R_inf in series with contact.
     springs : (n_pairs,) [m/N]
-        1/k.
+        Compliance 1/k of each pair's contact spring.
     linear : (2H+1, n_pairs) [m]
-        g_lin at p = 0, without the part of modes if ``compliance`` has modes.
+        Gap g_lin without contact at p = 0, without the modes' part if ``compliance`` has modes.
     compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
-        R_k - R_inf at p = 0, or modes from which it follows.
+        Dynamic less static compliance R_k - R_inf at p = 0, or its modes
+        (:meth:`ModalCompliance.modal_part`).
     has_coupled_pairs : bool
         True if R_inf has more than a diagonal.
-    gap_basis : (n_pairs, n) or None
-        U, with fewer modes than coupled pairs.
+    basis : (n_pairs, n) or None
+        Orthonormal basis of the gaps that modes can make, if modes are fewer than coupled pairs.
     forms_jacobian : bool
         False: solutions take products with J, and its sign is nan.
     linear_rate : (2H+1, n_pairs) [m], optional
@@ -570,11 +593,11 @@ class CompiledEquations(Equations):
         self.function_table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        """Return the equations at a point."""
+        """Return residual F and Jacobian at a slow gap s = ``unknown`` and a parameter p."""
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def evaluate_at(self, point: CompiledPoint) -> Any:
-        """Return the kernel's functions, evaluated at a point.
+        """Return the C function table, with the equations evaluated at a point.
 
         Raises ConvergenceError if an instant has no forces.
         """
@@ -592,7 +615,7 @@ class CompiledEquations(Equations):
         return point
 
     def largest_compliance(self, parameter: float) -> float:
-        """Return the largest row sum of abs(R_k - R_inf) at a parameter [m/N]."""
+        """Return the largest row sum of abs(R_k - R_inf) at a parameter p [m/N]."""
         self._last_linearisation = None
         compliance = float(kernel.largest_dynamic_row_sum(self._point, parameter))
         if not math.isfinite(compliance):
@@ -601,7 +624,10 @@ class CompiledEquations(Equations):
 
 
 class CompiledPoint(Linearisation):
-    """:class:`CompiledEquations` at a point, evaluated again if the kernel has left it."""
+    """Residual and Jacobian of :class:`CompiledEquations` at a point.
+
+    The kernel evaluates the point again if it has evaluated another one since.
+    """
 
     def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:
         self.system, self.unknown, self.parameter = system, unknown, parameter
@@ -636,6 +662,6 @@ class CompiledPoint(Linearisation):
 
 
 def by_friction(point: ContactPoint) -> np.ndarray:
-    """Return the derivative of F by the friction coefficient's factor."""
+    """Return the residual's derivative by a factor of the friction coefficient."""
     assert isinstance(point.forces, FrictionForces)
     return respond(point.system.dynamic_part, point.forces.by_friction_scale())

@@ -226,8 +226,9 @@ def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorRe
 def _change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
     """Return the relative change of the displacement at the load (collective).
 
-    The displacement with another structure is compared with that of the wave. The change is
-    relative to the root mean square, in which the mean contributes no more than all else.
+    It is the change from the motion ``wave`` to the coefficients ``displacement`` (2H+1, n_local)
+    of another ``structure``. The reference is the root mean square, with the mean at most as large
+    as all else.
     """
     motion = motion_at_load(wave.structure, wave.displacement_coefficients)
     change = mean_square(motion_at_load(structure, displacement) - motion)
@@ -248,11 +249,12 @@ def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray
 
 
 def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
-    """Return the change due to K > H harmonics, if no exact flow is known.
+    """Return the relative changes by K > H harmonics.
 
-    K is four times H, or less if the equations would not be small, but at least twice H. Steps are
-    found by elimination. Iterative solutions of these equations do not converge with many stiff
-    pairs, unless pairs have a residual flexibility.
+    Changes of the gaps and of the displacement at the load estimate the truncation errors if no
+    exact flow is known. K is four times H, or less if the equations would not be small, but at
+    least twice H. Steps are found by elimination. Iterative solutions of these equations do not
+    converge with many stiff pairs, unless pairs have a residual flexibility.
     """
     kept_harmonics, n_pairs = point.system.integrals.harmonics, point.unknown.shape[1]
     harmonics = max(
@@ -273,10 +275,11 @@ def _change_by_better_system(
     start: np.ndarray,
     structure: Structure,
 ) -> Errors:
-    """Return the change from a solution to that of better equations, by Newton's method.
+    """Return the relative changes from a solution to that of better equations.
 
-    ``structure`` is that of the better equations. The errors are :data:`UNKNOWN` if Newton's method
-    fails.
+    Newton's method begins at coefficients ``start`` of the slow gap. ``structure`` is that of the
+    better equations. The changes, of gaps and of the displacement at the load, are :data:`UNKNOWN`
+    if Newton's method fails.
     """
     start_point = better_system.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
@@ -294,7 +297,10 @@ def _change_by_better_system(
 
 
 def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Errors:
-    """Return the modal truncation errors, by the reference of the reduced structure."""
+    """Return the modal truncation errors of gaps and of displacement at the load.
+
+    They follow from the reduced structure's reference, which has more modes.
+    """
     reference, residual = reference_of(wave), point.system.residual
     if reference is None:
         return 0.0, 0.0
@@ -319,7 +325,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
 
 def _penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
-    """Return one coefficient per pair, whose mean square is that of max(g, 0)."""
+    """Return the root mean square penetration max(g, 0) of each pair: (1, n_pairs) [m]."""
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
         penetration = (point.force * integrals.spring_compliance)[:, : problem.structure.n_pairs]

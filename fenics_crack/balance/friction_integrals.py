@@ -1,11 +1,11 @@
 """Fourier coefficients of contact forces with friction, by alternating between frequency and time.
 
-The gaps s at N instants are marched period after period; rows are n_pairs normals, then the
-tangents. At each instant the forces follow from s, and from the places h at which pairs stuck until
-then:
+The forces follow slow gaps s, n_pairs normal and then n_pairs tangential ones, through N instants
+of period after period. At each instant they depend on s and on h, at which pairs stuck until then:
 
-    lambda = L (s - [0; h]),        h = g_t for pairs that do not stick
+    lambda = L (s - [0; h]),        h = g_t - lambda_t / k_t for pairs that do not stick
 
+g_t, lambda_t and k_t are tangential gap, friction force and tangential stiffness
 (:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The march ends when h repeats: its
 beginning is then forgotten. Pairs that stick all the time are the exception. They stay at their
 first gap, or at their last slip. The derivative goes through the last two periods, h with it.
@@ -35,9 +35,10 @@ from fenics_crack.numerics.fourier import (
 def coupled_integrals(
     law: ContactLaw, harmonics: int, residual: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
-    """Return the integrals for pairs that R_inf couples.
+    """Return the integrals for pairs that a static compliance R_inf couples.
 
-    With friction, R_inf has rows of normals and then of tangents.
+    ``residual`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2 n_pairs), normal
+    gaps before tangential ones.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
     return integrals_class(law, harmonics, residual=residual, samples=samples)
@@ -55,37 +56,43 @@ crack in flap). After twelve periods only rounding is left.
 
 @dataclass(frozen=True)
 class FrictionIntegrals(ContactIntegrals):
-    """Forces on normals and tangents that R_inf (2 n_pairs, 2 n_pairs) couples.
+    """Integrals of contact and friction forces on pairs that R_inf couples.
+
+    R_inf is (2 n_pairs, 2 n_pairs), normal gaps before tangential ones.
 
     Attributes
     ----------
     samples : int or None
-        N; None: 32 H, or 128 if that is more.
+        N, instants per period; None: 32 for each of the H harmonics, at least 128.
     friction_scale : float
         Factor of the law's friction coefficient.
     """
 
     samples: int | None = field(default=None, kw_only=True)
     friction_scale: float = field(default=1.0, kw_only=True)
-    sets: FrictionSets = field(init=False, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def sets(self) -> FrictionSets:
+        """Return the sets of closed and sliding pairs for D."""
         friction = friction_of(self.law)
-        assert self.residual is not None and friction is not None
+        assert friction is not None
         coefficient = np.multiply(self.friction_scale, friction.coefficient)
-        object.__setattr__(self, "sets", FrictionSets(self.compliance, coefficient))
+        return FrictionSets(self.compliance, coefficient)
 
     @cached_property
     def compliance(self) -> np.ndarray:
-        """Return D = R_inf + I/k plus the series softness: (2 n_pairs, 2 n_pairs) [m/N]."""
+        """Return R_inf plus all compliances in series: (2 n_pairs, 2 n_pairs) [m/N].
+
+        Those are contact springs, 1/k on the diagonal, and ``softness``.
+        """
         assert self.residual is not None
         softness = self.spring_compliance + self.softness * self.unit
         return np.ascontiguousarray(self.residual + np.diag(softness))
 
     @cached_property
     def spring_compliance(self) -> np.ndarray:
-        """Return 1/k of the normals, then of the tangents: (2 n_pairs,) [m/N]."""
+        """Return the contact springs' compliances, normal then tangential: (2 n_pairs,) [m/N]."""
         assert self.residual is not None
         return spring_compliances(self.law, len(self.residual) // 2)
 
@@ -95,18 +102,20 @@ class FrictionIntegrals(ContactIntegrals):
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
     def march(self, gap: np.ndarray) -> tuple[np.ndarray, ...]:
-        """March through the gaps (n, 2 n_pairs) of a period until the state repeats.
+        """Follow the forces through a period's slow gaps until they repeat.
+
+        ``gap`` is (n, 2 n_pairs) [m].
 
         Raises as :meth:`FrictionSets.solve`.
 
         Returns
         -------
         forces : (n, 2 n_pairs) [N]
-        states : (n, n_pairs)
-            Contact state of each pair.
+        states : (n, n_pairs) int8
+            Each pair: open, sticking, or slipping up or down.
         places : (n, n_pairs) [m]
-            h.
-        origins : (n_pairs,)
+            Sliders' positions h, at which pairs stick.
+        origins : (n_pairs,) int
             Instant at which each pair last did not stick, or 0.
         """
         return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], max_periods=MAX_PERIODS)
@@ -122,14 +131,14 @@ class FrictionIntegrals(ContactIntegrals):
         Parameters
         ----------
         gap : (2H+1, 2 n_pairs) [m]
-            Coefficients of the gaps.
+            Coefficients of the slow gaps.
         phase : (n,) [rad]
 
         Returns
         -------
         forces : (n, 2 n_pairs) [N]
         places : (n, n_pairs) [m]
-            h.
+            Sliders' positions h, at which pairs stick.
         """
         n_instants, turn = self.instants, 2.0 * np.pi
         phases = np.concatenate([turn / n_instants * np.arange(n_instants), np.mod(phase, turn)])
@@ -150,7 +159,7 @@ class FrictionIntegrals(ContactIntegrals):
 
 
 class FrictionForces(CoupledForces):
-    """Friction and contact forces for gaps given by coefficients."""
+    """Coefficients of contact and friction forces for slow gaps (2H+1, 2 n_pairs) [m]."""
 
     def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._shape = integrals, gap.shape
@@ -162,7 +171,7 @@ class FrictionForces(CoupledForces):
         return self._force_change(sample_period(change, self._integrals.instants))
 
     def _force_change(self, gap_changes: np.ndarray) -> np.ndarray:
-        """Return the forces' change for a change of the gaps at the instants.
+        """Return the change of the forces' coefficients for gaps' changes at N instants.
 
         Parameters
         ----------
@@ -205,8 +214,9 @@ class FrictionForces(CoupledForces):
     def by_friction_scale(self) -> np.ndarray:
         """Return the coefficients' derivative by the factor of the friction coefficient.
 
-        With lambda = E x, f = E' x for pairs that slip, and D E x = s - h there, the derivative is
-        f plus the forces due to a change -D f of the gaps.
+        f is the derivative of slipping pairs' friction forces at fixed normal forces. By the
+        compliance D it acts like a change -D f of the gaps. The derivative is f plus the forces by
+        that change.
         """
         integrals, n_pairs = self._integrals, self._shape[1] // 2
         friction = friction_of(integrals.law)

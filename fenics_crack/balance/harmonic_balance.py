@@ -56,7 +56,6 @@ from fenics_crack.model.modes import LIP_STATES
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.wheel import Wheel
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.motions import ObservedMotion
 from fenics_crack.motion.orbit import (
@@ -116,7 +115,7 @@ def solve_linear(
 
 
 def _linear_solution(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
-    """Return the linear solution without its report (collective)."""
+    """Return the linear solution, without contact forces and error report (collective)."""
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
     for k in range(len(load)):
@@ -181,7 +180,7 @@ def linear_response(
 
 
 def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:
-    """Return the complex displacement under a load (n_local,): (n_local,) [m]."""
+    """Return the complex displacement by a harmonic load (n_local,) [N]: same shape [m]."""
     if not structure.light_lips:
         with DynamicStiffness(structure, omega) as stiffness:
             return stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
@@ -418,9 +417,10 @@ def _error_goal(tolerance: float, reduction: float) -> float:
 def _with_tolerance_status(
     solver: Solver, solution: PeriodicSolution, tolerance: float, modes_key: str
 ) -> PeriodicSolution:
-    """Return a solution whose status states the choices, or what the tolerance needs.
+    """Return a solution with a status on the tolerance and a remedy.
 
-    Raises ConvergenceError if the tolerance is missed and the solver throws.
+    ``modes_key`` is the user's name for the number of modes. Raises ConvergenceError if the
+    tolerance is missed and ``solver.throw`` is True.
     """
     report, structure = solution.report, solution.structure
     if not solution.converged:
@@ -434,9 +434,8 @@ def _with_tolerance_status(
         kept_modes = f", {size}"
         if massless_part is not None:
             kept_modes = f", {massless_part.n_modes} modes ({size})"
-            if isinstance(massless_part.whole, Wheel):
-                modes_remedy = modes_key or "families"
-                n_sectors = massless_part.whole.sector.count
+            n_sectors = massless_part.whole.n_sectors
+            modes_remedy = modes_key or ("families" if n_sectors > 1 else "modes")
             modes_remedy += f" {2 * massless_part.n_modes // n_sectors}, in about twice the time"
     if report.total <= tolerance:
         choice = f"chosen for an error of {tolerance:g}: H = {solution.harmonics}{kept_modes}"
@@ -458,7 +457,7 @@ def _with_tolerance_status(
 def _solve_structure(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
-    """Return the solution of a structure with the modes it has."""
+    """Return the solution with a structure's present modes, if possible an exact orbit."""
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
@@ -504,7 +503,10 @@ def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> 
 def _search_orbit_from_solutions(
     solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
 ) -> tuple[list[PeriodicSolution], OrbitSearch]:
-    """Return harmonic-balance solutions, and the search for an orbit from them."""
+    """Search for an orbit from harmonic-balance solutions with ascending harmonics.
+
+    Returns the solutions computed, and the search's result.
+    """
     problem, solutions = solver.problem, list[PeriodicSolution]()
 
     def guesses() -> Iterator[np.ndarray]:
@@ -512,6 +514,8 @@ def _search_orbit_from_solutions(
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
                 yield orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+            elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
+                yield _states_with_more_modes(flow, initial.assessment, orbit)
         for count in SearchOptions.harmonics:
             start_problem = problem.with_harmonics(problem.response_harmonics(count))
             solution = _solver_for(solver, start_problem).attempt(initial, wholly=False)[1]
@@ -525,6 +529,19 @@ def _search_orbit_from_solutions(
     return solutions, search
 
 
+def _states_with_more_modes(
+    flow: ContactFlow, assessment: Assessment, orbit: PeriodicOrbit
+) -> np.ndarray:
+    """Return states of an orbit with more modes.
+
+    If a known orbit has as many modes, its states are returned.
+    """
+    more_modes = assessment.more_modes
+    if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
+        return more_modes.orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+    return MoreModes(flow, assessment.wave, orbit).states
+
+
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
     """Return the solver for another problem, and report progress."""
     begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
@@ -532,11 +549,12 @@ def _solver_for(solver: Solver, problem: Problem) -> Solver:
 
 
 def _describe_other_orbits(search: OrbitSearch) -> str:
-    """Return a description of the other orbits that the search met."""
-    descriptions = []
-    for orbit in search.other_orbits:
-        size = quantity(orbit.amplitude(), "m")
-        descriptions.append(f"{'stable' if orbit.is_stable else 'unstable'}, amplitude {size}")
+    """Return words on the other orbits that a search found, or ""."""
+    descriptions = [
+        f"{'stable' if orbit.is_stable else 'unstable'}, "
+        f"amplitude {quantity(orbit.amplitude(), 'm')}"
+        for orbit in search.other_orbits
+    ]
     return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""
 
 
@@ -614,8 +632,8 @@ def _modal_truncation_errors(
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
-    They follow from the motion with more modes, if that has an orbit. Otherwise they follow from
-    harmonic balance with some harmonics.
+    They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
+    computes them, from ``wave_with``, the orbit's motion with a given number of harmonics.
 
     Returns
     -------
@@ -654,7 +672,7 @@ def _raise_harmonics(
 def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
-    Samples are added with harmonics.
+    With sampled contact forces, more harmonics also mean more samples.
     """
     error = solution.report.truncation + solution.report.sampling
     is_unknown = (

@@ -42,7 +42,7 @@ from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
-"""Nearest cases searched for neighbours, and neighbours that a plane goes through."""
+"""Nearest cases searched for neighbours, and neighbours that a fitted plane uses."""
 MIN_SAMPLES = 256
 """Least instants per period for an orbit's numbers.
 
@@ -74,15 +74,16 @@ class ManyOrbits(Tabular):
     opening : (n,) [m]
         Largest opening of any pair.
     closed_share : (n,)
-        Part of the period in which a pair is closed, mean over the pairs.
+        Fraction of the period in which a pair is closed, mean over the pairs.
     multiplier : (n,)
         Largest modulus of the Floquet multipliers.
     verdict : (n,) str
         "stable", "unstable", or "undecided" if the multiplier is 1 to rounding.
     truncation : (n,)
         Relative error of the gap due to the harmonics above H.
-    states : (n, 2 n_modes)
-        States of the orbits at phase zero.
+    states : (n, flow.size)
+        States of the orbits at phase zero: modal displacements and velocities, with friction also
+        the tangential gaps at which pairs stick.
     """
 
     structure: Structure = field(compare=False)
@@ -103,7 +104,7 @@ class ManyOrbits(Tabular):
     states: np.ndarray
 
     def problem(self, case: int) -> Problem:
-        """Return the problem of a case, with H harmonics.
+        """Return the problem of a case, by its index, with H harmonics.
 
         Raises InputError if the case cannot exist.
         """
@@ -112,7 +113,7 @@ class ManyOrbits(Tabular):
         return Problem(structure, omega, self.contact, self.harmonics)
 
     def orbit(self, case: int) -> PeriodicOrbit:
-        """Return the orbit of a case.
+        """Return the orbit of a case, by its index.
 
         Raises
         ------
@@ -126,7 +127,7 @@ class ManyOrbits(Tabular):
         return orbit_from(flow, problem.omega, self.states[case], 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns (n,)."""
+        """Return the attributes (n,) by name, as lists, without structure and states."""
         return {column.name: getattr(self, column.name).tolist() for column in fields(self)[3:-1]}
 
     def _title(self) -> str:
@@ -157,7 +158,7 @@ def solve_many(
     clearance : float or (n,) [m]
         Clearance added to every pair.
     harmonics : int
-        H of the truncation error.
+        H: the error ``truncation`` is due to harmonics above it.
 
     Returns
     -------
@@ -212,10 +213,11 @@ def _order_cases(
     Yields
     ------
     case : int
+        Index.
     neighbours : (k,) int
-        Earlier ones among the nearest cases, the nearest first.
+        Indices of earlier cases among the nearest 16, the nearest first.
     offsets : (k, d)
-        Scaled parameters x of the neighbours, less those of the case.
+        Scaled parameters of the neighbours, less those of the case.
     """
     load_size = np.where(cases.load == 0.0, 1.0, np.abs(cases.load))
     rows = [cases.omega, cases.damping, np.sign(cases.load), cases.clearance / load_size]
@@ -237,9 +239,10 @@ def _order_cases(
 def _find_orbit_of_case(
     cases: ManyOrbits, case: int, problem: Problem, neighbours: np.ndarray, offsets: np.ndarray
 ) -> PeriodicOrbit:
-    """Return the orbit of a case, and set its status.
+    """Return the orbit of a case, and set its ``status`` and ``reason``.
 
-    Raises ConvergenceError if no orbit is found.
+    Newton's method begins near the orbits of ``neighbours``, cases whose scaled parameters differ
+    by ``offsets`` (:func:`_order_cases`). Raises ConvergenceError if no orbit is found.
     """
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_affordable(flow, problem.omega):
@@ -270,7 +273,10 @@ def _find_orbit_of_case(
 def _orbit_numbers(
     problem: Problem, orbit: PeriodicOrbit, watched_rows: np.ndarray
 ) -> dict[str, Any]:
-    """Return an orbit's entries in the columns."""
+    """Return an orbit's entries of the arrays of :class:`ManyOrbits`, by name.
+
+    ``watched_rows`` (1, n_dofs) select the watched dof.
+    """
     n_instants, track = max(MIN_SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
     samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
     motion = samples.displacement, samples.gaps, samples.forces
@@ -297,9 +303,10 @@ def _orbit_numbers(
 
 
 def _interpolated_maximum(values: np.ndarray) -> float:
-    """Return the largest value over equally spaced rows of a period.
+    """Return the largest of all values over a period, by interpolation.
 
-    A parabola goes through the largest value and its two neighbours in the column.
+    Rows of ``values`` (n, m) are equally spaced instants. A parabola goes through the largest value
+    and its two neighbours in the column.
     """
     row, column = np.unravel_index(values.argmax(), values.shape)
     previous, peak, subsequent = values[np.arange(row - 1, row + 2) % len(values), column]

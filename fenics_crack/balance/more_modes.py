@@ -28,6 +28,7 @@ from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
+    MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
     Inverse,
     MotionInArcs,
@@ -44,6 +45,10 @@ from fenics_crack.numerics.newton import relative_to_motion
 UNKNOWN = 1.0
 """Relative error that stands for an unknown error."""
 
+
+MAX_PREDICTED_CHANGE = 0.02
+"""Largest relative change of the gap by one Newton step after which an orbit is sought with so many
+modes that M is not formed. After 0.005 one was found, after 0.05 and 0.06 none in 3 to 4 s each."""
 
 Errors = tuple[float, float]
 """Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
@@ -66,9 +71,9 @@ def reference_of(wave: Wave) -> ReducedStructure | None:
 
 
 def _neglected_dissipation(wave: Wave) -> float:
-    """Return the dissipation of truncated modes by Rayleigh damping, relative to the modes kept.
+    """Return truncated modes' dissipation by Rayleigh damping, relative to kept modes.
 
-    It is 0 with another damping.
+    It is 0 with another damping, and for a structure with mass in all coordinates.
     """
     massless_part = as_massless_structure(wave.structure)
     if massless_part is None or not isinstance(massless_part.original.damping, RayleighDamping):
@@ -106,10 +111,11 @@ class MoreModes:
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
-    def _states(self) -> np.ndarray:
-        """Return states of the nearest orbit at equal parts of its period.
+    def states(self) -> np.ndarray:
+        """Return the nearest orbit's states on the flow with more modes: (32, flow.size).
 
-        New modes have their static coordinates under the load and the contact forces.
+        They belong to equal parts of the period. New modes respond statically to the load and the
+        contact forces.
         """
         samples, flow = self.nearest_orbit.sampled, self.flow
         n_modes = self.nearest_orbit.flow.n_modes
@@ -135,7 +141,11 @@ class MoreModes:
     def _reference_states(
         self, coordinates: np.ndarray, speed: np.ndarray, places: np.ndarray
     ) -> np.ndarray:
-        """Return states of the reference, from modal states of a structure with mass."""
+        """Return states of the structure with more modes (n, flow.size), by projection.
+
+        Modal ``coordinates`` and ``speed`` (n, n_modes), and ``places`` h of sticking pairs, are
+        those of a reduced structure with mass.
+        """
         structure, reference = self.wave.structure, self.flow.structure
         assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
         whole_structure = structure.whole
@@ -158,15 +168,18 @@ class MoreModes:
         The step corrects all parts of the nearest orbit's period together.
         """
         flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
-        states, start_inverse = self._states, self.inverse
+        states, start_inverse = self.states, self.inverse
         search = partial(
             find_orbit, flow, omega, subharmonic=periods, step_tolerance=ROOT_TOLERANCE
         )
-        orbit = search(states[0], inverse=start_inverse) or (
-            search(states[0]) if start_inverse else None
-        )
+        orbit = None
+        if forms_monodromy := flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+            orbit = search(states[0], inverse=start_inverse) or (
+                search(states[0]) if start_inverse else None
+            )
         if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            orbit = search(step.states[0], inverse=step.inverse)
+            if forms_monodromy or step.gap_error <= MAX_PREDICTED_CHANGE:
+                orbit = search(step.states[0], inverse=step.inverse)
             return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 

@@ -1,8 +1,8 @@
 """Problems of harmonic balance, and the search for their solutions.
 
-A problem holds all that a solution depends on. A search tries one strategy after the other, until
-Newton's method converges or the budget of iterations is spent. A strategy yields guesses. Newton's
-method takes full steps from a guess. If these fail, shortened steps lead to a second guess:
+A problem holds all that a solution depends on. A search climbs a ladder of starts, until Newton's
+method converges or the budget of iterations is spent. A start yields guesses. Newton's method takes
+full steps from a guess. If these fail, shortened steps lead to a second guess:
 
 near       a given solution
 fewer      the linear solution. With many unknowns, or with a static compliance in series
@@ -18,7 +18,7 @@ path       the end of a continuation in the compliance in series with every pair
            its folds. With friction the coefficient grows along it
 
 The path cannot return to soft contact, but several stiff pairs with little damping have thousands
-of folds. All strategies share one budget of iterations. A gap rounded to eps |g| makes a contact
+of folds. All starts share one budget of iterations. A gap rounded to eps |g| makes a contact
 force rounded to eps k |g|. That force moves the gap by eps k R |g|, and no residual can be smaller.
 """
 
@@ -28,7 +28,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -70,7 +70,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
-from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
+from fenics_crack.motion.search import SearchOptions, Start, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
     COARSE_TOLERANCE,
     MACHINE_EPSILON,
@@ -258,9 +258,9 @@ class Problem:
 
     @property
     def _residual_with_friction(self) -> np.ndarray | None:
-        """Return R_inf of normal and tangential rows, or None [m/N].
+        """Return R_inf of normal, then tangential gaps: (2 n_pairs, 2 n_pairs) [m/N].
 
-        Raises InputError if rows have no compliance in series.
+        It is None for large structures. Raises InputError if gaps have no compliance in series.
         """
         has_few_dofs = is_small(self.structure)
         springs = spring_compliances(self.contact, self.structure.n_pairs)
@@ -382,10 +382,6 @@ def check_memory(structure: Structure, harmonics: int) -> None:
 # --- the search -----------------------------------------------------------------------------------
 
 
-Start = tuple[str, Iterator[np.ndarray]]
-"""Name of a starting strategy, and an iterator over its guesses."""
-
-
 @dataclass
 class Search:
     """Search for a solution of a system, with a record of its attempts."""
@@ -448,14 +444,14 @@ class Search:
             snes = None
             if not can_solve_in_kernel(system):
                 snes = stack.enter_context(Newton(system, self.history))
-            for name, guesses in self._strategies(starts):
-                begin(name)
+            for start in self._ladder(starts):
+                begin(start.name)
                 iterations_before = self.iterations
-                for guess in guesses:
+                for guess in start.candidates():
                     point = self._take_newton_steps(snes, guess)
                     if self.has_converged or self._is_spent:
                         break
-                self.record_attempt(name, iterations_before)
+                self.record_attempt(start.name, iterations_before)
                 if self.has_converged:
                     break
         point = point or system.linearise(np.zeros(system.shape), 1.0)
@@ -472,14 +468,17 @@ class Search:
         return point
 
     def record_attempt(self, name: str, iterations_before: int) -> None:
-        """Record the outcome of a strategy."""
+        """Record the outcome of a start."""
         outcome = "converged" if self.has_converged else "failed"
         self.attempts.append(
             f"{name}: {outcome} ({self.iterations - iterations_before} iterations)"
         )
 
     def _take_newton_steps(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
-        """Return the point that full steps reach, by SNES or by the kernel."""
+        """Return the point that full Newton steps reach, by SNES or the kernel.
+
+        Sets ``has_converged``. If the kernel's steps fail, the point is that of the guess.
+        """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve(
                 guess, 1.0, self.tolerance, self._iterations_per_guess
@@ -497,14 +496,14 @@ class Search:
         tolerance: float = 0.0,
         parameter: float = 1.0,
     ) -> Linearisation | None:
-        """Return the point that full steps of the kernel reach, or None.
+        """Return the point that full Newton steps of the kernel reach, or None.
 
         Parameters
         ----------
         tolerance : float
             Used if it is larger than the tolerance of the search.
         parameter : float
-            Position on the path; 1 is the law itself.
+            Parameter of the system: 1 is the law itself, 0 very soft contact.
         """
         max_iterations, step_tolerance = self._iterations_per_guess, max(self.tolerance, tolerance)
         path_point = solve_at(
@@ -515,7 +514,7 @@ class Search:
 
     @property
     def _iterations_per_guess(self) -> int:
-        """Return the most iterations per guess; few with many harmonics and friction."""
+        """Return the maximum iterations per guess; few with many harmonics and friction."""
         return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
 
     @property
@@ -523,25 +522,24 @@ class Search:
         """True if the budget of iterations is spent."""
         return self.iterations >= self._max_iterations
 
-    # --- the strategies ---------------------------------------------------------------------------
+    # --- the ladder of starts ---------------------------------------------------------------------
 
-    def _strategies(self, guesses: Sequence[np.ndarray]) -> Iterator[Start]:
-        """Yield strategies in their order."""
+    def _ladder(self, guesses: Sequence[np.ndarray]) -> Iterator[Start]:
+        """Yield starts in the order of attempts."""
         system, problem = self.system, self.problem
         for guess in guesses:
-            yield "full Newton steps", self._guesses_near(system, guess)
+            yield Start("full Newton steps", partial(self._guesses_near, system, guess))
         if problem.friction:
-            yield "from contact without friction", self._guesses_without_friction(problem)
+            yield Start("from contact without friction", self._guesses_without_friction)
         else:
             is_large = system.residual is not None or system.size > kernel.MANY_UNKNOWNS
             min_harmonics = problem.least_harmonics if is_large else problem.harmonics
             counts = halve_harmonics(problem.harmonics, min_harmonics)
             name = "from fewer harmonics" if is_large else "full Newton steps"
-            yield name, self._guesses_by_harmonics(problem, counts)
+            yield Start(name, partial(self._guesses_by_harmonics, counts))
         quantity = "coefficient of friction" if problem.friction else "contact compliance"
-        strategies = [
-            (f"continuation in the {quantity}", self._guesses_by_continuation(system))
-        ] * (not self._is_spent)
+        path_guesses = partial(self._guesses_by_continuation, system)
+        ladder = [] if self._is_spent else [Start(f"continuation in the {quantity}", path_guesses)]
         if (
             self.budget_fraction == 1.0
             and system.integrals.has_coupled_pairs
@@ -549,11 +547,9 @@ class Search:
         ):
             flow = flow_of(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
-            strategies.insert(
-                len(strategies) * is_orbit_last,
-                ("from an exact orbit", self._guesses_from_orbit(problem)),
-            )
-        yield from strategies
+            start = Start("from an exact orbit", self._guesses_from_orbit)
+            ladder.insert(len(ladder) * is_orbit_last, start)
+        yield from ladder
 
     @property
     def _min_harmonics_for_orbit_start(self) -> int:
@@ -570,24 +566,23 @@ class Search:
         if point is not None:
             yield point.unknown
 
-    def _guesses_by_harmonics(
-        self, problem: Problem, harmonic_counts: list[int]
-    ) -> Iterator[np.ndarray]:
-        """Yield guesses for the last of ascending numbers of harmonics.
+    def _guesses_by_harmonics(self, harmonic_counts: list[int]) -> Iterator[np.ndarray]:
+        """Yield guesses with the last of ascending numbers of harmonics.
 
-        Each solution starts the next one, and the linear solution starts the first. A number
-        without a solution is skipped. Many harmonics try an exact orbit first.
+        Solutions with fewer harmonics lead there: each starts the next one, and the linear solution
+        starts the first. A number without a solution is skipped. Many harmonics try an exact orbit
+        first.
         """
         orbit_harmonics = self._min_harmonics_for_orbit_start
         for n_harmonics in harmonic_counts:
             if orbit_harmonics < n_harmonics <= 2 * orbit_harmonics:
-                yield from self._guesses_from_orbit(problem)
+                yield from self._guesses_from_orbit()
             system = self.system
             iterations_before = self.iterations
             simpler_point = self._simpler_point
             if n_harmonics != harmonic_counts[-1]:
                 new_compliance = resized_compliance(system.compliance, n_harmonics)
-                system = problem.with_harmonics(n_harmonics).system(new_compliance)
+                system = self.problem.with_harmonics(n_harmonics).system(new_compliance)
             guess = (
                 system.linear
                 if simpler_point is None
@@ -606,15 +601,16 @@ class Search:
     def _solve_coarsely(
         self, system: ContactSystem, guesses: Iterator[np.ndarray]
     ) -> ContactPoint | None:
-        """Return the first point that full steps reach to a coarse tolerance, or None."""
+        """Return the first solution by full steps from guesses, to a coarse tolerance."""
         points = (self._take_full_steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
         return next(
             (system.linearise(point.unknown) for point in points if point is not None), None
         )
 
-    def _guesses_without_friction(self, problem: Problem) -> Iterator[np.ndarray]:
-        """Yield the solution without friction, corrected by its contact forces."""
-        frictionless, system = replace(problem, contact=normal_law(problem.contact)), self.system
+    def _guesses_without_friction(self) -> Iterator[np.ndarray]:
+        """Yield the slow gap under the contact forces of the solution without friction."""
+        problem, system = self.problem, self.system
+        frictionless = replace(problem, contact=normal_law(problem.contact))
         compliance = frictionless.compliance()
         try:
             search = Search(
@@ -634,17 +630,18 @@ class Search:
         force[:, : point.unknown.shape[1]] = search.system.integrals.force(point.unknown)
         self._simpler_point = system.linearise(system.linear - respond(system.dynamic_part, force))
         if problem.harmonics > self._min_harmonics_for_orbit_start:
-            yield from self._guesses_from_orbit(problem)
+            yield from self._guesses_from_orbit()
         yield self._simpler_point.unknown
 
-    def _guesses_from_orbit(self, problem: Problem) -> Iterator[np.ndarray]:
+    def _guesses_from_orbit(self) -> Iterator[np.ndarray]:
         """Yield guesses near an exact orbit.
 
         The search for the orbit begins at a simpler solution, if there is one, and otherwise at
         rest. Nothing is yielded without an exact flow, or if the search would take long.
         """
-        flow, simpler_point = flow_of(problem.structure, problem.contact), self._simpler_point
-        omega, periods, guesses = problem.omega, problem.subharmonic, list[np.ndarray]()
+        problem, simpler_point, guesses = self.problem, self._simpler_point, list[np.ndarray]()
+        flow = flow_of(problem.structure, problem.contact)
+        omega, periods = problem.omega, problem.subharmonic
         if flow is None or not is_affordable(flow, omega, periods):
             return
         if simpler_point is not None:
@@ -665,10 +662,10 @@ class Search:
     def _guesses_by_continuation(
         self, system: ContactSystem, budget_fraction: float = 1.0
     ) -> Iterator[np.ndarray]:
-        """Yield the end of the path in the contact compliance.
+        """Yield the end of a path from very soft contact to the law.
 
-        With friction the coefficient is the path's parameter. The path may take ``budget_fraction``
-        of the iterations that remain.
+        With friction the path leads from zero to the full coefficient instead. It may take
+        ``budget_fraction`` of the iterations that remain.
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.friction:

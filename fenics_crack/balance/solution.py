@@ -97,9 +97,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; columns are the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]
-        g = B^T u - g0, in the same order, on every rank; g > 0: penetration.
+        Normal gaps g = B^T u - g0, rows in the same order, on every rank; g > 0: penetration.
     force_coefficients : (2H+1, n_pairs) [N]
-        Contact force, likewise.
+        Normal contact force, likewise.
     subharmonic : int
         The response has this many times the load's period.
     static_above : float or None
@@ -107,7 +107,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         modes that a massless reduction truncates (:class:`fenics_crack.Problem`). None: no mode
         does.
     tangential_gap_coefficients : (2H+1, n_pairs) [m] or None
-        g_t = B_t^T u for contact with friction, likewise.
+        Tangential gap of contact with friction, likewise.
     tangential_force_coefficients : (2H+1, n_pairs) [N] or None
         Friction force, likewise.
     converged : bool
@@ -151,14 +151,14 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         return self.estimate()
 
     def reported(self, report: ErrorReport) -> PeriodicSolution:
-        """Return this solution with another report."""
+        """Return this solution with the given report of its errors."""
         return replace(self, estimate=lambda: report)
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
-        """Return the exact orbit with these Fourier coefficients.
+        """Return the exact orbit whose Fourier coefficients the solution has.
 
-        It is None if the coefficients are balanced.
+        It is None if the coefficients solve the equations of harmonic balance instead.
         """
         return self.assessment.exact_orbit
 
@@ -180,9 +180,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         return self.structure.function(self.coordinates(np.array([time]))[0])
 
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
-        """Yield the motion of rows at the instants of :meth:`instants`.
+        """Yield the record of the motion at equally spaced instants of the period.
 
-        With ``instants`` given, all numbers follow from that many instants.
+        ``rows`` (m, n_local) are factors of the displacement. Default: the times of
+        :meth:`instants`. If a number ``instants`` is given, all numbers follow from those samples.
         """
         friction, static_response = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
@@ -308,10 +309,12 @@ def solution_of(
     ----------
     problem : Problem
     point : ContactPoint
+        Coefficients of gaps and contact forces.
     status : str
+        Attempts and their outcomes, in words.
     has_converged : bool
     search : bool
-        True: the error is that of its exact orbit. False: the error is the predicted one.
+        True: the error is the distance to the exact orbit. False: it is predicted.
     assessment : Assessment, optional
         Assessment with the motion; default: the motion at the point.
     """
@@ -332,7 +335,7 @@ def solution_of(
 
 @dataclass(frozen=True)
 class Solver:
-    """Solver of a problem, with its options."""
+    """Solver of a problem in condensed form, with its options."""
 
     problem: Problem
     residual_tolerance: float = 1e-10
@@ -361,7 +364,7 @@ class Solver:
     def _check_slope(self, coefficients: np.ndarray) -> None:
         """Raise InputError unless a user's law has the right tangent.
 
-        It is checked along gaps (2H+1, n_pairs), given by coefficients, and along their negatives.
+        The check samples gaps with the given coefficients (2H+1, n_pairs) [m], and their negatives.
         """
         if is_unilateral(self.problem.contact):
             return
@@ -376,9 +379,10 @@ class Solver:
         wholly: bool = True,
         more_modes: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
-        """Return the record of a search and its solution, converged or not.
+        """Return a search and its last point as a solution, converged or not.
 
-        It begins next to ``more_modes.nearest_orbit`` if more modes have been tried.
+        ``initial`` is a neighbouring solution, or None. ``wholly``: the search may use its whole
+        budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if known.
         """
         compliance = self.problem.compliance()
         share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
@@ -401,7 +405,18 @@ class Solver:
     def find(
         self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
     ) -> tuple[Search, ContactPoint, Wave]:
-        """Return a search, the equations at its end, and the motion there."""
+        """Search for a solution in the condensed equations.
+
+        ``compliance`` is that of the problem, ``share`` the fraction of the budget to use.
+
+        Returns
+        -------
+        search : Search
+        point : ContactPoint
+            Last point, converged or not.
+        wave : Wave
+            Motion at the point.
+        """
         problem = self.problem
         system, starts = problem.system(compliance), []
         if initial is not None:

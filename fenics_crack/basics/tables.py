@@ -225,6 +225,8 @@ def optional(library: str, method: str) -> Any:
 
 LEAST_ERROR = 1e-5
 """Relative error below which none is reported: tables have six digits."""
+NO_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
+"""Units shown without a prefix."""
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
@@ -237,7 +239,7 @@ def readable(largest: float, unit: str) -> tuple[float, str]:
 
 def quantity(value: float, unit: str) -> str:
     """A number with its unit: "1.452 µm"; "0.9" of one without."""
-    factor, unit = (1.0, "") if unit in ("1", "-") else readable(abs(value), unit)
+    factor, unit = (1.0, unit.strip("1-")) if unit in NO_PREFIX else readable(abs(value), unit)
     return f"{factor * value:.4g} {unit}".rstrip()
 
 

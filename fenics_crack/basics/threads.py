@@ -31,6 +31,11 @@ LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun gives a process its rank, before MPI is started."""
 DEBIAN_BUILT_AGAINST = ("numpy", "mpi4py")
 """Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
+ONE_PROCESS_SETTINGS = {
+    "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
+}  # fmt: skip
+"""Settings of Open MPI for one process: it looks for no network, opens no port, and starts no
+daemon, which would take as long as all else before the first command."""
 _lock = threading.RLock()
 
 
@@ -156,3 +161,16 @@ def address_limit() -> float:
 def addresses_left() -> float:
     """Memory that this process may still ask for [byte]."""
     return address_limit() - memory_of_process("VmSize")
+
+
+@contextmanager
+def one_process_settings() -> Iterator[None]:
+    """Set :data:`ONE_PROCESS_SETTINGS` while MPI starts, unless mpirun has started this process."""
+    settings = {} if launched() else ONE_PROCESS_SETTINGS
+    new_settings = {name: value for name, value in settings.items() if name not in os.environ}
+    os.environ |= new_settings
+    try:
+        yield
+    finally:
+        for name in new_settings:  # the user's own stay
+            del os.environ[name]

@@ -15,9 +15,9 @@ from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import Table, percent, quantity
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_range
+from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
-from fenics_crack.study.run import Run
 
 MOST_TURNING = 0.3
 """Sliding across the lines of friction over that along them from which on friction along lines is

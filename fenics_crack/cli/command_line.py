@@ -11,7 +11,7 @@ import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import dropwhile
 from pathlib import Path
@@ -28,11 +28,6 @@ from fenics_crack.version import VERSION
 if TYPE_CHECKING:
     from fenics_crack.cli.given import Console, Inputs
 
-ONE_PROCESS_SETTINGS = {
-    "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
-}  # fmt: skip
-"""Settings of Open MPI for one process: it looks for no network, opens no port, and starts no
-daemon, which would take as long as all else before the first command."""
 PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
 """Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
@@ -233,7 +228,7 @@ def _run(given: argparse.Namespace) -> Exit:
     )
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with one_process_settings():
+    with threads.one_process_settings():
         from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
@@ -251,19 +246,6 @@ def _run(given: argparse.Namespace) -> Exit:
         exit_code = _command(given, inputs, console) or Exit.DONE
         console.warn(*map("PETSc option {}: no solver has read it".format, unread_options()))
         return exit_code
-
-
-@contextlib.contextmanager
-def one_process_settings() -> Iterator[None]:
-    """Set :data:`ONE_PROCESS_SETTINGS` while MPI starts, unless mpirun has started this process."""
-    wanted = {} if threads.launched() else ONE_PROCESS_SETTINGS
-    added = {name: value for name, value in wanted.items() if name not in os.environ}
-    os.environ |= added
-    try:
-        yield
-    finally:
-        for name in added:  # the user's own stay
-            del os.environ[name]
 
 
 def _command(
@@ -336,7 +318,7 @@ COMMANDS = {
     ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
-        f"study.run:modes {SOLVED} --count",
+        f"runs.solve:modes {SOLVED} --count",
     ),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
@@ -351,14 +333,17 @@ COMMANDS = {
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
         "cli.commands:reduce scene --set --output=FILE.h5",
     ),
-    "solve": ("steady vibration at excitation.omega", f"study.run:solve {SOLVED} --fresh"),
+    "solve": ("steady vibration at excitation.omega", f"runs.solve:solve {SOLVED} --fresh"),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"study.vary:verify {SOLVED} --fresh --pictures",
+        f"errors.verify:verify {SOLVED} --fresh --pictures",
     ),
-    "curve": ("response curve of the table [curve]", f"study.run:curve {SOLVED} --fresh"),
-    "integrate": ("motion in time by the table [integration]", f"study.run:integrate {SOLVED}"),
+    "curve": ("response curve of the table [curve]", f"runs.curve:curve {SOLVED} --fresh"),
+    "integrate": (
+        "motion in time by the table [integration]",
+        f"runs.integrate:integrate {SOLVED}",
+    ),
     "sweep": (
         "all cases of the table [sweep.over]; goes on where it stopped",
         f"cli.commands:sweep {SOLVED} --fresh",
@@ -380,11 +365,11 @@ COMMANDS = {
     "plot": (
         "pictures of a result, of all in a folder, of several curves in one, or of a scene's mesh; "
         "files for ParaView",
-        "cli.pictures:plot_results results --label --output --pictures",
+        "cli.report:plot_results results --label --output --pictures",
     ),
     "report": (
         "one HTML page with all of some results, or of a folder, to be read anywhere",
-        "cli.pictures:report results --output=FILE",
+        "cli.report:report results --output=FILE",
     ),
     "clean": (
         "remove the structure that earlier commands have kept in the folder for the results",

@@ -15,15 +15,16 @@ from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
+from fenics_crack.cli.drawn import Drawn
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
-from fenics_crack.cli.kinds import KINDS, Drawn, draw, report_of
+from fenics_crack.cli.kinds import KINDS, draw, report_of
+from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.run import Run
 from fenics_crack.study.sharing import SHELVES
 
 if TYPE_CHECKING:
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.monitoring.identification.measurements import Measurements
-    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
     from fenics_crack.scene.scene import Scene
 
 
@@ -137,7 +138,7 @@ def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:
 
 def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Frequencies over the nodal diameter, and amplification by patterns of mistuning."""
-    from fenics_crack.study.bladed_disk import amplification, nodal_diameters
+    from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
     with console.stage("nodal diameters"):
@@ -151,15 +152,16 @@ def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
 
 
 def _measured_by(
-    source: ArrivalTimes | Path, scene: Scene, console: Console, *, before: bool = False
+    source: dict[int, ArrivalTimes] | Path, scene: Scene, console: Console, *, before: bool = False
 ) -> Measurements:
-    """Return the measurements that follow from arrivals: displacements, or in a run-up the natural
-    frequencies whose resonances are passed, with ``before`` of the blade before it had a crack."""
+    """Return measurements from arrivals: displacements, or in a run-up the natural frequencies
+    of the resonances passed, with ``before`` of the blade before it had a crack."""
+    from fenics_crack.arrivals.arrival_times import STEADY
+    from fenics_crack.monitoring import scene_timing as timing
     from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
-    from fenics_crack.monitoring.tip_timing import scene_timing as timing
-    from fenics_crack.monitoring.tip_timing.arrival_times import STEADY
 
-    times, run = timing.arrivals_of(scene, source, console.comm)
+    blades, run = timing.arrivals_of_blades(scene, source, console.comm)
+    [times] = blades.values()
     console.remark(*([] if run else timing.remarks_on_arrivals(times)))
     key = "--before" if before else "arrivals"
     if timing.is_run_up(times, run):
@@ -193,7 +195,6 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
 
     scene, folder = inputs.scene, inputs.folder
     parts = [] if inputs.measurements is None else [inputs.measurements]
-    assert not isinstance(inputs.arrivals, dict) and not isinstance(inputs.before, dict)
     if inputs.arrivals is not None:
         parts.append(_measured_by(inputs.arrivals, scene, console))
     if inputs.before is not None:

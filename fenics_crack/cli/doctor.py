@@ -24,8 +24,7 @@ from fenics_crack.basics.installation import (
     version_of,
 )
 from fenics_crack.basics.progress import LOGGER
-from fenics_crack.basics.threads import check_modules, loaded_libraries
-from fenics_crack.cli.command_line import one_process_settings
+from fenics_crack.basics.threads import check_modules, loaded_libraries, one_process_settings
 from fenics_crack.version import VERSION
 
 OLDEST_NUMPY = (1, 24)

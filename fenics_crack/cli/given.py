@@ -37,11 +37,11 @@ from fenics_crack.version import packaged
 if TYPE_CHECKING:
     from mpi4py import MPI
 
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.monitoring.identification.measurements import Measurements
-    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
     from fenics_crack.study.prepare import Study
 
-    Source = ArrivalTimes | Path | dict[int, ArrivalTimes] | None
+    Source = Path | dict[int, ArrivalTimes] | None
 
 COMMENTED = "cli/new_scene.toml"
 RECORDS = (".csv", ".h5")
@@ -209,20 +209,18 @@ def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measur
 
 
 def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> Source:
-    """Measured arrivals, of the blade that is given if the file has several, of a bladed disk of
-    all by their numbers; of a result its
-    path."""
+    """Measured arrivals by the numbers of the blades: of a bladed disk all, else of the one that is
+    given if the file has several; of a result its path."""
     if source is None or source.suffix.lower() == ".h5":
         return source
     table = scene.given("tip_timing")
-    from fenics_crack.monitoring.tip_timing.arrival_times import probes_of_blades, read_record
+    from fenics_crack.arrivals.arrival_times import probes_of_blades, read_record
 
     probes: Any = np.radians(table.probes)
     if scene.disk is not None:
         probes = probes_of_blades(probes, scene.disk.sectors)
     blades = read_record(source, tip_radius=table.tip_radius, probes=probes)
-    found = one_of(blades, given.blade, source, several=scene.disk is not None)
-    return found if scene.disk is not None else next(iter(found.values()))
+    return one_of(blades, given.blade, source, several=scene.disk is not None)
 
 
 def one_of(

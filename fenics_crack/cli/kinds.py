@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import pkgutil
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
+from fenics_crack.cli.drawn import Drawn
 from fenics_crack.files.store import Stored
 
 
@@ -44,15 +43,15 @@ class Kind(NamedTuple):
 
 KINDS = {
     "set of modes": Kind(
-        "modes", "Modes", "cli.results:report_of_modes", "study.run:read_run",
+        "modes", "Modes", "cli.results:report_of_modes", "runs.load:read_run",
         "cli.pictures:draw_modes_of",
     ),
     "periodic solution": Kind(
-        "solution", "Steady vibration", "cli.results:report_of_solution", "study.run:read_run",
+        "solution", "Steady vibration", "cli.results:report_of_solution", "runs.load:read_run",
         "cli.pictures:draw_solution",
     ),
     "response curve": Kind(
-        "curve", "Response curve", "cli.results:report_of_curve", "study.run:read_run",
+        "curve", "Response curve", "cli.results:report_of_curve", "runs.load:read_run",
         "cli.pictures:draw_curve_of",
     ),
     "sweep": Kind(
@@ -60,7 +59,7 @@ KINDS = {
         "cli.pictures:draw_sweep",
     ),
     "time history": Kind(
-        "integration", "Motion in time", "cli.results:report_of_history", "study.run:read_run",
+        "integration", "Motion in time", "cli.results:report_of_history", "runs.load:read_run",
         "cli.pictures:draw_history",
     ),
     "crack growth": Kind(
@@ -74,7 +73,7 @@ KINDS = {
     ),
     "verification": Kind(
         "verify", "Convergence study", "cli.studies:report_of_verification",
-        "study.verification:Verification.of", "draw.plot_study:draw_verification",
+        "errors.verification:Verification.of", "draw.plot_study:draw_verification",
         "Distance of each quantity from its extrapolated value; contributions to its error.",
     ),
     "Campbell diagram": Kind(
@@ -82,52 +81,21 @@ KINDS = {
         "study.campbell:Campbell.of", "cli.pictures:draw_campbell_of",
     ),
     "nodal diameters": Kind(
-        "disk", "Nodal diameters", "study.bladed_disk:report_of_diameters",
-        "study.bladed_disk:NodalDiameters.of", "draw.plot_disk:draw_nodal_diameters",
+        "disk", "Nodal diameters", "disk.bladed_disk:report_of_diameters",
+        "disk.bladed_disk:NodalDiameters.of", "disk.plot_disk:draw_nodal_diameters",
         "Natural frequencies over the nodal diameter; rings: what the engine order excites.",
     ),
     "amplification": Kind(
-        "amplification", "Mistuning", "study.bladed_disk:report_of_amplification",
-        "study.bladed_disk:Amplification.of", "draw.plot_disk:draw_amplification",
+        "amplification", "Mistuning", "disk.bladed_disk:report_of_amplification",
+        "disk.bladed_disk:Amplification.of", "disk.plot_disk:draw_amplification",
         "Amplification factors of the patterns, and the share of patterns below a factor.",
     ),
     "tip timing": Kind(
-        "timing", "Tip timing", "monitoring.tip_timing.timing:report_of_timing",
-        "monitoring.tip_timing.timing:Timing.of", "cli.pictures:draw_timing",
+        "timing", "Tip timing", "monitoring.timing:report_of_timing",
+        "monitoring.timing:Timing.of", "cli.pictures:draw_timing",
     ),
 }  # fmt: skip
 """By their ``KIND``, in the order of a report."""
-
-
-@dataclass
-class Drawn:
-    """Pictures of a result in a folder.
-
-    Attributes
-    ----------
-    folder : Path
-        Where they are.
-    kind : str
-        Their kind, "png".
-    meshes : bool
-        True if files for ParaView are written, too.
-    files : dict of Path to str
-        What is drawn, with a sentence each; files for ParaView have none.
-    notes : list of str
-        What is left out, and why.
-    """
-
-    folder: Path
-    kind: str = "png"
-    meshes: bool = False
-    files: dict[Path, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-
-    def __call__(self, name: str, sentence: str, kind: str = "") -> Path:
-        """The path of a picture, which has its own kind or that of all."""
-        path = self.folder / f"{name}.{kind or self.kind}"
-        self.files[path] = sentence
-        return path
 
 
 def loaded(name: str) -> Callable[..., Any]:

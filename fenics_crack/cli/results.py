@@ -30,6 +30,7 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
+from fenics_crack.errors.numbers import largest_left_out, natural_name
 from fenics_crack.model.modes import (
     FREQUENCY_KINDS,
     BilinearFrequencies,
@@ -37,13 +38,13 @@ from fenics_crack.model.modes import (
     bilinear_frequencies,
 )
 from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.runs.conclusion import said_of, unknown_error, unknown_of_solution
+from fenics_crack.runs.run import Run
+from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import asked_quantities
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.conclusion import said_of, unknown_error, unknown_of_solution
-from fenics_crack.study.numbers import largest_left_out, natural_name
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
-from fenics_crack.study.run import Run, stress_intensity
 from fenics_crack.time.march import TimeHistory
 
 ERROR = "error [%]"
@@ -141,7 +142,7 @@ def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     """The vibration of each blade of a bladed disk (collective)."""
     if run.scene.disk is None:
         return {}
-    from fenics_crack.study.bladed_disk import blades
+    from fenics_crack.disk.bladed_disk import blades
 
     return {heading: blades(run).table()}
 

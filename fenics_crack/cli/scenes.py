@@ -15,6 +15,8 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
 from fenics_crack.cli.given import Console, Inputs
+from fenics_crack.errors.stated import errors_of_natural
+from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
@@ -39,8 +41,6 @@ from fenics_crack.study.prepare import (
 from fenics_crack.study.resonance import resonance_of
 from fenics_crack.study.sharing import SHELVES
 from fenics_crack.study.solve import modes_chosen
-from fenics_crack.study.vary import errors_of_natural
-from fenics_crack.study.verification import Verification
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:

@@ -11,9 +11,9 @@ from fenics_crack.basics.observables import SPECIAL, names_of
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
 from fenics_crack.cli.account import ON_MODES, of_error
+from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.verification import Verification
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import NOT_STABLE, SweepResult, by_reason, in_words
 

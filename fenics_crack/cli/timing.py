@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import (
+    ArrivalTimes,
+    has_probe_angles,
+    read_record,
+    write_record,
+)
+from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
@@ -18,18 +25,11 @@ from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
 from fenics_crack.cli.kinds import report_of
 from fenics_crack.draw.plot_study import draw_arrivals
-from fenics_crack.monitoring.tip_timing import scene_timing
-from fenics_crack.monitoring.tip_timing.arrival_times import (
-    ArrivalTimes,
-    has_probe_angles,
-    read_record,
-    write_record,
-)
-from fenics_crack.monitoring.tip_timing.harmonics import TipFit
-from fenics_crack.monitoring.tip_timing.timing import Timing
+from fenics_crack.monitoring import scene_timing
+from fenics_crack.monitoring.timing import Timing
+from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
-from fenics_crack.study.run import Run
 
 RECORD_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
@@ -46,59 +46,58 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
     """Compute arrival times unless they are measured, and fit a vibration to them."""
     if inputs is None:
         return _record(given, console)
-    scene, folder = inputs.scene, inputs.folder
-    if scene.disk is not None:
-        return _of_blades(inputs, console)
-    assert not isinstance(inputs.arrivals, dict)
+    scene, folder, source = inputs.scene, inputs.folder, inputs.arrivals
+    table, path = scene.given("tip_timing"), folder / "arrivals.csv"
     with console.stage("arrival times"):
-        arrivals, run = scene_timing.arrivals_of(scene, inputs.arrivals, console.comm)
+        blades, run = scene_timing.arrivals_of_blades(scene, source, console.comm)
+    first_blade = next(iter(blades.values()))
+    if scene.disk is None:
+        _write_arrivals(first_blade, path, scene, run, console)
+    elif run is not None:
+        on_root(console.comm, lambda: write_record(blades, path, np.radians(table.probes)))
+        console.note(f"arrivals of {counted(len(blades), 'blade')}: {path}")
+    fits = _fit_blades(table, blades, console, scene, run)
+    if scene.disk is not None and not all(isinstance(fit, TipFit) for fit in fits.values()):
+        allowed = "arrivals at one speed of a bladed disk"
+        raise InputError("arrivals", str(source or "a curve"), allowed)
+    doubts = tuple(_warnings_of(first_blade, scene, run))
+    return _report(Timing(scene, blades, fits, doubts), folder, console)
+
+
+def _write_arrivals(
+    arrivals: ArrivalTimes, path: Path, scene: Scene, run: Run[Any] | None, console: Console
+) -> None:
+    """Write and draw the arrivals of one blade, and say what they are."""
 
     def write() -> None:
-        arrivals.to_csv(folder / "arrivals.csv")
-        draw_arrivals(arrivals, path=folder / f"arrivals.{console.pictures}", in_rpm=scene.in_rpm)
+        arrivals.to_csv(path)
+        picture = path.with_suffix(f".{console.pictures}")
+        draw_arrivals(arrivals, path=picture, in_rpm=scene.in_rpm)
 
     rows = arrivals.table().formatted("csv")
-    console.note(keep_before(folder / "arrivals.csv", rows, console.comm))
+    console.note(keep_before(path, rows, console.comm))
     on_root(console.comm, write)
     first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
     ends = f"{first} to {last}" if scene_timing.is_run_up(arrivals, run) else first
-    files = f"{folder / 'arrivals.csv'}, .{console.pictures}"
-    console.note(f"arrivals of {_size(arrivals)}, {ends}: {files}")
+    console.note(f"arrivals of {_size(arrivals)}, {ends}: {path}, .{console.pictures}")
     if run is not None:
         console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
+
+
+def _fit_blades(
+    table: TipTiming, blades: Mapping[int, ArrivalTimes], console: Console, *of_scene: Any
+) -> dict[int, Any]:
+    """Return the vibration of each blade; ``of_scene`` are the scene and the run, if there are."""
+    fits = {}
     with console.stage("vibration"):
-        fit = scene_timing.vibration_in(scene.given("tip_timing"), arrivals, scene, run)
-    doubts = tuple(_warnings_of(arrivals, scene, run))
-    return _told(Timing(scene, {1: arrivals}, {1: fit}, doubts), folder, console)
-
-
-def _told(found: Timing, folder: Path, console: Console) -> Exit:
-    return tell(report_of(found), folder / "timing", console, found, console.pictures)
-
-
-def _of_blades(inputs: Inputs, console: Console) -> Exit:
-    """The same of every blade of a bladed disk: one record of all, and a fit of each."""
-    scene, folder, source = inputs.scene, inputs.folder, inputs.arrivals
-    table = scene.given("tip_timing")
-    assert not isinstance(source, ArrivalTimes)
-    with console.stage("arrival times"):
-        blades, run = scene_timing.arrivals_of_blades(scene, source, console.comm)
-    record = folder / "arrivals.csv"
-    if run is not None:
-        on_root(console.comm, lambda: write_record(blades, record, np.radians(table.probes)))
-        console.note(f"arrivals of {counted(len(blades), 'blade')}: {record}")
-    with console.stage("vibration"):
-        fits: dict[int, TipFit] = {}
         for blade, arrivals in blades.items():
             with within(f"blade {blade}"):
-                fit = scene_timing.vibration_in(table, arrivals, scene, run)
-            if not isinstance(fit, TipFit):
-                allowed = "arrivals at one speed of a bladed disk"
-                raise InputError("arrivals", str(source or "a curve"), allowed)
-            fits[blade] = fit
-    first = next(iter(blades.values()))
-    doubts = () if run is None else tuple(_warnings_of(first, scene, run))
-    return _told(Timing(scene, blades, fits, doubts), folder, console)
+                fits[blade] = scene_timing.vibration_in(table, arrivals, *of_scene)
+    return fits
+
+
+def _report(found: Timing, folder: Path, console: Console) -> Exit:
+    return tell(report_of(found), folder / "timing", console, found, console.pictures)
 
 
 def _size(arrivals: ArrivalTimes) -> str:
@@ -138,16 +137,15 @@ def _record(given: Namespace, console: Console) -> Exit:
         blades = one_of(blades, given.blade, given.scene)
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, console.comm)
-    first = next(iter(blades.values()))
-    console.note(f"{counted(len(blades), 'blade')}, {_size(first)}")
-    needs_probes = first.steady and not {"probes", "frequencies"} & words.keys()
+    first_blade = next(iter(blades.values()))
+    console.note(f"{counted(len(blades), 'blade')}, {_size(first_blade)}")
+    needs_probes = first_blade.steady and not {"probes", "frequencies"} & words.keys()
     if needs_probes and not has_probe_angles(given.scene):
         raise InputError("tip_timing.probes", None, MEDIANS)
-    of_record = {"probes": np.degrees(first.probes).tolist(), "tip_radius": first.tip_radius}
-    request, fits = TipTiming(**of_record | words), {}
-    with console.stage("vibration"):
-        for blade, arrivals in blades.items():
-            with within(f"blade {blade}"):
-                fits[blade] = scene_timing.vibration_in(request, arrivals)
-    doubts = tuple(scene_timing.remarks_on_arrivals(first))
-    return _told(Timing(None, blades, fits, doubts), folder, console)
+    of_record = {
+        "probes": np.degrees(first_blade.probes).tolist(),
+        "tip_radius": first_blade.tip_radius,
+    }
+    fits = _fit_blades(TipTiming(**of_record | words), blades, console)
+    doubts = tuple(scene_timing.remarks_on_arrivals(first_blade))
+    return _report(Timing(None, blades, fits, doubts), folder, console)

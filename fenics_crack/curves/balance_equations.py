@@ -2,6 +2,10 @@
 
     F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0.
 
+The unknowns g are the Fourier coefficients of the gaps (of the slow gaps with a residual
+flexibility). g_lin are those without contact, b those of the contact forces, and R is the
+compliance between forces and gaps at each harmonic.
+
 The parameter v is a load frequency, a factor for load, damping, contact stiffness or friction, a
 clearance, or a rotor speed that the load frequency follows. The equations take the small or reduced
 structure alone, in closed form.
@@ -34,14 +38,16 @@ from fenics_crack.numerics.fourier import stretch_period
 
 
 class BalanceEquations(CurveSystem):
-    """Condensed equations of a small or reduced structure along a parameter.
+    """Harmonic-balance equations of a structure along a parameter, in the gaps alone.
+
+    The structure is small or reduced.
 
     Attributes
     ----------
     has_varying_integrals : bool
         True if the law, or the residual flexibility, changes along the parameter.
     counts : (2H+1, 1) or None
-        Weights of the unknowns in angles between tangents.
+        Weights of the unknowns in angles between tangents; None: all 1.
     """
 
     has_varying_integrals = False
@@ -75,12 +81,15 @@ class BalanceEquations(CurveSystem):
         check_number(key, value, 0.0, above=True)
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Return the frequency above which modes are quasi-static on the whole range [rad/s]."""
+        """Return the largest cutoff of the problems at both ends [rad/s].
+
+        Modes above it are quasi-static on the whole range.
+        """
         return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Contact integrals of the problem."""
+        """Fourier integrals of the contact force under the problem's law."""
         return self.problem.integrals()
 
     @cached_property
@@ -104,18 +113,18 @@ class BalanceEquations(CurveSystem):
         return self.vary(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
-        """Make the equations at a parameter value."""
+        """Make the harmonic-balance equations at a parameter value."""
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance(value))
         return ContactSystem(self.compliance(value), self._integrals)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        """Return dF/dv at a point."""
+        """Return the residual's derivative by the parameter value, dF/dv."""
         assert isinstance(point.system.compliance, ModalCompliance)
         return point.system.compliance.derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
-        """Return the equations at a parameter value; the last ones are kept."""
+        """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
         if self._last_system is None or self._last_system[0] != value:
             self._last_system = value, self._make_system(value)
         return self._last_system[1]
@@ -128,9 +137,9 @@ class BalanceEquations(CurveSystem):
         return self.load_frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return the unknowns for a stored solution.
+        """Return the unknowns for a row of :attr:`ResponseCurve.points`.
 
-        A solution with a shorter period is repeated.
+        A solution with half the period, or another part of it, is repeated to fill the period.
         """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
@@ -143,7 +152,7 @@ class BalanceEquations(CurveSystem):
         return self._compile_equations(system) if system.integrals.exact else None
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Return the kernel's equations, given the system at p = 0; by default None."""
+        """Make the kernel's equations from the system at p = 0, or None."""
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
@@ -159,9 +168,10 @@ class BalanceEquations(CurveSystem):
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x| near a point.
+        """Return the rounding error of the residual, as |F| / |x|, near a point.
 
-        It follows from the largest slope of R lambda: k R, or less with a static compliance.
+        It follows from the largest slope of R lambda over the gap: compliance R times contact
+        stiffness, or less with a residual flexibility.
         """
         if self.compiled is not None:
             largest_compliance = self.compiled.largest_compliance(parameter)
@@ -184,9 +194,10 @@ class BalanceEquations(CurveSystem):
         omega_and_change: tuple[float, float],
         damping_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
-        """Return the kernel's equations along base frequencies, or along factors for the damping.
+        """Make the kernel's equations along frequencies, or along factors for the damping.
 
-        Each tuple has the value at p = 0 and the change to p = 1.
+        Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
+        the motion's period.
         """
         modal_part = self._compliance.modal_part(
             omega_and_change, damping_and_change, self.problem.residual
@@ -242,7 +253,7 @@ class _BalanceOfVariedStructure(BalanceEquations):
         return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Return the kernel's equations if v changes g_lin alone, and linearly."""
+        """Make the kernel's equations if v changes only the gap without contact, linearly."""
         residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
         linear_gap_rate = -(self.end - self.start) * residual_by_value
         return start_system.compile(
@@ -403,8 +414,8 @@ class BalanceAtResonance(BalanceEquations):
 
 
 BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
-    equations.name: equations
-    for equations in (
+    waves.name: waves
+    for waves in (
         BalanceAlongFrequency,
         BalanceAlongLoad,
         BalanceAlongStiffness,

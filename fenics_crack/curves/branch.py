@@ -1,7 +1,8 @@
 """Branches that leave a curve at a bifurcation, and their junction with the curve.
 
-At a branch point the new tangent is a null vector of [J, F_p], orthogonal to the old tangent. At a
-period doubling the new tangent is a null vector of J, from the equations with twice the period.
+The equations are F(x, p) = 0, with the derivatives J = dF/dx and F_p = dF/dp. At a branch point the
+new tangent is a null vector of [J, F_p], orthogonal to the old tangent. At a period doubling the
+new tangent is a null vector of J, from the equations with twice the period.
 
 References
 ----------
@@ -74,7 +75,10 @@ class ReturnToParent(Event):
 def chord_ends(
     system: BalanceEquations | Orbits, curve: ResponseCurve, first_index: int, last_index: int
 ) -> tuple[PathPoint, PathPoint]:
-    """Return two points of a curve; the tangent of both is the chord between them."""
+    """Convert two curve points to path points.
+
+    Both have the chord between them as tangent.
+    """
     end_values = curve.values[[first_index, last_index]].tolist()
     end_states = curve.points[[first_index, last_index]]
     first_unknown, last_unknown = map(system.unknown, end_states, end_values)
@@ -150,8 +154,9 @@ def _branch_tangent(
 ) -> Tangent:
     """Return the unit tangent to the branch at a bifurcation.
 
-    At a period doubling the tangent lies in the null space of J. Otherwise it lies in the null
-    space of [J, F_p], orthogonal to the old tangent.
+    With the equations F(x, p) = 0, J = dF/dx and F_p = dF/dp: at a period doubling the tangent lies
+    in the null space of J. Otherwise it lies in the null space of [J, F_p], orthogonal to the old
+    tangent.
     """
     linearisation = system.linearise(unknown, parameter)
     old_tangent = old_tangent or tangent_of(system, unknown, linearisation)

@@ -5,8 +5,8 @@ Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) follows a sys
 exact periodic orbits (:mod:`orbits`). A point takes the small or reduced structure alone, in closed
 form. A curve therefore costs the same on any mesh.
 
-With harmonic balance, root finding locates folds. The sign of det J shows branch points,
-and shrinking steps locate them. If J is not formed
+With harmonic balance, root finding locates folds. The sign of det J, the Jacobian determinant,
+shows branch points, and shrinking steps locate them. If J is not formed
 (:data:`fenics_crack.balance.contact_system.MATRIX_FREE`), branch points go unnoticed. Verdicts
 follow after the curve (:mod:`verdicts`).
 
@@ -114,7 +114,7 @@ class GrowingCurve:
         Points so far.
     most_points : int
         Maximum number of points.
-    complete, returned, status
+    complete, has_returned, status
         As in :class:`Continuation`.
     """
 
@@ -128,7 +128,7 @@ class GrowingCurve:
         self._start_point = self._last_point = start_point
         self.points = [self._convert_point(start_point)]
         self._special_points: list[tuple[str, CurvePoint]] = []
-        self.complete, self.returned, self.status = False, False, "not begun"
+        self.complete, self.has_returned, self.status = False, False, "not begun"
 
     def _convert_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
@@ -143,9 +143,14 @@ class GrowingCurve:
         iterations: int,
         multipliers_and_counts: np.ndarray | None,
     ) -> CurvePoint:
-        """Return a point of the curve from a path point's numbers.
+        """Make a curve point from a path point's numbers.
 
-        ``control_values`` are leading multipliers and counts (:mod:`orbit_events`).
+        Parameters
+        ----------
+        parameter : float
+            p, 0 at the curve's start and 1 at the end.
+        multipliers_and_counts : (k + 3,) complex or None
+            An exact orbit's leading multipliers and three counts (:func:`leading_multipliers`).
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -261,7 +266,7 @@ class GrowingCurve:
         self.status = (
             path.event.description if path.event else path.end_reason.describe(self.most_points)
         )
-        self.returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
+        self.has_returned = path.end_reason is EndReason.RANGE_LEFT or isinstance(
             path.event, ClosedLoop
         )
 
@@ -335,7 +340,7 @@ class Continuation(GrowingCurve):
     ----------
     complete : bool
         True if the curve reached the end, or closed.
-    returned : bool
+    has_returned : bool
         True if the curve closed or went past its start, instead of reaching the end.
     status : str
         Reason for the end.
@@ -429,10 +434,23 @@ def first_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
     direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
-    """Return a solution as the first point of a curve.
+    """Add the tangent to a solution, as the first point of a curve.
 
-    The direction follows growing p, or ``direction`` if given. The point has what a step control
-    requires.
+    Parameters
+    ----------
+    unknown : array of ``system.shape``
+        Solution.
+    parameter : float
+        The solution's p.
+    iterations : int
+        Newton iterations that found the solution; the point keeps their number.
+    direction : Tangent, optional
+        Tangent in whose sense the curve begins; default: growing p.
+
+    Returns
+    -------
+    PathPoint
+        An exact orbit also has its monodromy matrix and multipliers, by which steps are controlled.
     """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
@@ -446,8 +464,8 @@ def first_point(
 def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
     """Return True if exact orbits can be followed along a parameter.
 
-    The structure must be small and have a flow with few enough modes to form the monodromy matrix.
-    The load must not be too slow.
+    The structure must be small. The law must have an exact flow, with few enough modes to form the
+    monodromy matrix. The load must not be too slow.
     """
     check_range(problem, parameter, start, end)
     flow = flow_of(problem.structure, problem.contact)

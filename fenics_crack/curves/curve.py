@@ -82,7 +82,7 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
 
 
 def leading_multiplier(multipliers: np.ndarray) -> complex:
-    """Return the first multiplier, or its conjugate with positive imaginary part."""
+    """Return the first multiplier mu, or its conjugate, so that Im mu >= 0."""
     largest_multiplier = complex(multipliers[0])
     return complex(largest_multiplier.real, abs(largest_multiplier.imag))
 
@@ -159,8 +159,9 @@ class CurvePoint:
     omega : float
         Load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
-        Gap coefficients, or slow-gap coefficients (``ResponseCurve.points``). For exact orbits,
-        (2 n_modes,) in scaled units.
+        Fourier coefficients of the gaps g; with a residual flexibility R_inf those of the slow gap
+        g + R_inf lambda. For exact orbits (2 n_modes,), the state at phase zero: modal
+        displacements, then velocities over frequencies, both less the rest state.
     iterations : int
         Newton iterations.
     multipliers : (8,) complex or None
@@ -258,7 +259,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def harmonics(self) -> int:
-        """H; for exact orbits, the minimum H of a solution."""
+        """Highest harmonic H; for exact orbits, the lowest H that :meth:`solution` takes."""
         if not self.exact:
             return self.points.shape[1] // 2
         min_harmonics = least_harmonics(self.structure, self.subharmonic)
@@ -306,15 +307,23 @@ class ResponseCurve(ObservedMotion, Tabular):
         search.
         """
         if self.tolerance is not None:
-            return solution_of_orbit(self.problem_of(index), self.orbit(index), self.tolerance)
+            if index not in self._solutions:
+                problem, orbit = self.problem_of(index), self.orbit(index)
+                self._solutions[index] = solution_of_orbit(problem, orbit, self.tolerance)
+            return self._solutions[index]
         problem, point = self._harmonic_balance_point(index)
         assessment = Assessment(problem.wave(point), flow=self._common_flow)
         return solution_of(
             problem, point, status="point of a curve", search=search, assessment=assessment
         )
 
+    @cached_property
+    def _solutions(self) -> dict[int, PeriodicSolution]:
+        """Solutions of exact orbits that were asked for, by the index of their point."""
+        return {}
+
     def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
-        """Return the problem and the equations at a harmonic-balance point."""
+        """Return a point's problem and linearised harmonic-balance equations."""
         problem, equations = self.problem_of(index), self.system
         if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
             system = problem.system(problem.compliance())
@@ -474,7 +483,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         self, kind: str, value: float, omega: float, point: np.ndarray,
         multipliers: np.ndarray | None = None,
     ) -> Bifurcation:  # fmt: skip
-        """Return a special point of this curve, from its parameter and load frequency."""
+        """Make a special point of this curve.
+
+        ``value`` is the parameter, ``omega`` the load frequency [rad/s]. ``point`` is a row of
+        :attr:`points`.
+        """
         point_fields = {"values": value, "omega": omega, "iterations": 0, "points": point}
         arrays = {name: np.array([entry]) for name, entry in point_fields.items()}
         leading_multipliers = (

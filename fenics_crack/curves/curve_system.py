@@ -49,38 +49,38 @@ class CurveSystem(ABC):
     events: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
 
     def value(self, parameter: float) -> float:
-        """Return v at p."""
+        """Return the curve's parameter v at the path parameter p, 0 to 1."""
         if self.logarithmic:
             return float(self.start * (self.end / self.start) ** parameter)
         return self.start + parameter * (self.end - self.start)
 
     def parameter(self, value: float) -> float:
-        """Return p at v."""
+        """Return the path parameter p, 0 to 1, at the curve's parameter v."""
         if self.logarithmic:
             return math.log(value / self.start) / math.log(self.end / self.start)
         return (value - self.start) / (self.end - self.start)
 
     def value_rate(self, value: float) -> float:
-        """Return dv/dp at v."""
+        """Return the derivative dv/dp of the curve's parameter at v."""
         if self.logarithmic:
             return value * math.log(self.end / self.start)
         return self.end - self.start
 
     @abstractmethod
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        """Return a solution's load frequency [rad/s]."""
+        """Return a solution's load frequency [rad/s]; ``value`` is v."""
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return what a curve stores for a solution."""
+        """Convert unknowns to the array that a curve stores; by default the unknowns."""
         return unknown
 
     @abstractmethod
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return the equations at a point."""
+        """Evaluate the equations F(x, p) and their derivatives at a point."""
 
     @abstractmethod
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x| near a point of a curve."""
+        """Return the rounding error |F| / |x| of the residual F, for unknowns x."""
 
     def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size."""
@@ -97,5 +97,5 @@ class CurveSystem(ABC):
         return MAX_UNKNOWNS_PER_CALL // self.n_unknowns
 
     def make_step_control(self, longest_step: float) -> StepControl | None:
-        """Return a control that may reject steps; None if steps need no control."""
+        """Make the object that rejects too long steps; None if none is needed."""
         return None

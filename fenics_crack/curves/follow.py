@@ -225,7 +225,7 @@ def _find_other_curve(
             except ConvergenceError:
                 break
             n_spent_points += len(growing_curve.points)
-            if not growing_curve.complete or growing_curve.returned:
+            if not growing_curve.complete or growing_curve.has_returned:
                 break
             curve = growing_curve.unjudged_curve
             start_solution = curve.orbit(-1) if curve.exact else curve.solution(-1)
@@ -331,7 +331,7 @@ def run_to_end(
     try:
         try:
             _run_with_progress(growing_curve, progress)
-            if find_other_curve is not None and growing_curve.returned:
+            if find_other_curve is not None and growing_curve.has_returned:
                 other_curve = find_other_curve(growing_curve)
                 if other_curve is None and not growing_curve.complete:
                     growing_curve.status += " (no other curve was met from its end on)"

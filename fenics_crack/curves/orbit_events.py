@@ -72,7 +72,7 @@ default longest step this is 0.1 % of the range."""
 
 
 def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
-    """Return the leading multipliers of each point, and their counts r, d and c.
+    """Select the largest Floquet multipliers of each point, and count those outside.
 
     A multiplier within 1e-6 of the unit circle does not count as outside.
 
@@ -83,7 +83,8 @@ def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
     Returns
     -------
     (n_points, k + 3) complex
-        The k = min(n, 8) multipliers of largest modulus, in descending order, then r, d and c.
+        The k = min(n, 8) multipliers of largest modulus, in descending order, then three counts:
+        real ones above 1 (r), real ones below -1 (d), complex pairs outside the circle (c).
     """
     modulus = np.abs(multipliers)
     leading_order = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
@@ -104,9 +105,19 @@ def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
 
 
 def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
-    """Return the changes of r, d and c from each point to the next: (n_points - 1, 3).
+    """Return the changes in the three counts from each point to the next.
 
     Two real multipliers that become a complex pair, or the reverse, change no count.
+
+    Parameters
+    ----------
+    multipliers_and_counts : (n_points, k + 3) complex
+        From :func:`leading_multipliers`.
+
+    Returns
+    -------
+    (n_points - 1, 3)
+        Changes in r, d and c.
     """
     count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
     step_indices = np.flatnonzero(count_change[:, 2])
@@ -121,17 +132,21 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
 
 
 def collision_severity(monodromy: np.ndarray) -> np.ndarray:
-    """Return how far colliding multipliers separate between neighbouring points.
+    """Return how close collisions bring Floquet multipliers to leaving the unit circle.
+
+    If two multipliers mu_j and mu_k collide between two points, their ln |mu| separate. One leaves
+    the circle if they separate by more than 2 sqrt(ln |mu_j| ln |mu_k|), by the module's equations.
 
     Parameters
     ----------
     monodromy : (n_points, n, n)
+        The points' monodromy matrices.
 
     Returns
     -------
     (n_points - 1,)
-        Largest separation in ln |mu|, relative to the separation at which one leaves the unit
-        circle.
+        Largest separation between each point and the next, relative to that limit: above 1, a
+        multiplier leaves the circle. inf if multipliers are not found.
     """
     n_points, n_states = monodromy.shape[:2]
     severity = np.empty(n_points - 1)
@@ -245,9 +260,9 @@ def period_doubling_function(multipliers: np.ndarray) -> float:
 
 
 def multiplier_pair_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
-    """Return |mu| - 1 of a complex pair; -1 if there are fewer pairs.
+    """Return |mu| - 1 for a complex pair of multipliers.
 
-    Pairs are numbered from 0 in descending order of |mu|.
+    Pairs are numbered from 0 in descending order of |mu|. If there are fewer pairs, return -1.
     """
     pair_moduli = np.sort(np.abs(multipliers[multipliers.imag > 0.0]))[::-1]
     return (

@@ -54,10 +54,15 @@ FORWARD_STEP = math.sqrt(MACHINE_EPSILON)
 
 
 class Orbits(CurveSystem):
-    """Equations of periodic orbits along a parameter.
+    """Equations F(x, p) = 0 of periodic orbits along a parameter v (see the module).
 
-    The problem's ``subharmonic`` is m. ``balance_class`` has the equations of harmonic balance
-    along the same parameter. Without an exact flow, InputError is raised.
+    An orbit's period is ``subharmonic`` load periods. ``balance_class`` varies the problem: it has
+    the equations of harmonic balance along the same parameter.
+
+    Raises
+    ------
+    InputError
+        Structure and law have no exact flow.
     """
 
     events = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
@@ -78,12 +83,12 @@ class Orbits(CurveSystem):
         return self.balance_class.load_frequency(self.problem, value)
 
     def _make_flow(self, value: float) -> ContactFlow:
-        """Make the flow at a parameter value."""
+        """Make the exact flow at a parameter value."""
         problem = self.problem_at(value)
         return exact_flow(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
-        """Return the flow at a parameter value; the last flow is kept."""
+        """Return the exact flow at a parameter value; the last flow is kept."""
         if self.name == "omega" or value == self.start:
             return self._start_flow
         if self._last_flow[0] != value:
@@ -92,15 +97,16 @@ class Orbits(CurveSystem):
 
     @cached_property
     def scale(self) -> np.ndarray:
-        """dx/dz: 1 for modal displacements, 1 / w for modal velocities.
+        """Factors dx/dz from states to unknowns: (n_unknowns,).
 
-        w is the mode's frequency, but at least the response's frequency.
+        They are 1 for modal displacements and 1 / w for modal velocities. w is the mode's
+        frequency, but at least the response's frequency.
         """
         return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
 
     @property
     def n_record_entries(self) -> int:
-        """Number of entries in M."""
+        """Number of entries in a monodromy matrix M, the record of a point."""
         return self.n_unknowns**2
 
     @property
@@ -114,7 +120,7 @@ class Orbits(CurveSystem):
 
     @cached_property
     def _scaled_rest_and_change(self) -> np.ndarray:
-        """x_0 and x_1: (2, n_unknowns)."""
+        """Scaled rest state x_0 at the start, and its change x_1: (2, n_unknowns)."""
         start_rest, end_rest = (
             self._scale_state(self.flow(value).rest_state, value)
             for value in (self.start, self.end)
@@ -122,29 +128,36 @@ class Orbits(CurveSystem):
         return np.array([start_rest, end_rest - start_rest])
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return z for x at a parameter value."""
+        """Return the state z at phase zero for unknowns x at a parameter value."""
         state = (unknown + self._scaled_rest_state(value)) / self.scale
         if self.name == "speed":
             state = state @ self._state_transformation(value).T
         return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return x for z at a parameter value."""
+        """Return the unknowns x for a state z at a parameter value."""
         return self._scale_state(state, value) - self._scaled_rest_state(value)
 
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return x + x_0 + p x_1 for z."""
+        """Return a state z in the unknowns' units, with the rest state.
+
+        Over the speed, z is converted to the modes at the curve's start.
+        """
         if self.name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.scale)
 
     def _scaled_rest_state(self, value: float) -> np.ndarray:
-        """Return x_0 + p x_1."""
+        """Return the scaled rest state x_0 + p x_1 under the mean load."""
         rest_start, rest_change = self._scaled_rest_and_change
         return np.asarray(rest_start + self.parameter(value) * rest_change)
 
     def _state_transformation(self, value: float) -> np.ndarray:
-        """Return the matrix from states in the start's modes to states in the modes at a speed."""
+        """Return the matrix that converts states to the modes at a speed.
+
+        The given states are in the modes at the curve's start. Shape: (n_unknowns,
+        n_unknowns).
+        """
         modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_change, modal_change, friction_identity)
@@ -161,7 +174,7 @@ class Orbits(CurveSystem):
     def advance_unknown(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> np.ndarray:
-        """Return x after a fraction of the period."""
+        """Return the motion's unknowns x after a fraction of the period."""
         state = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(state, self.value(parameter))
 
@@ -207,11 +220,11 @@ class Orbits(CurveSystem):
         )
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of |F| / |x|."""
+        """Return the rounding error of the residual, as |F| / |x|."""
         return ROUNDING
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """Return the equations at a point.
+        """Evaluate the residual F and its derivatives at a point.
 
         Raises
         ------
@@ -248,7 +261,10 @@ class Orbits(CurveSystem):
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:
-        """Return leading multipliers and counts for M at each point (:mod:`orbit_events`)."""
+        """Return Floquet multipliers and their counts (:func:`leading_multipliers`).
+
+        ``records`` (n_points, n_unknowns^2) are monodromy matrices.
+        """
         return leading_multipliers(
             np.linalg.eigvals(records.reshape(-1, self.n_unknowns, self.n_unknowns))
         )

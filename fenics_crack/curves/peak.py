@@ -172,7 +172,7 @@ def damping_by_width(
 def _half_power_index(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int, step: int
 ) -> int:
-    """Return the first point below half the power on one side of a peak.
+    """Return the first index below half the peak's power, on one side.
 
     If the curve ends or turns back before, return the last point before. ``step`` is -1 or 1.
     """

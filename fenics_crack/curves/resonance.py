@@ -1,26 +1,22 @@
 """Phase resonance: the displacement at the load has no part in phase with the load.
 
-A modal test finds the same resonance by its phase (:mod:`fenics_crack.balance.phase`). The search
+A modal test finds the same resonance by phase (:mod:`fenics_crack.curves.phase`). The search
 follows the response curve to the zero of the phase, through folds: upwards from a frequency with
 the displacement in phase with the load, otherwise downwards.
 
 Over the load the resonance is followed along p = ln v, with the frequency among the unknowns. The
-factor v multiplies the load without its mean. The other unknowns are s / v, constant if all is
+factor v multiplies the load without its mean. Further unknowns are s / v, constant if all is
 linear.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Unpack, overload
 
-import numpy as np
-
-from fenics_crack.balance.contact_system import ContactPoint
-from fenics_crack.balance.phase import MAX_DISTANCE_TO_PEAK, Drive, PhasePoint, Resonance
 from fenics_crack.balance.problem import Problem, least_harmonics
-from fenics_crack.balance.solution import Solver
+from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
     MOST_HARMONICS,
     ConvergenceError,
@@ -28,7 +24,7 @@ from fenics_crack.basics.errors import (
     check_choice,
     check_number,
 )
-from fenics_crack.basics.tables import counted
+from fenics_crack.basics.tables import Described, counted, with_frequency
 from fenics_crack.curves.balance_equations import (
     BALANCE_EQUATIONS,
     BalanceAlongFrequency,
@@ -42,8 +38,8 @@ from fenics_crack.curves.continuation import (
     first_point,
 )
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.follow import run_to_end
+from fenics_crack.curves.phase import Drive, PhasePoint, ResonanceSystem
 from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -53,63 +49,71 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustl
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
 PHASE_SEARCH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
-"""Options for the response curve that leads to the first resonance.
+"""Options for the response curve to the first resonance.
 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
 The curve reaches from a tenth of the frequency to three times the frequency.
 """
+MAX_DISTANCE_TO_PEAK = 0.1
+"""Distance to the top of the response curve, over the half-power width, at which several modes
+count.
+
+The amplitude is then 2 % below the top.
+"""
 SMALL_LOAD_FACTOR = 1e-3
-"""Factor that makes a load small. A smaller one would lose more to rounding beside a mean load."""
+"""Factor for a small load. Smaller factors would lose more to rounding beside a mean load."""
 MAX_SPEED_CORRECTIONS = 20
 """Maximum number of secant steps to the speed at which an engine order meets a resonance."""
 
 
-class ResonanceSystem(CurveSystem):
-    """Phase resonance over the factor v of a load.
+@dataclass(frozen=True, repr=False)
+class Resonance(Described):
+    """Phase resonance under the load of a structure.
 
-    The unknowns are s / (size v), and the frequency relative to the problem's frequency.
-    ``start_unknown`` is a guess for the resonance at ``start``, from a nearby point.
+    Attributes
+    ----------
+    value : float
+        Load frequency, or speed of the rotor [rad/s].
+    omega : float
+        Load frequency [rad/s].
+    harmonic : int
+        Exciting harmonic in the load.
+    width : float
+        Half-power width in the unit of ``value``.
+    apart : float
+        Distance to the top of the response curve over the width, estimated at the resonance.
+    solution : PeriodicSolution
+        Motion at the resonance.
+    error : float
+        Estimated truncation error of the amplitude, relative to it; inf if unknown, nan without a
+        tolerance.
     """
 
-    name, logarithmic = "resonance", True
+    value: float
+    omega: float
+    harmonic: int
+    width: float
+    apart: float
+    solution: PeriodicSolution
+    error: float = math.nan
 
-    def __init__(
-        self,
-        problem: Problem,
-        drive: Drive,
-        nearby_point: ContactPoint,
-        factor_range: tuple[float, float] = (1, 2),
-    ) -> None:
-        self.start, self.end = factor_range
-        self._waves = waves = BalanceAlongFrequency(problem, problem.omega, 0.5 * problem.omega)
-        slow_gap = waves.system(problem.omega).slow_gap(nearby_point.gap, nearby_point.force)
-        slow_gap = slow_gap / self.start
-        self._slow_gap_size = float(np.linalg.norm(slow_gap[1:]))
-        self.start_unknown = np.append(slow_gap / self._slow_gap_size, 1.0)
-        self.problem, self.drive, self.means = waves.problem, drive, waves.means
-        self.shape = self.start_unknown.shape
+    @property
+    def several(self) -> bool:
+        """True if several modes shift the phase by more than a tenth of the width.
 
-    def rounding(self, parameter: float) -> float:
-        return self._waves.rounding(0.0)
+        The response curve then shows the largest response.
+        """
+        return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK
 
-    def omega(self, value: float, unknown: np.ndarray) -> float:
-        return float(unknown[-1]) * self.problem.omega
-
-    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self._slow_gap_size * value * unknown[:-1].reshape(-1, self.means)
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
-        value, omega = self.value(parameter), self.omega(1.0, unknown)
-        contact_point = self._waves.system(omega).linearise(self.state(unknown, 1.0))
-        inverse_load, inverse_load_rate = 1.0 / value, -self.value_rate(value) / value**2
-        return PhasePoint(
-            self.problem, self.drive, contact_point, omega,
-            self._slow_gap_size, inverse_load, inverse_load_rate,
-        )  # fmt: skip
+    def to_dict(self) -> dict[str, Any]:
+        """Return frequencies, the width, the distance to the top, the error and the amplitude."""
+        names = "value", "omega", "harmonic", "width", "apart", "several", "error"
+        columns = {name: getattr(self, name) for name in names}
+        return with_frequency(columns | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
-    """Zero of the displacement in phase with the load, where a path ends."""
+    """Zero for the displacement in phase with the load; paths end there."""
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
@@ -122,7 +126,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     InputError
         No damped mode answers to the load.
     ConvergenceError
-        There is no first solution, or no resonance on the curve.
+        No first solution, or no resonance on the curve.
     """
     if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         requirement = "the penalty law or the constraint, without friction, and subharmonic = 1"
@@ -163,7 +167,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
 
 
 def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> PhasePoint:
-    """Return the resonance of a changed problem next to a given resonance.
+    """Return the resonance for a changed problem next to a given resonance.
 
     ``changes`` are fields of the problem. If Newton's method fails, the response curve is followed.
     """
@@ -183,12 +187,10 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
     The search also ends if several modes answer together, at the maximum number of harmonics, or if
     no resonance is found. The error is the larger of two numbers:
 
-    - The change from half as many harmonics: of the amplitude, and of the frequency as the
-    amplitude
-      loss by such a shift.
-    - The exact flow's prediction for the displacement. Many harmonics may change nothing until one
-    of
-      them meets a mode.
+    - The change from half as many harmonics: relative change of the amplitude, plus the amplitude
+      loss that the frequency shift would cause.
+    - The exact flow's prediction for the displacement. Many harmonics may change nothing until a
+      harmonic meets a mode.
 
     Returns
     -------
@@ -216,12 +218,21 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
 
 
 def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]:
-    """Return the resonance at the speed at which an engine order meets it, by the secant method.
+    """Find the resonance that an engine order meets, over the rotor speed.
+
+    The secant method varies the speed.
+
+    Parameters
+    ----------
+    point : PhasePoint
+        Resonance at the rotor's speed.
+    order : float or None
+        Load frequency over rotor speed.
 
     Returns
     -------
     point : PhasePoint
-        Resonance there; the given point without an order.
+        Resonance at that speed; the given point without an order.
     resonance_rate : float
         Derivative of the resonance frequency over the order by the rotor's speed; 0 without an
         order.
@@ -245,7 +256,7 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
 def _prepare_search(
     problem: Problem, near_omega: float | None, tolerance: float | None
 ) -> tuple[Problem, float]:
-    """Return the problem with a small structure, and the load frequency of the search.
+    """Return the problem with a small structure, and the start frequency for the search.
 
     A structure with many dofs is reduced to crack faces without mass.
     """
@@ -348,14 +359,12 @@ def resonance_at(
     )
 
 
-def resonance_under_small_load(problem: Problem, near_omega: float) -> float:
-    """Return the load frequency [rad/s] of the nearby resonance under a small load.
+def at_small_load(problem: Problem) -> Problem:
+    """Return a problem with a small load and the same mean load.
 
-    Under such a load a crack that the mean load holds open or closed stays open or closed.
+    Under a small load a crack stays open or closed if the mean load holds it.
     """
-    return first_resonance(
-        BALANCE_EQUATIONS["resonance"].vary(problem, SMALL_LOAD_FACTOR), near_omega
-    ).omega
+    return BALANCE_EQUATIONS["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(

@@ -62,7 +62,7 @@ from fenics_crack.motion.orbit import (
     find_orbit,
     is_same_orbit,
 )
-from fenics_crack.motion.search import SearchOptions, find_by_homotopy
+from fenics_crack.motion.search import ORBIT_STARTS, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
@@ -75,7 +75,10 @@ def monodromy(
     base_omega: float,
     static_cutoff: float | None = None,
 ) -> np.ndarray:
-    """Return M for the linear flow over one period from phase zero: (2 n_modes, 2 n_modes).
+    """Return the monodromy matrix M of the linear flow: (2 n_modes, 2 n_modes).
+
+    M maps a disturbance (q, q') of modal displacements and velocities at phase zero to the
+    disturbance a period later.
 
     Parameters
     ----------
@@ -126,9 +129,14 @@ def monodromy(
 def _multiply_steps(
     modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, n_steps: int
 ) -> np.ndarray:
-    """Return the product M_N of N steps, N a power of two.
+    """Return the monodromy matrix by N equal steps, with N a power of two.
 
-    Stretches of the period are multiplied side by side, then one after the other.
+    Parts of the period are computed side by side, and their matrices then multiplied in sequence.
+
+    Returns
+    -------
+    (2 n_modes, 2 n_modes)
+        M_N, with an error of second order in the step length.
     """
     h = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
@@ -157,7 +165,11 @@ def _multiply_steps(
 
 
 def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Return the velocity change by a kick, h P kappa P^T q."""
+    """Return the modal velocity change h P kappa P^T q by contact.
+
+    ``kick`` is the step length h times the contact stiffness kappa of each pair, or the matrix of
+    coupled pairs. P are the modes at the pairs, and q the modal displacements.
+    """
     pair_displacement = modes.pairs.T @ displacement
     is_diagonal = modes.residual is None
     impulse = kick * pair_displacement if is_diagonal else kick @ pair_displacement
@@ -167,7 +179,11 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
 def _advance_without_contact(
     modes: AllModes, transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Return E z for the structure without contact, with E from :meth:`AllModes.transition`."""
+    """Return the states after a step without contact forces.
+
+    ``transition`` is the first result of :meth:`AllModes.transition`. States are the columns
+    (m, 2 n_modes, k) of modal displacements, then velocities.
+    """
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)
     n_modes, transition_blocks = transition.shape[1], transition[:, :, None]
@@ -240,11 +256,10 @@ def shoot(
         for _ in range(settle):
             settled_unknown = orbits.advance_period(settled_unknown, 1.0)
         start_state = orbits.state(settled_unknown)
-        orbit = find_orbit(flow, solution.omega, start_state, subharmonic=n_load_periods)
-        if orbit is None and flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = find_by_homotopy(
-                FlowOrbits(flow, solution.omega, start_state, n_load_periods), SearchOptions()
-            )
+        orbit = search_orbit(
+            flow, solution.omega, [start_state[None]], n_load_periods, prefer_stable=False,
+            starts=(ORBIT_STARTS["guesses"], ORBIT_STARTS["path"]),
+        ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         refined_orbit = find_orbit(
             orbit.flow, orbit.omega, orbit.state, subharmonic=orbit.subharmonic
@@ -309,10 +324,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     """Find the motions that replace an unstable solution in the long run.
 
     Each motion begins next to the orbit, at a distance of 1 % of the motion, and the exact flow
-    follows it. Small disturbances grow in the direction v, M v = mu v. If mu > 1, the motions along
-    v and -v part. They may go to two orbits: above and below the unstable orbit of a leaning
-    resonance, for example. For an irregular solution the result is the exact motion that begins
-    with the solution.
+    follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
+    monodromy matrix M. If mu > 1, the motions along v and -v part. They may go to two orbits: above
+    and below the unstable orbit of a leaning resonance, for example. For an irregular solution the
+    result is the exact motion that begins with the solution.
 
     Parameters
     ----------
@@ -386,11 +401,11 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
     orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    return find_attractor(orbits, np.zeros(flow.size), SearchOptions().period_budget(flow))
+    return find_attractor(orbits, np.zeros(flow.size), SearchOptions.periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:
-    """Return the stability of an assessed solution by its orbit."""
+    """Return the stability of an assessed solution by its nearest exact orbit."""
     orbit, motion = assessment.orbit, assessment.irregular_motion
     if orbit is None:
         assert assessment.flow is not None

@@ -102,7 +102,8 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
     Returns
     -------
     (n,)
-        Growth per period. Between two irregular points, geometric interpolation; elsewhere nan.
+        Factor by which a disturbance grows per period. Between two irregular points, geometric
+        interpolation; elsewhere nan.
     """
     growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
     spread_indices = np.linspace(

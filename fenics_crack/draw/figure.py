@@ -30,7 +30,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.suggestions import check_options, fitting_argument
-from fenics_crack.basics.tables import readable, with_unit
+from fenics_crack.basics.tables import NO_PREFIX, readable, with_unit
 
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
@@ -41,11 +41,9 @@ STYLE = rc_params_from_file(
 """Settings of Matplotlib for new figures, legends and files."""
 LETTERS = 42
 """Maximum letters in a line of a label along the height of a panel."""
-NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
-"""Units that are shown as they are."""
 FIRST = "first in the legend"
 """Marks (``gid``) lines that come first in a legend, before those that explain styles."""
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class Where(TypedDict, total=False):
@@ -244,7 +242,7 @@ def _plain(value: float) -> str:
 
 
 def _power(value: float) -> str:
-    return "10" + str(round(np.log10(value))).translate(RAISED)
+    return "10" + str(round(np.log10(value))).translate(SUPERSCRIPTS)
 
 
 def _draw_legend(axes: Axes) -> None:

@@ -39,7 +39,7 @@ from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP
 from fenics_crack.numerics.fourier import to_complex
 
 if TYPE_CHECKING:  # which loads DOLFINx
-    from fenics_crack.study.run import StressIntensity
+    from fenics_crack.runs.stress_intensity import StressIntensity
 
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 HATCHED = "#ffffff"

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from fenics_crack.basics.causes import CAUSES
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import (
@@ -26,24 +27,24 @@ from fenics_crack.basics.tables import (
 from fenics_crack.draw.figure import (
     COLOURS,
     LETTERS,
-    NO_PREFIX,
     Picture,
     Where,
     distinct_colours,
     label_axis,
     label_count,
 )
+from fenics_crack.errors.convergence import SAFE
+from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.scene.words import key_in_words
-from fenics_crack.study.verification import CAUSES, SAFE, Verification
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.arrivals.fit_order import TipTrack
+    from fenics_crack.arrivals.harmonics import Candidates, TipFit
+    from fenics_crack.arrivals.passages import PassageFit
     from fenics_crack.fatigue.growth import Growth
     from fenics_crack.monitoring.identification.result import Identification
-    from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
-    from fenics_crack.monitoring.tip_timing.fit_order import TipTrack
-    from fenics_crack.monitoring.tip_timing.harmonics import Candidates, TipFit
-    from fenics_crack.monitoring.tip_timing.passages import PassageFit
     from fenics_crack.study.campbell import Campbell
 
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
@@ -284,9 +285,7 @@ def _in_words(found: Verification, name: str) -> str:
     words = f"{QUANTITIES[kind].words}, mode {mode}" if row is None else row.words
     if point:
         words += f", {found.scene.point_names.get(point, point)}"
-    value, unit = found.values[name], found.units[name]
-    shown = quantity(value, unit) if unit and unit not in NO_PREFIX else f"{value:.4g} {unit}"
-    return f"{fill(words, LETTERS)}, {shown.rstrip()}"
+    return f"{fill(words, LETTERS)}, {quantity(found.values[name], found.units[name])}"
 
 
 def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:

@@ -38,7 +38,8 @@ from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import packaged
 
 if TYPE_CHECKING:
-    from fenics_crack.study.run import Run, StressIntensity
+    from fenics_crack.runs.run import Run
+    from fenics_crack.runs.stress_intensity import StressIntensity
 
 
 def in_space(vectors: np.ndarray) -> np.ndarray:
@@ -216,7 +217,7 @@ def stress_at(
     --------
     >>> time, stress = fc.stress_at(fc.solve(scene), [[0.1, 0.02], [0.1, 0.04]])
     """
-    from fenics_crack.study.run import check_motion  # loads DOLFINx
+    from fenics_crack.runs.run import check_motion  # loads DOLFINx
 
     check_motion(run)
     found, structure = run.result, run.structure

@@ -40,15 +40,15 @@ from fenics_crack.basics.tables import (
     quantity,
     with_frequency,
 )
+from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
 from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
+from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, check_known, without_tips
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.run import solve
-from fenics_crack.study.vary import EVERY, stated_errors
 from fenics_crack.sweep.file import NUMBERED
 from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, run_sweep
 
@@ -530,7 +530,7 @@ def _error_at(scene: Scene, path: LengthPath, length: float) -> tuple[float, lis
 def _error_of(scene: Scene, name: str) -> tuple[float, list[str]]:
     """The same of a number of a scene."""
     run = solve(scene, MPI.COMM_SELF)
-    causes = [cause for cause in EVERY if cause != "friction"]
+    causes = [cause for cause in STATED_CAUSES if cause != "friction"]
     of_peak = scene.given("growth").drive == "resonance"
     stated = stated_errors(run, run.result, of_peak=of_peak, causes=causes)
     without = [f"vibration: {stated.left_out}"] if stated.left_out else []

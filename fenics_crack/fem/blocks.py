@@ -58,9 +58,9 @@ MAX_SIZE_PER_DISTANCE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class Interval:
-    """Part of a side, divided into elements.
+    """Part of a plate's side from ``start`` to ``stop``, divided into elements.
 
-    ``length_ratio`` is the ratio of neighbouring element lengths.
+    ``length_ratio`` is an element's length over the previous element's length.
     """
 
     start: float
@@ -74,11 +74,11 @@ Slit = tuple[int, range]
 
 
 class _GradedFace:
-    """Crack face graded from its coarse end to a tip.
+    """Element lengths along a crack face, which fall geometrically towards a tip.
 
-    The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside it
-    is the middle, with half as many. ``length_ratio`` is the ratio of neighbouring lengths towards
-    the tip.
+    The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside, the
+    coarse end is the middle, with half as many. ``length_ratio`` is an element's length over the
+    next element's length, away from the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
@@ -106,7 +106,7 @@ class _GradedFace:
         return self.tip_size + fraction * (coarse_length - self.tip_size)
 
     def count_elements(self, start: float, stop: float) -> float:
-        """Return the integral of 1 / length over an interval: the number of elements."""
+        """Count the elements on an interval: integrate 1 / element length."""
         start_length, stop_length = self.element_length(start), self.element_length(stop)
         if abs(start_length - stop_length) < 1e-9 * start_length:
             return (stop - start) / start_length
@@ -114,7 +114,9 @@ class _GradedFace:
 
 
 def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Slit]]:
-    """Return columns and rows of blocks, and the cracks among them.
+    """Divide a plate into blocks, and find the cracks among them.
+
+    The results are block columns, block rows, and each crack's row and columns.
 
     Raises
     ------
@@ -248,7 +250,10 @@ def _scale_nodes(unit: float) -> None:
 def _graded_plate(
     scene: Scene, spans: list[tuple[float, float]], levels: list[float]
 ) -> tuple[list[Interval], list[Interval]]:
-    """Return columns and rows graded towards tips and cracks."""
+    """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
+
+    ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
+    """
     (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
         n_cells = [max(1, round(side / size)) for side in (width, height)]
@@ -307,7 +312,7 @@ def _graded_intervals(
         )
 
     def make_intervals(start: float, stop: float) -> list[Interval]:
-        """Return the interval between two positions, or two that meet half-way."""
+        """Return one interval between two positions, or two intervals that meet half-way."""
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
             ends = sorted((face.coarse_end, face.tip))
@@ -490,9 +495,10 @@ def _check_plate_cells(scene: Scene) -> None:
 
 
 def _doubled_corners(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
-    """Return the block corners on cracks, without tips.
+    """Return the block corners on cracks, without tips, as (column, row).
 
-    A crack that begins or ends at an edge of the plate has no tip there.
+    Such a corner has a point on each crack face. A crack that begins or ends at the plate's
+    edge has no tip there.
     """
     return [
         (i, row)
@@ -511,9 +517,10 @@ Curves = dict[tuple[int, int], int]
 def _add_surfaces(
     n_columns: int, n_rows: int, horizontal: Curves, vertical: Curves, upper_faces: Curves
 ) -> list[int]:
-    """Add the surface of each block, column by column.
+    """Add each block's surface, column by column, and return the tags.
 
-    A block above a crack begins at the upper face, other blocks at a horizontal curve.
+    A block above a crack has the upper crack face's curve as lower side. All other blocks
+    have a horizontal curve there.
     """
     surfaces = []
     for i in range(n_columns):
@@ -525,7 +532,10 @@ def _add_surfaces(
 
 
 def _name_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
-    """Name the groups that have entities, and return the tag of each."""
+    """Make gmsh's physical groups, and return their tags by name.
+
+    ``groups`` has dimension and entities by name; names without entities get no group.
+    """
     tags = {name: tag for tag, (name, (_, entities)) in enumerate(groups.items(), 1) if entities}
     for name, tag in tags.items():
         dimension, entities = groups[name]
@@ -579,7 +589,7 @@ class DiskRim:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Take a scene whose sector is made here."""
+        """Read the rim from a scene whose disk is meshed here."""
         self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
         self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
         self.inner_radius, self.outer_radius = (
@@ -594,7 +604,7 @@ class DiskRim:
         return self.half_angle * (self.outer_radius**2 - self.inner_radius**2)
 
     def foot_height(self, position: float) -> float:
-        """Return the blade's foot on the rim, at a position across [m]."""
+        """Return the blade foot's height y on the rim, at a position across [m]."""
         return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
@@ -650,7 +660,7 @@ class DiskRim:
         ]
 
     def name_of(self, center: tuple[float, float, float]) -> str:
-        """Name a face of a solid's rim by its center of mass."""
+        """Name a face on a solid's rim, given the face's center of mass."""
         offset_across, offset_along = center[2] - self.middle, center[1] - self.axis
         radius = math.hypot(offset_across, offset_along)
         angle = math.atan2(offset_across, offset_along)
@@ -682,9 +692,12 @@ class DiskRim:
         columns: list[Interval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
-        """Draw the rim in blocks below a plate's foot.
+        """Draw the rim in blocks below a plate's foot, and append them to ``surfaces``.
 
-        Returns the named curves, and appends to ``surfaces``.
+        Returns
+        -------
+        dict
+            The curves' dimension and tags, by the rim side's name.
         """
         size, geo = _element_length(self.scene), gmsh.model.geo
         side_angle = self.half_angle - math.asin(
@@ -809,7 +822,7 @@ class _Grading:
     growth: float
 
     def as_struct(self) -> Struct:
-        """Return the structure for the kernel's ``element_length_at``."""
+        """Return this grading as a C struct for the kernel's ``element_length_at``."""
         return Struct("grading", count=len(self.x_positions), **vars(self))
 
 

@@ -90,10 +90,10 @@ def pair_crack_faces(
     Returns
     -------
     gap : (n_local, n_pairs)
-        B, the rows of this rank's free dofs.
+        B for normal gaps B^T u, with the rows for this rank's free dofs.
     tangential : (n_local, n_pairs), or None for a solid
-        B with each node's normal turned by a right angle. The two tangential directions of a
-        solid's pair are in ``pairs``.
+        B_t for tangential gaps B_t^T u: B with each node's normal turned by a right angle. A
+        solid pair's two tangential directions are in ``pairs``.
     pairs : Pairs
         Positions, areas and cracks of the pairs.
 
@@ -170,9 +170,10 @@ def pair_crack_faces(
 def _front_pressure_shares(
     dofs: Dofs, space: Any, face_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
-    """Return S, which assigns front pressures to neighbours: (n, n_inside).
+    """Return the matrix S that moves pressures at front nodes to neighbours: (n, n_inside).
 
-    The first ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
+    At nodes off the front, the pressure functions psi become sum_i S_ij psi_i. The first
+    ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
     """
     overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * face_measure
     matrix = compat.assembled_matrix(overlap_form)
@@ -222,7 +223,7 @@ def _patch_shares(
     n_inside: int,
     max_patches: int,
 ) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Return the nodes at patch centres, and the functions of the patches.
+    """Choose patches with one contact pair each, and return their pressure functions.
 
     Parameters
     ----------
@@ -243,7 +244,7 @@ def _patch_shares(
     patch_nodes : (m,) int
         Node at the centre of each patch.
     shares : (n, m)
-        S, the values of the patches' functions at all nodes.
+        Values of the patches' pressure functions at all nodes, 0 to 1.
     """
     patch_nodes, shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
     for crack in np.unique(crack_index):
@@ -269,9 +270,9 @@ def _patch_shares(
 
 
 def _farthest_points(points: np.ndarray, n_points: int) -> np.ndarray:
-    """Select points far apart: (n_points,) int, in ascending order.
+    """Select points far apart, by index: (n_points,) int, in ascending order.
 
-    The last point is first. Then follows, each time, the point farthest from all selected ones.
+    The last point is selected first, then repeatedly the point farthest from all selected ones.
     """
     indices, distances = [len(points) - 1], np.full(len(points), np.inf)
     while len(indices) < n_points:
@@ -296,14 +297,16 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
 def _columns_of_nodes(
     dofs: Dofs, t: Any, face_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Assemble b for pressures that are basis functions of the displacement's nodes.
+    """Assemble a face's gap vectors b, one for each displacement node.
+
+    A pair's gap is b . u, summed over both faces.
 
     Returns
     -------
     space : dolfinx function space
         Space of the pressures.
     weights : (n_owned,) [m^2]
-        t int psi ds for each owned pressure.
+        Area t int psi ds for each owned node's pressure function psi.
     columns : (n_owned_dofs, n_pressures)
         b of every pressure, the rows of this rank's dofs.
     """
@@ -325,7 +328,10 @@ def _columns_of_nodes(
 def _columns_of_pressures(
     dofs: Dofs, t: Any, face_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Assemble b for linear pressures, as :func:`_columns_of_nodes` does."""
+    """Assemble a face's gap vectors with pressures linear between corners of facets.
+
+    The results are as in :func:`_columns_of_nodes`.
+    """
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
     work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * face_measure
@@ -435,7 +441,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
         on_root(comm, lambda: check_file_exists("mesh.coarser", coarser_file))
     if scene.disk is not None:  # every rank has the sector
-        from fenics_crack.fem.sector import assemble_wheel
+        from fenics_crack.disk.sector import assemble_wheel
 
         structure, dofs = on_each(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
         return assemble_wheel(scene, dofs, structure, comm)
@@ -447,9 +453,12 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 
 def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
-    """Return the attributes of a body at rest that depend on its loads (collective).
+    """Assemble a scene's loads on a structure's mesh, at rest (collective).
 
-    ``structure`` has the mesh of the scene, whose loads are assembled.
+    Returns
+    -------
+    dict
+        :class:`Body` fields: "force", "watched" and "clamp".
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)
@@ -465,9 +474,9 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
 
 
 def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
-    """Assemble the structure at rest, and its dofs (collective).
+    """Assemble the structure without rotation, and number its dofs (collective).
 
-    The sides of a sector are free.
+    Of a bladed disk it is one sector, whose sides are free.
     """
     begin("mesh")
     plate = build_mesh(scene, comm)
@@ -480,7 +489,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = Dofs(plate, space, comm)
     if scene.disk is not None:
-        from fenics_crack.fem.sector import match_sides
+        from fenics_crack.disk.sector import match_sides
 
         match_sides(scene, dofs)
     stiffness, mass = map(compat.assembled_matrix, _matrix_forms(scene, space))
@@ -502,7 +511,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 
 
 def _matrix_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
-    """Return the forms of stiffness and mass."""
+    """Return the UFL forms for stiffness and mass."""
     (density,), t = constants(space, scene.material.density), thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))

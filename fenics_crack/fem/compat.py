@@ -120,7 +120,7 @@ def _quiet_compiler() -> Iterator[None]:
 
 @_quiet_compiler()
 def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
-    """Make the object that a form or an element is compiled for (collective)."""
+    """Call a DOLFINx constructor that compiles a form or an element (collective)."""
     key = ffcx.naming.compute_signature(
         [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))
     )
@@ -178,7 +178,7 @@ def assembled_vector(form: Any) -> np.ndarray:
 
 
 def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the basis functions at a point.
+    """Evaluate the basis functions of a function space at a point (d,) [m].
 
     Both results are empty if this rank owns no cell with the point.
 

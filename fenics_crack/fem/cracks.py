@@ -71,9 +71,9 @@ class CrackPath:
 
     @property
     def watched_place(self) -> tuple[str, float]:
-        """Return name and position of the watched pair.
+        """Return the reported contact pair's name and position [m].
 
-        The position [m] is 0 at a mouth, and the middle for a crack inside.
+        The pair is at the mouth (position 0), or in the middle between two tips.
         """
         if self.has_mouth:
             return "the mouth", 0.0
@@ -86,7 +86,7 @@ class CrackPath:
         -------
         distances : (n,) [m]
             Distance between each point and the path.
-        arc_lengths : (n,) [m]
+        positions : (n,) [m]
             Distance from the beginning to the nearest point on the path.
         """
         offsets, edge_fractions = offsets_from_edges(points, self.edges)
@@ -135,7 +135,10 @@ class CrackSurface:
 
     @property
     def watched_place(self) -> tuple[str, float]:
-        """Return name and position of the pair farthest from the front."""
+        """Return the reported contact pair's name and position: the farthest from the front.
+
+        The position is infinite.
+        """
         return "the mouth" if self.has_mouth else "the middle", np.inf
 
     @property
@@ -249,10 +252,17 @@ def points_on_both_sides(
     normal: np.ndarray,
     crack_size: float,
 ) -> tuple[list[float], list[float]] | None:
-    """Return points below and above a point on a crack.
+    """Return points below and above a point on a crack, on the crack's normal.
 
-    Both lie on the crack's normal. None if the distance from the crack is too large, or that from
-    the front too small.
+    Parameters
+    ----------
+    distance, front_distance : float [m]
+        The point's distances from the crack, and from the tip or front.
+
+    Returns
+    -------
+    lower_point, upper_point : list of float [m]
+        None for both together if the point is too far from the crack, or too near to the front.
     """
     if (
         distance_to_crack > POSITION_TOLERANCE * crack_size
@@ -294,14 +304,14 @@ def upward_sign(normal: np.ndarray) -> float:
 
 
 def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Project points (n, d) onto the nearest crack.
+    """Find each point's (n, d) nearest crack, and the position on the crack.
 
     Returns
     -------
     crack_index : (n,) int
-        The nearest crack.
-    distances_on_crack : (n,) [m]
-        Distance along a path, or from the front of a surface.
+        The nearest crack's index.
+    positions : (n,) [m]
+        Distance along a path from the beginning, or on a surface from the front.
     """
     distances, distances_on_crack = np.array([crack.locate(points) for crack in cracks]).transpose(
         1, 0, 2
@@ -311,9 +321,9 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
 
 
 def label_connected_rows(rows: np.ndarray) -> np.ndarray:
-    """Label connected rows of nodes: (n,) int.
+    """Label connected rows, such as facets, of nodes: (n,) int.
 
-    Rows have the same label if a chain of common nodes connects them.
+    Rows have the same label if a chain of rows with common nodes connects them.
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
@@ -653,9 +663,10 @@ def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
 
 
 def _front_parts(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
-    """Return edges of the fronts (n, 2), or nodes of the tips (n, 1).
+    """Return crack front edges (n, 2), or crack tip nodes (n, 1).
 
-    They are parts of one crack facet only, and lie off the boundary.
+    A crack's edge is on a front if it belongs to one crack facet only and is off the
+    boundary. The same holds for tips.
     """
     n_corners = crack_facets.shape[1]
     parts = crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)

@@ -104,7 +104,7 @@ def rotation_of(
     structure_at_rest : Structure
         Structure without rotation.
     solve_static : callable, optional
-        Returns the static displacement of a wheel.
+        Returns a wheel's displacement (n_local, 1) under a load; default: the structure's.
     """
     space, dimension, (axis_point, axis_direction) = dofs.space, scene.dimension, scene.axis
     projection = (np.eye(3) - np.outer(axis_direction, axis_direction))[:dimension, :dimension]
@@ -124,11 +124,11 @@ def rotation_of(
     static_stress = stress(scene, space, ufl.sym(grad_u_c))
 
     def gradient_strain(displacement: Any) -> Any:
-        """Return the strain e of a displacement."""
+        """Return e(v) = sym((grad u_c)^T grad v), the strain due to the displaced shape."""
         return ufl.sym(grad_u_c.T * ufl.grad(displacement))
 
     def virtual_work(strain: Any, test_strain: Any) -> Any:
-        """Return the work of one strain's stress on another strain."""
+        """Return the form for the work that one strain's stress does on another strain."""
         return t * ufl.inner(stress(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.

@@ -24,6 +24,7 @@ from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.cracks import LIP_TAGS, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import constants
 from fenics_crack.fem.plate import Dofs, PlateMesh
+from fenics_crack.model.structure import DampingRule, Structure
 
 CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 """Cells that a structure may have, by DOLFINx's names."""
@@ -31,12 +32,78 @@ LOAD_KEYS = ("loads.mean", "loads.sin", "loads.cos")
 """Parts of a load, in the order of their forms."""
 
 
-def parts_of_forms(
+def structure_from_forms(
+    space: Any,
+    stiffness: Any,
+    mass: Any,
+    *,
+    bcs: Any = (),
+    loads: Any = None,
+    crack: Any = None,
+    thickness: float = 1.0,
+    clearance: Any = 0.0,
+    damping: Any = None,
+) -> Structure:
+    """Make a structure from UFL forms on a mesh of DOLFINx (collective).
+
+    Parameters
+    ----------
+    space : dolfinx.fem.FunctionSpace
+        Displacements: vectors, Lagrange elements of order 1 or 2, on a mesh of a plane or of a
+        solid.
+    stiffness, mass : ufl.Form
+        Symmetric bilinear forms on it, without the conditions; the mass positive definite, the
+        stiffness semidefinite. In a plane they hold the thickness.
+    bcs : list of dolfinx.fem.DirichletBC
+        Conditions on the space or its components, all of value zero.
+    loads : (mean, sin, cos) or None
+        Linear forms, or None for a part that is zero: mean, and first harmonic.
+    crack : (facet_tags, lower, upper) or None
+        Tags of the mesh's facets, and those of the two faces of all cracks: exterior facets in
+        the same places, with different nodes but for those of tips and fronts.
+    thickness : float [m]
+        In a plane, for the areas of the contact pairs.
+    clearance : float or (n_pairs,) [m]
+        g0; negative for preload.
+    damping : ModalDamping, RayleighDamping, ufl.Form or None
+        Modal or Rayleigh damping, or the bilinear form of C.
+
+    Returns
+    -------
+    Structure
+        On the ranks of the mesh.
+
+    Raises
+    ------
+    InputError
+        The space, a condition, a form or the tags are not such, nodes of the two faces do not
+        match, or a matrix is none for :meth:`Structure.from_matrices`.
+
+    Examples
+    --------
+    >>> import ufl
+    >>> space = structure.nodes.mesh_dofs.space
+    >>> u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    >>> stiffness = 2e9 * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    >>> free = fc.structure_from_forms(space, stiffness, 7800.0 * ufl.inner(u, v) * ufl.dx)
+    """
+    bilinear_forms = {"stiffness": stiffness, "mass": mass}
+    if not isinstance(damping, DampingRule | None):
+        bilinear_forms["damping"] = damping
+    parts, *places = _assemble_parts(space, bilinear_forms, bcs, loads, crack, thickness)
+    structure = Structure.from_matrices(**{"damping": damping} | parts, clearance=clearance)
+    for key in bilinear_forms:
+        parts[key].destroy()
+    return structure.with_places(*places)
+
+
+def _assemble_parts(
     space: Any, bilinear: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
 ) -> tuple[Any, ...]:
     """Assemble the parts of a structure from forms (collective).
 
-    Parameters are those of :meth:`Structure.from_forms`.
+    Parameters are those of :func:`structure_from_forms`. ``bilinear`` has the forms "stiffness",
+    "mass" and, if given, "damping".
 
     Returns
     -------
@@ -113,7 +180,10 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 
 
 def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
-    """Return a mesh with its crack faces (collective)."""
+    """Return a user's mesh with its crack faces (collective).
+
+    ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
+    """
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
@@ -140,7 +210,7 @@ def _face_corners(plate: PlateMesh, name: str, comm: MPI.Comm) -> tuple[np.ndarr
     Returns
     -------
     numbers : (n, k) int
-        Global node numbers.
+        The corners' global node numbers.
     positions : (n, k, d) [m]
         Node positions.
     """

@@ -104,7 +104,7 @@ class Front:
         Parameter t of each node: the angle on an ellipse [rad], or the distance along the front
         [m].
     curve : callable
-        Returns c(t) or its derivatives of a given order: (..., 3).
+        Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
     is_closed : bool
         True if the front has no ends.
     at_surface : tuple of bool
@@ -125,7 +125,7 @@ class Front:
 
     @cached_property
     def peak_parameters(self) -> np.ndarray:
-        """Return the parameters at which the hats peak.
+        """Return the curve parameters t at which the hat functions are 1, equally spaced.
 
         A closed front has the first peak also at its end. An open front has a peak in the middle,
         where a half-ellipse is deepest.
@@ -145,12 +145,15 @@ class Front:
 
     @property
     def station_parameters(self) -> np.ndarray:
-        """Return the parameters of the stations: (n_stations,)."""
+        """Return the stations' curve parameters t: (n_stations,).
+
+        A station is a point on the front at which K is computed (:class:`Station`).
+        """
         return self.peak_parameters[:-1] if self.is_closed else self.peak_parameters
 
     @property
     def corner_stations(self) -> list[int]:
-        """Return the stations at corners, where K is undefined."""
+        """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
         ends = zip(self.at_surface, (0, n_stations - 1), strict=True)
         return (
@@ -160,7 +163,9 @@ class Front:
         )
 
     def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the hat functions.
+        """Evaluate the stations' hat functions h at curve parameters t.
+
+        A hat is 1 at its station and falls linearly in t to 0 at the neighbours.
 
         Returns
         -------
@@ -177,7 +182,7 @@ class Front:
         return hat_values, np.where(hat_values > 0.0, -np.sign(distances) / spacing, 0.0)
 
     def hat_lengths(self) -> np.ndarray:
-        """Return int h ds for each hat: (n_stations,) [m]."""
+        """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
         x, w = np.polynomial.legendre.leggauss(8)
         half_spacing = 0.5 * (self.peak_parameters[1] - self.peak_parameters[0])
         t = (self.peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
@@ -187,16 +192,16 @@ class Front:
         return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
     def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the frame and curvature of the front.
+        """Return the front's frame and curvature at curve parameters t.
 
         Returns
         -------
         frame : (..., 3, 3)
-            Rows e_1, e_2, e_3.
+            Rows: unit vectors e_1 ahead of the crack, e_2 normal to it, e_3 along the front.
         speed : (...,)
-            ds/dt.
+            Front length per parameter, ds/dt.
         kappa, kappa_slope : (...,) [1/m], [1/m^2]
-            Curvature, and its derivative with respect to s.
+            Curvature, and its derivative with respect to the length s along the front.
         """
         c_1, c_2, c_3 = (self.curve(t, order) for order in (1, 2, 3))
         speed = np.linalg.norm(c_1, axis=-1)
@@ -214,16 +219,16 @@ class Front:
 
     @cached_property
     def straight_radius(self) -> float:
-        """Return the domain's radius R where the front is straight [m]."""
+        """Return the integration domain's radius where the front is straight [m]."""
         max_length = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
         return float(min(RADIUS_IN_ELEMENTS * max_length, self.max_radius))
 
     def is_limited_by_curvature(self, kappa: np.ndarray) -> np.ndarray:
-        """Return True where the curvature determines R."""
+        """Return True where the curvature [1/m] limits the integration domain's radius."""
         return np.asarray(np.abs(kappa) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
 
     def radius(self, kappa: np.ndarray) -> np.ndarray:
-        """Return R for a curvature [m]."""
+        """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
         is_limited = self.is_limited_by_curvature(kappa)
         return np.where(
             is_limited,
@@ -233,7 +238,7 @@ class Front:
 
     @cached_property
     def _curve_samples(self) -> tuple[np.ndarray, cKDTree]:
-        """Return parameters and a search tree of points on the curve.
+        """Return sample points on the curve: parameters t, and a search tree with positions.
 
         There are eight points for each node.
         """
@@ -245,7 +250,7 @@ class Front:
         return t, cKDTree(self.curve(t, 0))
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
-        """Return parameters of the curve's nearest points to points (..., 3)."""
+        """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
         samples, tree = self._curve_samples
         t = samples[tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
@@ -563,7 +568,7 @@ def _values_at_free_dofs(
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
-    """Return the stations of a front."""
+    """Return a front's stations, with positions, directions and touching pairs."""
     pairs, is_in_hats = structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
@@ -609,9 +614,10 @@ def _check_resolved(front: Front) -> None:
 
 
 def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
-    """Arrange rows (3 n_stations, m) of hats by station: (n_stations, 3, m).
+    """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    A hat at an end of an open front has its centroid elsewhere. So the row for the end is
+    ``rows`` (3 n_stations, m) are means over the hat functions, mode after mode. At an open
+    front's end, the half hat's centroid is not the station. The functional there is
     extrapolated linearly from the last two hats.
     """
     rows = rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
@@ -624,14 +630,20 @@ def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
 
 
 def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return q and its derivative with respect to r / R."""
+    """Return the weight q and its derivative with respect to r / R.
+
+    ``radius_ratio`` is r / R: distance from the front over the domain's radius. q is 1 at the front
+    and 0 at the radius.
+    """
     x = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
     slope = -30.0 * x**2 * (1.0 - x) ** 2 / (1.0 - PLATEAU_FRACTION)
     return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2), slope
 
 
 def _collapsed_gauss_rule(dimension: int, n_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return Gauss points of a simplex collapsed at its first corner.
+    """Return a Gauss rule for a triangle or a tetrahedron.
+
+    It comes from a square or cube with ``n_points`` per side, collapsed at the first corner.
 
     Returns
     -------
@@ -662,14 +674,17 @@ TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 
 
 class _Domain:
-    """Domain of integration around a front: the cells nearby.
+    """Cells near a front, the domain for the interaction integral.
+
+    The equations are in the module's text. Rows are numbered mode after mode, K_I, K_II, K_III,
+    each with all stations.
 
     Attributes
     ----------
+    intensity_factors : (3 n_stations,)
+        Factor from the interaction integral I to K.
     nodes : (n_nodes,) int
         Global numbers of the cells' nodes.
-    scale : (3 n_stations,)
-        Factor from I to K.
     points : (n_nodes, 3) [m]
         Positions of the nodes.
     cells : (n_cells, 10) int
@@ -727,10 +742,10 @@ class _Domain:
         self.side_signs = np.sign(((centres - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
 
     def _basis_gradients(self, cell_index: np.ndarray) -> np.ndarray:
-        """Return D with grad N_a = sum_b D_ab lambda_b: (n, 10, 4, 3).
+        """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
 
-        N_a are quadratic basis functions in the order of the cell's nodes. Barycentric coordinates
-        lambda_b are in the order of ``corners``.
+        The result D has grad N_a = sum_b D_ab lambda_b. The N_a are in the order of the cell's
+        nodes, the barycentric coordinates lambda_b in the order of ``corners``.
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
         gradients = np.take_along_axis(self.gradients[cell_index], inverse_order[..., None], axis=1)
@@ -751,9 +766,10 @@ class _Domain:
         Returns
         -------
         rows : (n_nodes, 3 n_stations, 3)
-            Factors of the displacement, scaled to K.
+            Factors for the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
-            w, not scaled.
+            Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
+            derivative of the unit K field along e_1.
         """
         n_rows = 3 * len(self.front.station_parameters)
         rows, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
@@ -801,7 +817,7 @@ class _Domain:
         return self.intensity_factors[:, None] * comm.allreduce(rows), nodal_fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
-        """Return the stress C sym(gradient) of gradients (..., 3, 3)."""
+        """Return the elastic stress from displacement gradients (..., 3, 3): same shape."""
         stress = self.mu * (gradient + gradient.swapaxes(-1, -2))
         mean_stress = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
         for k in range(3):
@@ -811,16 +827,22 @@ class _Domain:
     def _front_coordinates(
         self, positions: np.ndarray, cell_index: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return coordinates relative to the front of points in cells.
+        """Return points in cells as coordinates relative to the nearest front point.
+
+        ``positions`` (n, m, 3) [m] are m points in each of the n cells ``cell_index``.
 
         Returns
         -------
         frame : (n, m, 3, 3)
+            Rows e_1, e_2, e_3 (:meth:`Front.frame`).
         xi, y, r : (n, m) [m]
+            Coordinates along e_1 and e_2, and distance from the front.
         hat, hat_slope : (n, m, n_stations)
-            Hats, and their derivatives with respect to s.
+            Hats, and their derivatives with respect to the length along the front.
         kappa, kappa_slope : (n, m)
+            Front curvature, and its derivative.
         radius : (n, m) [m]
+            Integration domain's radius.
         """
         front = self.front
         t = front.nearest_parameters(positions)
@@ -834,10 +856,11 @@ class _Domain:
         return frame, xi, y, r, hat, hat_slope_by_t / speed[..., None], kappa, kappa_slope, radius
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
-        """Return w at the nodes of cells: (n, 10, 3 n_stations, 3).
+        """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
-        On the front w is 0, and on the front's element edges, too. Such an edge is a chord of the
-        curve, and its middle is on neither side of the crack.
+        q is the weight, h the hat, and a_,1 the derivative of the unit K field along e_1. On the
+        front and on the front's element edges w is 0: such an edge is a chord, and the chord's
+        middle is on neither crack side.
         """
         positions = self.points[self.cells[cell_index]]
         frame, xi, y, r, hat, _, _, _, radius = self._front_coordinates(positions, cell_index)
@@ -853,12 +876,19 @@ class _Domain:
         return np.concatenate(fields, axis=2)
 
     def _plane_field(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
-        """Return the field of unit K for a mode, and its derivatives.
+        """Return the displacement with K = 1 in one mode, and derivatives.
+
+        Parameters
+        ----------
+        mode : int
+            0, 1, 2 for K_I, K_II, K_III.
+        xi, y, r : (...) [m]
+            Coordinates ahead of the crack and normal to it, and distance from the front.
 
         Returns
         -------
         a, a_1, a_2 : (3, ...)
-            Field, and derivatives with respect to xi and y.
+            Components along e_1, e_2, e_3, and their derivatives with respect to xi and y.
         """
         half_angle = 0.5 * np.arctan2(y, xi)
         c, s, cosine, sine = np.cos(half_angle), np.sin(half_angle), xi / r, y / r
@@ -895,10 +925,21 @@ class _Domain:
         weights: np.ndarray,
         normal: np.ndarray | None,
     ) -> np.ndarray:
-        """Integrate lambda_b T over cells or facets: (n, 3 n_stations, 4, 3, 3).
+        """Integrate the factor T of grad u in the interaction integral, times lambda_b.
 
-        T is the tensor that multiplies grad u in the volume or, with an outward normal, on the
-        surface.
+        Parameters
+        ----------
+        rule : (m, 4)
+            The integration points' barycentric coordinates lambda_b.
+        weights : (n, m) [m^3] or [m^2]
+            The points' weights in each cell, or on one facet for each cell.
+        normal : (n, 3) or None
+            The facets' outward normals. None: integrate over the cells.
+
+        Returns
+        -------
+        (n, 3 n_stations, 4, 3, 3)
+            Integrals for each cell, row, corner b, and component of T.
         """
         positions = rule @ self.corners[cell_index]
         frame, xi, y, r, hat, hat_slope, kappa, kappa_slope, radius = self._front_coordinates(
@@ -952,11 +993,22 @@ class _Domain:
         self, a: np.ndarray, a_1: np.ndarray, a_2: np.ndarray, gradient: np.ndarray,
         stress: np.ndarray, coordinates: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-        """Return T in the volume, as factors of hats and slopes.
+        """Return the tensor T that multiplies grad u in one mode's volume integral.
+
+        T is the sum of two products: hats times a tensor, and hat slopes times another one.
+
+        Parameters
+        ----------
+        a, a_1, a_2 : (3, ...)
+            From :meth:`_plane_field`.
+        gradient, stress : (..., 3, 3)
+            Gradient and stress of that field in the frame e_1, e_2, e_3.
+        coordinates : tuple of arrays
+            q, gradient of q, g, k, derivative of kappa, hats, and hat slopes.
 
         Returns
         -------
-        list of (factor, tensor)
+        list of ((..., n_stations), (..., 3, 3))
             Hats with the first tensor, then slopes with the second.
         """
         q, q_gradient, g, k, kappa_slope, hat, hat_slope = coordinates
@@ -984,7 +1036,8 @@ class _Domain:
 def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs).
 
-    They come from the last integral in I, with each pair's pressure.
+    They come from the integral of the contact pressure p in the interaction integral. A pair's
+    force acts as a pressure shaped as the pair's pressure function.
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None

@@ -209,10 +209,21 @@ def _face_normals(dofs: Dofs) -> np.ndarray:
 
 
 def _singular_field(r: Any, c: Any, s: Any, kappa: float, mode: Any) -> tuple[Any, Any]:
-    """Return the components of s, times 4 G (2 pi)^1/2, as numbers or forms.
+    """Return the x_1 derivative of the displacement around a tip with K = 1.
 
-    The mode is 0 for K_I, 1 for K_II. At the distance r, c and s are the cosine and sine of half
-    the angle.
+    Parameters
+    ----------
+    r, c, s : numbers or UFL expressions
+        Distance from the tip, and cosine and sine of half the angle from the crack's direction.
+    kappa : float
+        Kolosov's constant.
+    mode : 0 or 1
+        0 for K_I, 1 for K_II.
+
+    Returns
+    -------
+    x, y : numbers or UFL expressions
+        Components ahead of the crack and normal to it, times 4 G (2 pi)^1/2, G the shear modulus.
     """
     cosine, sine = c * c - s * s, 2.0 * c * s
     mode_1 = ((kappa - cosine - 2.0 * sine * sine) * c, -(kappa - cosine + 2.0 * sine * sine) * s)
@@ -225,14 +236,16 @@ def _singular_field(r: Any, c: Any, s: Any, kappa: float, mode: Any) -> tuple[An
 
 
 def _material_factors(scene: Scene) -> tuple[float, float]:
-    """Return kappa of plane stress, and 1 / (4 G (2 pi)^1/2)."""
+    """Return Kolosov's constant kappa of plane stress, and 1 / (4 G (2 pi)^1/2)."""
     nu = scene.material.poisson
     shear = scene.material.young / (2.0 * (1.0 + nu))
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear * np.sqrt(2.0 * np.pi))
 
 
 def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
-    """Return q at a distance r."""
+    """Return the weight q at distances r from a tip.
+
+    q is 1 near the tip, and 0 beyond the radius."""
     xi = np.clip((r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
     return np.asarray(1.0 - xi**3 * (10.0 - 15.0 * xi + 6.0 * xi**2))
 
@@ -240,9 +253,10 @@ def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
 def _weighted_singular_field(
     scene: Scene, tip: Tip, mode: int, points: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
-    """Return w = q s at nodes: (n, 2).
+    """Return the field w = q s at nodes: (n, 2).
 
-    It is zero at the tip. Nodes on crack faces are on the side opposite to their outward normal.
+    q is the weight, and s the x_1 derivative of the displacement with K = 1. The field is zero at
+    the tip. Nodes on crack faces are on the side opposite to their outward ``normals`` (n, 2).
     """
     offsets = points - tip.point
     r = np.linalg.norm(offsets, axis=1)
@@ -265,9 +279,10 @@ def _weighted_singular_field(
 
 
 def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
-    """Return a function that assembles the displacement's factors in K.
+    """Return a function that assembles the factors of the displacement in K_I or K_II.
 
-    All tips and modes have the same form, with other constants.
+    The function takes a tip, a mode and the nodal field w. All tips and modes share one compiled
+    form, with other constants.
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
@@ -310,10 +325,10 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
 def _pressure_row(
     scene: Scene, structure: Structure, tip: Tip, mode: int, field: np.ndarray
 ) -> np.ndarray:
-    """Return factors of the contact forces in K: (n_pairs,).
+    """Return factors of the contact forces in K_I or K_II of a tip: (n_pairs,).
 
-    The pressure along the crack faces replaces forces at nodes. Pressure has no part in K_II. If
-    only the mouth has a pair, its force stays at the node.
+    ``field`` is w of :func:`_nodal_field`. The pressure along the crack faces replaces the forces
+    at nodes, and has no part in K_II. If only the mouth has a pair, the force stays at the node.
     """
     forces = np.zeros(structure.n_pairs)
     if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":
@@ -335,9 +350,10 @@ def _pressure_row(
 
 
 def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points and weights for integrals of r^-1/2 up to the radius.
+    """Return a rule for integrals of f(r) r^-1/2 up to the radius.
 
-    The intervals between ``ends`` are integrated with xi^2 = r.
+    The results are points r and weights. f is smooth between ``ends``. Gauss's rule is applied to
+    xi in each interval, with xi^2 = r.
     """
     sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
     gauss_points, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)

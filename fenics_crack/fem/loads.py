@@ -56,7 +56,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
 
     Returns
     -------
-    load_coefficients : (2K+1, n_dofs) [N]
+    force : (2K+1, n_dofs) [N]
         Mean, then cosine and sine part of each order, on all owned dofs, clamped ones included.
     watched_vector : (n_local,) or None
         The watched displacement is its product with u [m]. None: the dof with most of the load
@@ -68,8 +68,10 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh, where the structure is clamped, or on a crack, where there are
         two faces.
     """
-    load_coefficients = np.zeros((2 * scene.highest_order + 1, len(dofs.numbers)))
-    watched_vector = None
+    load_coefficients, watched_vector = (
+        np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))),
+        None,
+    )
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
@@ -125,12 +127,11 @@ def _direction(parts: Sequence[Vector]) -> Vector:
 
 
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
-    """Return the fraction of a point force on each node (collective).
+    """Return the fraction of a point force on each of this rank's nodes: (n_nodes,) (collective).
 
-    The result has the shape (n_nodes,), for this rank's nodes. A node takes the whole force if it
-    is at the point. So it does if rounding, or a curved boundary between flat sides, puts the node
-    out of every cell. On a part from a CAD file, a point close to the mesh but out of every cell
-    loads the nearest node.
+    A node at the point takes the whole force, even if rounding or a curved boundary puts the point
+    out of every cell. Otherwise the fractions are the basis functions N_i at the point. On a part
+    from a CAD file, a point close to the mesh but out of every cell loads the nearest node.
 
     Raises
     ------
@@ -182,10 +183,11 @@ def _point_load(
 
     Returns
     -------
-    load_coefficients : (n_parts, n_dofs) [N]
+    force : (n_parts, n_dofs) [N]
         Nodal forces.
     direction_vector : (n_local,) or None
-        Direction of the load at its point. None if the load is zero.
+        Vector whose product with u is the displacement at the point in the load's direction [m].
+        None if the load is zero.
     """
     fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
     load_coefficients = np.array([_distribute_vector(dofs, fractions, part) for part in parts])
@@ -244,7 +246,7 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
 
 
 def _watch_edge_middle(dofs: Dofs, edge: str, load_coefficients: np.ndarray) -> np.ndarray:
-    """Return a vector that watches the middle of an edge: (n_local,).
+    """Return the vector whose product with u is the displacement at an edge's middle: (n_local,).
 
     It is 1 at the node nearest to the middle, in the direction of most of the load.
     """
@@ -264,9 +266,9 @@ def _watch_edge_middle(dofs: Dofs, edge: str, load_coefficients: np.ndarray) -> 
 
 
 def clamp_of(dofs: Dofs, mass: Any, load_coefficients: np.ndarray) -> Clamp:
-    """Return the clamp of a mesh (collective).
+    """Return the data for reactions at a mesh's clamp (collective).
 
-    The mass matrix and the load (2K+1, n_dofs) include the clamped dofs.
+    The mass matrix and the load ``force`` (2K+1, n_dofs) include the clamped dofs.
     """
     clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     center = np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
@@ -276,9 +278,9 @@ def clamp_of(dofs: Dofs, mass: Any, load_coefficients: np.ndarray) -> Clamp:
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:
-    """Return translations and rotations of points (n, d): (n_rigid, n d).
+    """Return displacements of points (n, d) in rigid motions of unit amplitude: (n_rigid, n d).
 
-    Rotations are about the origin, e x r.
+    The motions are the translations along the axes, then the rotations e x r about the origin.
     """
     dimension = points.shape[1]
     spatial_points = np.pad(points, ((0, 0), (0, 3 - dimension)))
@@ -289,7 +291,7 @@ def rigid_motions(points: np.ndarray) -> np.ndarray:
 
 
 def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
-    """Return M a for all owned dofs: (n_dofs,) [N]."""
+    """Return the inertia forces M a for all owned dofs: (n_dofs,) [N]."""
     acceleration_vector, force_vector = mass.createVecs()
     acceleration_vector.array[:] = acceleration
     mass.mult(acceleration_vector, force_vector)
@@ -302,10 +304,10 @@ def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
 def _watch_node(
     dofs: Dofs, nodes: np.ndarray, position: np.ndarray, order_index: int, direction: Vector
 ) -> np.ndarray:
-    """Return a vector that watches a node in a direction: (n_local,).
+    """Return the vector whose product with u is a node's displacement in a direction: (n_local,).
 
-    Nodes of all ranks are sorted by distance from a position, and equal distances by coordinates.
-    The index 0 selects the nearest node, -1 the farthest.
+    ``nodes`` of all ranks are sorted by distance from ``position``, equal distances by coordinates.
+    ``order_index`` 0 selects the nearest node, -1 the farthest.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
     distance = np.linalg.norm(all_points - position, axis=1)

@@ -98,7 +98,7 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
 def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
-    """Make the structure from its files."""
+    """Make the structure of a table ``[structure]`` from the table's files."""
     matrices, columns, model = on_each(comm, lambda: _read_files(table))
     stiffness = matrices["stiffness"].matrix
     parts: dict[str, Any] = {"gap": None, "damping": damping_rule}
@@ -151,10 +151,10 @@ def _read_files(
     -------
     matrices : dict of str to LabelledMatrix
         Mass, stiffness and damping, with the rows of the stiffness.
-    columns : dict
-        Matrices with a row for each dof, by key.
+    columns : dict of str to (n_dofs, m)
+        Gap matrix, tangential gaps and forces, by the key of the table.
     model : Model or None
-        Nodes and cells.
+        Nodes and cells of the input file.
     """
     label_file, matrices = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
@@ -192,12 +192,14 @@ def _read_files(
 def _order_by_nodes(
     model: Model, labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Order the rows by nodes.
+    """Order the matrices' rows by nodes.
+
+    ``labels`` (n_dofs, 2) are node and direction of each row.
 
     Returns
     -------
     order : (n_dofs,) int
-        Rows, those of a node in succession.
+        Present index of each row in the new order.
     node_dofs : (n_nodes, 3) int
         New row of each node along x, y and z, or -1.
     node_starts : (n + 1,) int
@@ -224,7 +226,7 @@ def _order_by_nodes(
 
 
 def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
-    """Return start and stop of this rank's rows.
+    """Return start and stop of this rank's rows, ordered by nodes.
 
     A rank has whole nodes, and about as many rows as others.
     """
@@ -259,7 +261,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
 
 
 def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
-    """Return a number for all pairs, or a file's number for each."""
+    """Return a number, or a file's numbers (n_pairs,) for the pairs."""
     if not isinstance(setting, str):
         return setting
     return read_whole_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
@@ -414,7 +416,7 @@ class _TwinNodes:
     points : (n_nodes, 3) [m]
         Positions of all nodes.
     dofs : (n_nodes, 3) int
-        Rows of the nodes.
+        Rows of each node along x, y, z in the matrices, or -1.
     n_dofs : int
         Number of rows.
     first_nodes, second_nodes : (n_pairs,) int
@@ -426,8 +428,8 @@ class _TwinNodes:
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
     has_held_twin : (n_nodes,) bool
-        True for two coincident nodes if only one has dofs. The other is held, or tied by
-        equations.
+        True for both of two coincident nodes if only one has dofs. The other is clamped, or tied
+        by equations.
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
@@ -480,7 +482,7 @@ class _TwinNodes:
 def find_pairs(
     model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
-    """Find a model's pairs, crack by crack, from front to mouth.
+    """Find a model's contact pairs, crack by crack, from front to mouth.
 
     Parameters
     ----------
@@ -496,7 +498,7 @@ def find_pairs(
     Returns
     -------
     gap : (n_dofs, n_pairs)
-        B.
+        B of the gaps B^T u.
     pairs : Pairs
         Positions, areas and cracks of the pairs.
 
@@ -600,7 +602,11 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
 def _cell_facets(
     points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
 ) -> Facets:
-    """Return the facets of all cells of a kind."""
+    """Return the facets of all cells of one kind.
+
+    ``cells`` (n, k) has the corners first; ``local_facets`` are the columns of each facet's
+    corners. A facet's nodes are corners, then edge middles or -1.
+    """
     k = local_facets.shape[1]
     middle_columns = {
         frozenset(edge): n_corners + edge_index
@@ -635,11 +641,11 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns
     -------
     weighted_functions : (2, k, n_points)
-        Linear basis, and the basis of edge middles, times the weights.
+        Linear functions of the corners, and quadratic ones of the edge middles, times the weights.
     linear : (k, n_points)
-        Linear basis.
+        Linear functions.
     slopes : (2, k, n_points)
-        Derivatives of the linear basis.
+        Derivatives of the linear functions by both coordinates.
     """
     points, weights = (0.5 * coordinates for coordinates in np.polynomial.legendre.leggauss(3))
     r, s = (coordinates.ravel() for coordinates in np.meshgrid(points + 0.5, points + 0.5))
@@ -660,16 +666,18 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _patch_gaps(
     twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
-    """Assemble the gaps of patches.
+    """Assemble the normal gaps of crack faces with facets, averaged over patches.
+
+    Each pair of corner nodes has a patch: the support of a linear pressure function.
 
     Returns
     -------
     gap : (n_dofs, n)
-        B.
+        B of the gaps B^T u.
     areas : (n,) [m^2]
         Areas of the patches.
     pair_index : (n,) int
-        Pair of nodes at each patch.
+        Index in ``twins`` of the pair at each patch.
     front_nodes : (m,) int
         Nodes of the fronts.
     """
@@ -731,14 +739,14 @@ def _patch_gaps(
 def _gap_matrix_and_front_nodes(
     twins: _TwinNodes, n_tangents: int
 ) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Assemble the gaps of pairs of nodes.
+    """Assemble the normal gaps between coincident nodes, without cells.
 
-    The crack faces have ``n_tangents`` directions.
+    ``n_tangents`` is 2 for crack faces that are surfaces, 1 for lines.
 
     Returns
     -------
     gap : (n_dofs, n_pairs)
-        B.
+        B of the gaps B^T u.
     front_nodes : (m,) int
         Nodes of the fronts.
     """

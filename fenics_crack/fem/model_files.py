@@ -88,7 +88,7 @@ def read_model(path: Path) -> Model:
 
 
 def list_included_files(path: Path) -> list[Path]:
-    """Return the files that are read together with a file.
+    """Return further files that a matrix or model file needs.
 
     CalculiX's matrices have a file for their rows. Input files of CalculiX or Abaqus include
     others.
@@ -121,7 +121,7 @@ CellLabels = dict[int, list[list[int]]]
 def _add_node(
     nodes: NodePositions, line_number: int, label: int, position: tuple[float, ...]
 ) -> None:
-    """Add a node.
+    """Add a node's position to ``nodes``, by the label.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def _add_node(
 
 
 def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read nodes from a table."""
+    """Read nodes from a table with lines "node, x, y, z", into ``nodes``."""
     for row_number, (label, *coordinates) in enumerate(
         read_number_rows(path, 4, "#", ",").tolist(), 1
     ):
@@ -150,7 +150,7 @@ def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 
 def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read nodes and cells from an input file of CalculiX or Abaqus."""
+    """Read an input file of CalculiX or Abaqus into ``nodes`` and ``cells``."""
     keyword, n_nodes_per_element, cell_labels = "", 0, list[int]()
     for line_number, line in numbered_lines(path, "**"):
         try:
@@ -194,7 +194,7 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 
 def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read nodes and cells from bulk data of Nastran."""
+    """Read Nastran's bulk data into ``nodes`` and ``cells``."""
     for line_number, card in _read_cards(path):
         name, *fields = card
         try:
@@ -227,7 +227,7 @@ def _parse_real(field: str) -> float:
 
 
 def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the entries of bulk data.
+    """Yield the entries of Nastran's bulk data.
 
     Fields have 8 or 16 characters, or stand between commas. Fields of continuation lines are
     appended.
@@ -264,7 +264,7 @@ def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 
 def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read nodes and cells from CDWRITE's blocks NBLOCK and EBLOCK.
+    """Read the blocks NBLOCK and EBLOCK of Ansys' CDWRITE into ``nodes`` and ``cells``.
 
     The line below a block's name states number and width of the fields.
     """

@@ -175,7 +175,7 @@ def _read_raw_mesh(path: Path) -> RawMesh:
     with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as file_copy:
         if not _MESH_HEADER_PATTERN.match(beginning_of(file_copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
-        contents = run_reader(Path(__file__).with_name("msh_reader.py"), file_copy, 300)
+        contents = run_reader(Path(__file__).with_name("solid_mesher.py"), file_copy, 300)
         if isinstance(contents, str):
             raise ValueError(contents.replace(str(file_copy), str(path)))
     max_coordinate = 1e6  # [m]
@@ -192,7 +192,10 @@ def check_file_exists(key: str, path: Path | str) -> None:
 
 
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
-    """Return the groups in arrays from :mod:`fenics_crack.fem.msh_reader`."""
+    """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_groups` to a list of groups.
+
+    A group is (dimension, tag, name, gmsh's kind of elements, node numbers).
+    """
     node_rows = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
     rows = zip(contents["heads"].tolist(), contents["names"].tolist(), node_rows, strict=False)
     return [(dimension, tag, name, kind, nodes) for (dimension, tag, kind, _), name, nodes in rows]
@@ -262,7 +265,9 @@ def _select_cells(
 def _select_named_groups(
     groups: list[Group], kinds: dict[int, int], used_numbers: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[Group]]:
-    """Select named facets and points, and renumber their nodes.
+    """Select the named facets and points of a mesh file, and renumber their nodes.
+
+    The results are those of :func:`_select_cells`.
 
     Parameters
     ----------
@@ -296,9 +301,9 @@ def _select_named_groups(
 
 
 def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
-    """Return cells with the corners between which each node lies.
+    """Make :class:`Cells` from nodes (n_cells, k) and gmsh's kind of cells.
 
-    A node lies between the corners whose linear basis functions are not zero there.
+    A node lies between the corners whose linear basis functions are not zero at the node.
     """
     _, dimension, *_, corners = gmsh.model.mesh.getElementProperties(kind)
     supports = _basis_functions(_LINEAR_KINDS[dimension, corners], _reference_nodes(kind)) > 1e-9
@@ -314,7 +319,7 @@ def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
 def _facets_after_split(
     named_facets: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, node_map: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return named facets with their nodes after a split.
+    """Renumber named facets after nodes were doubled along cracks.
 
     Parameters
     ----------
@@ -344,9 +349,10 @@ def _facets_after_split(
 
 
 def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]) -> None:
-    """Raise InputError if a tip lies on the edge of the plate.
+    """Raise InputError if a crack is closed at the plate's edge.
 
-    There a crack has a mouth, which needs a node for each face.
+    At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
+    corners of the lower and upper face's edges, (n, 2) each.
     """
     boundary_edges = cells.sorted_facets[0][cells.is_boundary]
     boundary_edges = boundary_edges[~rows_in(boundary_edges, np.concatenate(face_edges))]
@@ -361,14 +367,19 @@ def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.nda
 def _tag_combinations(
     curves: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
-    """Tag each combination of curves that has edges of its own.
+    """Tag the edges of named curves, with one tag for each combination of names.
+
+    Parameters
+    ----------
+    curves : dict of str to (m, k) int
+        Nodes of each curve's edges, or of each surface's facets. An edge may be on several curves.
 
     Returns
     -------
     tags : dict of str to tuple of int
-        Tags of each curve.
+        Tags that make up each curve.
     edge_groups : list of (int, str, (m, k) int)
-        Tag, name and edges of each combination.
+        Tag, joined names, and edges of each combination.
     """
     edges = np.concatenate(list(curves.values()))
     curve_index = np.repeat(
@@ -389,7 +400,8 @@ def _tag_combinations(
 def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
     """Fill gmsh's current model with nodes and physical groups.
 
-    The groups of cells come first. Their nodes are rows of ``positions``.
+    The groups (:func:`unpack_groups`) begin with those of cells. Nodes are rows of ``positions``
+    (n_nodes, 3).
     """
     model, dimension = gmsh.model, groups[0][0]
     node_entity = model.addDiscreteEntity(dimension)
@@ -482,9 +494,9 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
 def _check_inner_surfaces(
     cells: Cells, named_facets: dict[str, np.ndarray], crack_names: list[str]
 ) -> None:
-    """Raise InputError for surfaces inside that are neither crack nor clamp.
+    """Raise InputError if a named surface inside the mesh is neither crack nor clamp.
 
-    Such a surface would not separate anything.
+    ``named_facets`` are the nodes of facets by name. Such a surface would not separate anything.
     """
     facets, _, _ = cells.sorted_facets
     shared_facets, n_corners = facets[1:][cells.is_shared], facets.shape[1]
@@ -505,9 +517,9 @@ def check_parts(
     clamped_nodes: np.ndarray,
     face_facets: Sequence[np.ndarray],
 ) -> None:
-    """Raise InputError if a part has no clamp.
+    """Raise InputError if a part of the mesh has no clamp.
 
-    Parts share no nodes with each other.
+    Parts are groups of cells that share no nodes with each other.
 
     Parameters
     ----------

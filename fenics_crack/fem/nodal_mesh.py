@@ -63,9 +63,9 @@ class NodalMesh:
         return vectors if self._frames is None else np.einsum("nij,mnj->mni", self._frames, vectors)
 
     def to_nodal_frames(self, vectors: np.ndarray) -> np.ndarray:
-        """Rotate nodal vectors (m, n_nodes, d) into the frames of the nodes.
+        """Rotate nodal vectors (m, n_nodes, d) from space into the frames of the nodes.
 
-        The dofs are components in these frames.
+        A node's dofs are components in the node's frame; in a wheel, each sector has a frame.
         """
         frames = self._frames
         return vectors if frames is None else np.einsum("nji,mnj->mni", frames, vectors)
@@ -82,7 +82,7 @@ class NodalMesh:
 
     @cached_property
     def patch_functions(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the patches of a solid's pairs as nodal functions.
+        """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns
         -------
@@ -129,9 +129,9 @@ class NodalMesh:
         sides : (n, k) int
             Nodes of each side, in cyclic order. A facet has its corners only.
         cell_counts : (n,) int
-            Number of cells with this side.
+            Number of cells with this side: 1 on the boundary.
         cells : (n,) int
-            One of these cells.
+            Index of one of these cells.
         """
         n_nodes_per_cell = self.cells.shape[1]
         n_corners = 3 if n_nodes_per_cell in (3, 6) else 4
@@ -173,7 +173,7 @@ class NodalMesh:
 
     @cached_property
     def crack_faces(self) -> np.ndarray:
-        """Return the boundary sides that coincide with another side."""
+        """Return the boundary sides that coincide with another side: (n, k) nodes."""
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
         centres = self.points[self.boundary].mean(axis=1)

@@ -180,8 +180,8 @@ class Dofs:
     ) -> None:
         """Number the free dofs.
 
-        ``is_constrained`` (n_dofs,) marks this rank's dofs that are held. By default these are the
-        dofs at the clamp.
+        ``is_constrained`` (n_dofs,) is True for this rank's dofs that are held at zero; by default
+        the dofs at the clamp.
         """
         self.comm, self.plate, self.space = comm, plate, space
         self.dimension = space.mesh.geometry.dim
@@ -217,9 +217,16 @@ class Dofs:
         return nodes[nodes < space.dofmap.index_map.size_local]
 
     def set_sector_sides(self, sides: np.ndarray, rotation: np.ndarray) -> None:
-        """Set the sides of a sector, and rotate later matrices and forces there.
+        """Set a sector's sides, and rotate the right side's frames.
 
-        The rotation applies to the right side. Only one rank has the sector.
+        Later matrices and forces are rotated, too. One rank has the whole sector.
+
+        Parameters
+        ----------
+        sides : (2, m) int
+            Nodes on the left side, and their partners on the right side.
+        rotation : (d, d)
+            Matrix that turns the left side to the right one.
         """
         self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_own_nodes, 1, 1))
         self.frames[sides[1]] = rotation
@@ -268,7 +275,7 @@ class Dofs:
         return function
 
     def nodes(self) -> Nodes:
-        """Return positions, dofs and cells for searches and pictures."""
+        """Return this rank's node positions, dofs and cells for searches and pictures."""
         cells, vtk_type = compat.vtk_cells(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
         return Nodes(

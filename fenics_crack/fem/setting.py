@@ -73,6 +73,6 @@ def expand_load_table(load: Excitation, dimension: int) -> tuple[np.ndarray, flo
     coefficients : (2K+1, dimension)
         Mean, then cosine and sine parts of each order.
     residual : float
-        Part of the table that these harmonics leave out, relative.
+        Root mean square of the part of the table that these harmonics leave out, relative.
     """
     return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)

@@ -94,7 +94,7 @@ def read_part_faces(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
     Returns
     -------
     dict
-        "triangles": corners (n, 3, 3) [m]; "owners": face of each triangle (n,).
+        "triangles": corners (n, 3, 3) [m]; "owners": gmsh's number of each triangle's face, (n,).
 
     Raises
     ------
@@ -145,8 +145,10 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     determinants = (side_1 * normal).sum(axis=1)
     determinants = np.where(np.abs(determinants) < 1e-300, np.inf, determinants)
     offsets = point - triangles[:, 0]
-    u = (offsets * normal).sum(axis=1) / determinants
-    offset_cross_side_1 = np.cross(offsets, side_1)
+    u, offset_cross_side_1 = (
+        (offsets * normal).sum(axis=1) / determinants,
+        np.cross(offsets, side_1),
+    )
     v = offset_cross_side_1 @ direction / determinants
     distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
@@ -155,7 +157,15 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
 
 
 def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
-    """Mesh a part, and return the mesh with its unit [m]."""
+    """Mesh a scene's CAD part in a separate process.
+
+    Returns
+    -------
+    dict
+        Mesh in the form of :func:`fenics_crack.fem.solid_mesher.collect_mesh`.
+    float
+        Unit of the mesh's lengths [m].
+    """
     unit_scene, unit = scale_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh
     face_points = [(face.key, face_point) for face in geometry.faces for face_point in face.values]
@@ -170,7 +180,10 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 def _run_mesher(
     path: str, request: dict[str, Any], scene: Scene | None = None
 ) -> dict[str, np.ndarray]:
-    """Run the mesher on a file in a separate process."""
+    """Run ``solid_mesher.py`` on a CAD file in a separate process.
+
+    ``request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
+    """
     with reading("geometry.file", path, "a part that gmsh reads and meshes"):
         file_mark = FILE_MARKS.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in beginning_of(path, 4096):
@@ -191,7 +204,7 @@ def _run_mesher(
 
 
 def _scene_value(scene: Scene, key: str) -> object:
-    """Return the value of a key, or the names of a part's faces."""
+    """Return the value of a scene's key for a message; for faces their names."""
     table, _, field = key.rpartition(".")
     value = getattr(scene.all_cracks.get(table) or getattr(scene, table), field)
     return [face.key for face in value] if field == "faces" else value
@@ -217,9 +230,15 @@ def _mesher_cracks(scene: Scene) -> list[dict[str, Any]]:
 
 
 def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
-    """Return a box's crack in a plane y = height.
+    """Return the geometry of a box's crack in a plane y = height.
 
-    It is an ellipse or rectangle centred on the face z = thickness.
+    The crack is an ellipse or rectangle centred on the face z = thickness.
+
+    Returns
+    -------
+    dict
+        "middle", "half", "frame", "is_round" and "reach" of
+        :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
     """
     width, _, thickness = sides
     left_end, right_end = crack.span(width)
@@ -236,7 +255,7 @@ def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
 
 
 def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
-    """Mesh a box or a disk's sector, and return the mesh with its unit [m]."""
+    """Mesh a box or a disk's sector; the results are those of :func:`_mesh_cad_part`."""
     unit_scene, unit = scale_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
@@ -282,7 +301,11 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 
 
 def _check_cell_number(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:
-    """Raise InputError before gmsh makes too many cells."""
+    """Raise InputError before gmsh makes too many cells.
+
+    ``unit`` [m] is the mesh's unit of length. ``fronts`` are crack fronts of
+    :func:`fenics_crack.fem.solid_mesher.insert_cracks`, in this unit.
+    """
     n_bulk, n_front = solid_mesher.estimate_bulk_and_front_cells(
         scene.mesh.given("size") / unit, fronts
     )

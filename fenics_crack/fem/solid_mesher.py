@@ -1,7 +1,7 @@
-"""Mesh solids with plane cracks by gmsh.
+"""Mesh solids with plane cracks by gmsh, and read mesh files.
 
-A part from a CAD file is meshed in a separate program (:mod:`fenics_crack.basics.untrusted_files`),
-a box in the calling one.
+A file is read, and a part from a CAD file is meshed, in a separate program
+(:mod:`fenics_crack.basics.untrusted_files`). A box is meshed in the calling one.
 
 A crack is an ellipse or a rectangle, as far as it is inside the solid. It has the half axes a and b
 in its own frame, with rows e_1, e_2 and the normal. Elements have the length ``size`` or, at a
@@ -52,18 +52,41 @@ class Refusal(Exception):
     """Report an unusable key of a scene, and what is allowed."""
 
 
-def read(path: str, _max_bytes: int, request: dict[str, Any]) -> dict[str, Any]:
-    """Return the mesh of a part, or its faces.
+def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the mesh in a file, or that of a CAD part, or the triangles of its faces.
 
-    The form is that of msh_reader.py. Without "size" in ``request``, only faces are returned.
-    Lengths are in mm, the unit of the mesh. Other keys are "faces", a list of [name, point];
-    "cracks", see :func:`insert_cracks`; "unit", "per_turn" and "cells".
+    The caller limits memory, so the number of bytes is not checked here. Lengths of parts are in
+    mm, the unit of the mesh.
+
+    Parameters
+    ----------
+    path : str
+    request : dict or None
+        None if the file holds a mesh. Of a part: "unit" of the file; "size" of the elements,
+        without which only faces are returned; "faces", a list of [name, point]; "cracks" of
+        :func:`insert_cracks`; "per_turn", elements on a full turn of a curved face; "cells", their
+        maximum number.
+
+    Returns
+    -------
+    dict
+        Mesh in the form of :func:`collect_groups`. Of a part: mesh of :func:`collect_mesh` with
+        "straight", the number of straightened cells; or faces of :func:`mesh_faces`, "triangles"
+        and "owners"; or "refused": key and requirement.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
+    if request is None:
+        gmsh.merge(path)
+        tags = gmsh.model.getPhysicalGroups()
+        names = [gmsh.model.getPhysicalName(*tag) for tag in tags]
+        entities = [gmsh.model.getEntitiesForPhysicalGroup(*tag) for tag in tags]
+        return collect_groups(
+            [(*tag, *group) for tag, *group in zip(tags, names, entities, strict=True)]
+        )
     try:
         return _mesh_part(path, request)
     except Refusal as refusal:
@@ -71,7 +94,7 @@ def read(path: str, _max_bytes: int, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
-    """Mesh a part, or only its faces."""
+    """Mesh a part, or only its faces, as :func:`read` does."""
     solid_tags = _import_part(path, request["unit"])
     triangles, owners = mesh_faces()
     if "size" not in request:
@@ -104,7 +127,7 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _import_part(path: str, unit: str) -> Tags:
-    """Import the only solid in a file."""
+    """Import the only solid in a file into gmsh, scaled to mm."""
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
@@ -128,7 +151,7 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
     triangles : (n, 3, 3)
         Corners of the triangles.
     owners : (n,) int
-        Face of each triangle.
+        gmsh's tag of each triangle's face.
     """
     bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES
@@ -147,7 +170,7 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _face_triangles(tag: int) -> np.ndarray:
-    """Return corners of a face's triangles, of any order: (n, 3, 3)."""
+    """Return the corners of gmsh's triangles on the face ``tag``, of any order: (n, 3, 3)."""
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))
@@ -185,7 +208,20 @@ def triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def _find_named_faces(
     faces: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
 ) -> Iterable[tuple[str, set[int]]]:
-    """Return names with the faces nearest to their points."""
+    """Find the faces that a user names by points on them.
+
+    Parameters
+    ----------
+    faces : pairs of (str, (3,))
+        Name and point; a name may have several points.
+    triangles, owners
+        From :func:`mesh_faces`.
+
+    Returns
+    -------
+    pairs of (str, set of int)
+        Each name with the tags of the faces nearest to its points.
+    """
     size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
     faces_by_name: dict[str, set[int]] = {}
     for name, point in faces:
@@ -200,7 +236,11 @@ def _find_named_faces(
 def _match_surfaces(
     surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
 ) -> dict[int, int]:
-    """Return the uncracked part's face for each surface except cracks."""
+    """Match the surfaces of the cracked part to the faces of the uncracked part.
+
+    ``surfaces`` are the tags of the cracks, which are left out. Returns the face's tag by the tag
+    of each other surface; faces are those of :func:`mesh_faces`.
+    """
     face_of_surface = {}
     for _, tag in gmsh.model.getEntities(2):
         if tag not in surfaces:
@@ -224,19 +264,21 @@ def insert_cracks(
     solid_tags : list of (int, int)
         The solid.
     cracks : list of dict
-        "key" of the scene; "middle" (3,); "frame" (3, 3); "half" (2,), or None for a half-plane
-        that ends at its middle; "is_round"; "reach", its extent behind the front, or None;
-        "elements" along this extent, and "grading".
+        "key" of the scene; "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half"
+        axes (2,), or None for a half-plane that ends at its middle; "is_round", True for an
+        ellipse; "reach", the extent behind the front, or None; "elements" along this extent, and
+        "grading", the longest over the shortest.
     triangles : (n, 3, 3)
         Faces of the solid. Empty if the scene has checked the crack's position.
 
     Returns
     -------
     surfaces : list of int
-        Surface of each crack.
+        gmsh's tag of each crack's surface.
     fronts : list of dict
-        "curves"; "points" on them (n, 3); "ends" (m, 3); "shortest" element; "growth";
-        "length".
+        "curves", gmsh's tags; "points" on the curves (n, 3); "ends" of the front (m, 3);
+        "shortest" element length at the front; "growth" of the length with the distance; "length"
+        of the front.
     """
     occ, faces = gmsh.model.occ, []
     for crack in cracks:
@@ -272,7 +314,7 @@ def insert_cracks(
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
-    """Draw the ellipse or rectangle of a crack."""
+    """Draw the ellipse or rectangle of a crack, and return its dimension and tag."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
@@ -433,16 +475,47 @@ def _set_sizes(**options: float) -> None:
 
 
 def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) -> dict[str, Any]:
-    """Collect the mesh in the form of msh_reader.py.
+    """Collect gmsh's current mesh with named surfaces and cracks.
 
-    "middles" are the centres of the cracks, (n, 3).
+    Parameters
+    ----------
+    surfaces : list of int
+        Tags of the cracks.
+    surfaces_by_name : dict of str to list of int
+        Tags of the surfaces with a name.
+
+    Returns
+    -------
+    dict
+        Arrays of :func:`collect_groups`, and "middles", the centres of the
+        cracks (n, 3).
     """
-    numbers, positions, _ = gmsh.model.mesh.getNodes()
-    headers, names, nodes = [], [], []
     groups = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
     groups += [(2, name, entities) for name, entities in surfaces_by_name.items()]
     groups += [(2, f"crack {number}", [tag]) for number, tag in enumerate(surfaces, 1)]
-    for tag, (dimension, name, entities) in enumerate(groups, 1):
+    centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in surfaces]
+    contents = collect_groups(
+        [(dimension, tag, *group) for tag, (dimension, *group) in enumerate(groups, 1)]
+    )
+    return contents | {"middles": np.reshape(centres, (-1, 3))}
+
+
+def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
+    """Collect nodes, and groups split by kind of elements.
+
+    Parameters
+    ----------
+    groups : list of (dimension, tag, name, entities)
+
+    Returns
+    -------
+    dict
+        "numbers" and "positions" of the nodes. "heads": dimension, tag, kind, and number of nodes
+        of each group; "names": its name; "nodes": all nodes in succession.
+    """
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    headers, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]
+    for dimension, tag, name, entities in groups:
         for entity in entities:
             kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
             headers += [
@@ -455,9 +528,6 @@ def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) ->
         "numbers": numbers, "positions": positions.reshape(-1, 3),
         "heads": np.array(headers, dtype=np.int64).reshape(-1, 4),
         "names": np.array(names, dtype=str), "nodes": np.concatenate(nodes),
-        "middles": np.reshape(
-            [gmsh.model.occ.getCenterOfMass(2, tag) for tag in surfaces], (-1, 3)
-        ),
     }  # fmt: skip
 
 
@@ -471,7 +541,7 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
     Returns
     -------
     positions : (n_nodes, 3)
-        New positions.
+        New positions of all nodes.
     int
         Number of cells that change.
     """

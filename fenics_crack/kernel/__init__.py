@@ -50,7 +50,9 @@ def _bind_lapack() -> None:
 
 
 def require_shape(array: Any, *shape: int, kind: type = float) -> np.ndarray:
-    """Return an array C-contiguous with entries of one kind, without a copy if possible.
+    """Return an array for the kernel: C-contiguous, with entries of type ``kind``.
+
+    A copy is made only if necessary.
 
     Raises
     ------
@@ -92,10 +94,10 @@ def attach_destructor(allocation: Any, destructor: Any) -> Any:
 
 
 class Struct:
-    """A struct of the C files, made from its members by name.
+    """A C struct of the kernel, made from its fields (members) by name.
 
-    A member is a number, an array, an object of the kernel, another struct or None (a null
-    pointer). Members live as long as the struct.
+    A value is a number, an array, a pointer from the kernel, another struct or None (a null
+    pointer). The values live as long as the struct.
 
     Attributes
     ----------
@@ -108,7 +110,7 @@ class Struct:
         self.address = ffi.new(f"{struct_type} *", c_members)
 
     def with_members(self, **members: Any) -> Struct:
-        """Return a copy with some members changed, quicker than a new struct."""
+        """Return a copy with the given fields changed, quicker than a new struct."""
         copy = Struct.__new__(Struct)
         copy._members = self._members | members
         copy.address = ffi.new(ffi.typeof(self.address), self.address[0])
@@ -118,7 +120,7 @@ class Struct:
 
 
 def _as_c_member(member: Any) -> Any:
-    """Return a member in the form for cffi."""
+    """Return a field's value for cffi: a pointer, a C struct or a number."""
     if isinstance(member, np.ndarray):
         return pointer(member)
     if isinstance(member, Struct):

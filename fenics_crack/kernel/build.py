@@ -56,7 +56,10 @@ SANITIZER_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", 
 
 
 def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
-    """Return the builder of the module, with source paths relative to a folder if possible."""
+    """Return cffi's builder of the module ``_kernel``.
+
+    Paths of the C files are relative to ``folder`` if possible.
+    """
     headers, sources = (
         sort_headers(sorted(KERNEL_FOLDER.glob("*.h"))),
         sorted(KERNEL_FOLDER.glob("*.c")),
@@ -81,7 +84,7 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
 
 
 def sort_headers(headers: list[Path]) -> list[Path]:
-    """Return headers with their includes, every header after its own includes."""
+    """Return C headers and included headers, each after its includes."""
     sorted_headers: list[Path] = []
     for header in headers:
         include_names = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))
@@ -93,7 +96,7 @@ def sort_headers(headers: list[Path]) -> list[Path]:
 
 
 def build(target_folder: Path, *, sanitize: bool = False) -> None:
-    """Compile the module into a folder."""
+    """Compile the C files into the module ``_kernel`` of a folder."""
     with tempfile.TemporaryDirectory() as scratch_folder:
         builder = make_builder(Path(scratch_folder), sanitize=sanitize)
         compiled_path = builder.compile(tmpdir=scratch_folder)

@@ -1,6 +1,7 @@
 """The two parts of a structure: the constant body and the variable setting.
 
-Copies of a structure in other settings share the body: the matrices, and all results from them.
+The body holds the matrices, the load and all results from them. The setting holds factors of load
+and damping and an added clearance. Copies of a structure in other settings share the body.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 
 @dataclass(frozen=True, eq=False)
 class Body(ReadOnlyArrays):
-    """Attributes of a structure as it was made; arrays are read-only.
+    """Constant data of a structure: matrices, load, gaps; arrays are read-only.
 
-    Load and clearance are given without the setting, whose weights multiply this load and whose
-    clearance is added. A mean load due to rotation is part of this load, without a weight.
+    The fields are the attributes of :class:`Structure`. Load and clearance are those before the
+    factors and the added clearance of a :class:`Setting`. The load includes the mean load due to
+    rotation.
     """
 
     mass: Any
@@ -68,12 +70,12 @@ MATRIX_INDEPENDENT_NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The variable part of a structure.
+    """Factors of load and damping, and an added clearance, which vary between copies.
 
     Attributes
     ----------
     weights : float or (2K+1, 2K+1)
-        Factor of the load, or matrix that maps its rows.
+        Factor of the load, or matrix that maps the load's rows (mean, cosine and sine parts).
     damping_factor : float
         Factor of the damping.
     clearance : float or (n_pairs,) [m]
@@ -88,7 +90,7 @@ class Setting:
     watched_dof: int | None = None
 
     def combine_with(self, later_setting: Setting) -> Setting:
-        """Return this setting, then varied by a later one."""
+        """Combine this setting with a later one: factors multiply, clearances add."""
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )

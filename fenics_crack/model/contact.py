@@ -60,13 +60,13 @@ class ContactLaw(Protocol):
 
     @property
     def stiffness(self) -> float | np.ndarray:
-        """Largest tangent, of a firmly closed pair: one for all pairs or (n_pairs,) [N/m]."""
+        """Largest slope of the force, of a firmly closed pair: a number or (n_pairs,) [N/m]."""
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda(g) [N] for gaps (..., n_pairs) [m]: the same shape."""
+        """Return the contact forces lambda(g) [N] for gaps (..., n_pairs) [m]: the same shape."""
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return d lambda / d g [N/m] for gaps (..., n_pairs) [m]: the same shape."""
+        """Return the slopes d lambda / d g [N/m] for gaps (..., n_pairs) [m]: the same shape."""
 
     def scaled(self, factor: float) -> Self:
         """Return this law with its stiffness multiplied by a factor."""
@@ -74,7 +74,7 @@ class ContactLaw(Protocol):
 
 @dataclass(frozen=True)
 class _Penalty:
-    """Common part of the laws with a penalty stiffness."""
+    """Base of the laws with a penalty stiffness k."""
 
     stiffness: float | np.ndarray
 
@@ -199,11 +199,12 @@ class UnilateralConstraint:
 class CoulombFriction:
     """Coulomb friction with a law of normal contact, along a line for each pair.
 
-        -mu lambda_n <= lambda_t <= mu lambda_n,      h' = 0 where <,      lambda_t h' >= 0 where =
+        |lambda_t| <= mu lambda_n,    h' = 0 if |lambda_t| < mu lambda_n,    else lambda_t h' >= 0
 
-    The tangential force lambda_t stands on the left of the equation of motion, as lambda_n. The
-    slider h = g_t - lambda_t / k_t is a place in the tangential gap g_t: a closed pair sticks or
-    slips. One coefficient holds at rest and in motion.
+    Both the normal force lambda_n and the tangential force lambda_t stand on the left of the
+    equation of motion. The slider position h = g_t - lambda_t / k_t [m] is the tangential gap g_t
+    less the elastic deformation. A closed pair sticks (h' = 0) or slips. One coefficient holds at
+    rest and in motion.
 
     Attributes
     ----------
@@ -212,7 +213,7 @@ class CoulombFriction:
     coefficient : float or (n_pairs,)
         mu.
     tangential_stiffness : float or (n_pairs,) [N/m]
-        k_t; infinite: without elastic slip.
+        k_t; infinite: no elastic deformation before slip.
     direction : (n_pairs,) [rad] or None
         In a solid, whose tangential gaps have two directions: the angle of each pair's sliding
         line, from the first to the second direction (:func:`fenics_crack.slide_along_lines`).
@@ -249,11 +250,11 @@ class CoulombFriction:
         return self.law.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda_n(g) [N]."""
+        """Return the normal forces lambda_n(g) [N] for normal gaps g [m]."""
         return np.asarray(self.law.force(gap))
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return d lambda_n / d g [N/m]."""
+        """Return the slopes d lambda_n / d g [N/m] for normal gaps g [m]."""
         return np.asarray(self.law.tangent(gap))
 
     def scaled(self, factor: float) -> CoulombFriction:
@@ -294,11 +295,12 @@ def add_friction_pairs(contact: object, structure: Structure) -> Structure:
 
 
 def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
-    """Return 1/k of the pairs, and behind it 1/k_t with friction.
+    """Return the compliances 1/k of the contact springs, pair by pair.
 
     Returns
     -------
     (n_pairs,) or (2 n_pairs,) [m/N]
+        1/k; with friction followed by 1/k_t of the tangential springs.
     """
     friction, unit_vector = friction_of(contact), np.ones(n_pairs)
     normal_compliances = unit_vector / np.asarray(contact.stiffness, dtype=float)
@@ -311,16 +313,16 @@ def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
 
 @lru_cache
 def gauss_rule(n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes between 0 and 1 and weights of Gauss's rule.
+    """Return nodes and weights of Gauss's rule on 0 to 1: (n_nodes,) each.
 
-    They give means of forces between two gaps.
+    The rule averages contact forces between two gaps.
     """
     nodes, weights = np.polynomial.legendre.leggauss(n_nodes)
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 def potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
-    """Return V(g), the integral of lambda from 0, by Gauss's rule: (..., n_pairs) [J]."""
+    """Return the contact energy V(g), the integral of lambda from 0: (..., n_pairs) [J]."""
     nodes, weights = gauss_rule(32)
     forces = contact.force(np.multiply.outer(nodes, gap))
     return np.asarray(gap * np.tensordot(weights, forces, 1))
@@ -425,15 +427,15 @@ def _check_positive(key: str, number: object, *, allows_array: bool = False) -> 
 
 
 class FrictionSets:
-    """Contact with friction at successive instants, under a compliance D.
+    """Solver of contact with friction at successive instants.
 
-    D has the normal gaps first, then the tangential ones. Matrices of the pairs' states are kept
-    once they are computed.
+    Each pair is open, sticks or slips. The matrices of a combination of these states are kept for
+    later instants.
 
     Attributes
     ----------
     compliance : (2 n_pairs, 2 n_pairs) [m/N]
-        D = R_inf + diag(1/k, 1/k_t).
+        D = R_inf + diag(1/k, 1/k_t): residual flexibility and contact springs, normal gaps first.
     """
 
     def __init__(self, compliance: np.ndarray, coefficient: float | np.ndarray) -> None:
@@ -452,25 +454,27 @@ class FrictionSets:
     def solve(
         self, gap: np.ndarray, slider_positions: np.ndarray, max_periods: int = 1
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """March through the instants of a period, until the sliders repeat.
+        """Find the forces at successive instants, until the slider positions repeat.
+
+        A slider position is the tangential gap at which the tangential spring is relaxed.
 
         Parameters
         ----------
         gap : (n, 2 n_pairs) [m]
-            Gaps at successive instants.
+            Slow gaps s at the instants of a period: gaps without the response R_inf to the forces.
         slider_positions : (n_pairs,) [m]
-            Positions of the sliders before the first instant.
+            Slider positions before the first instant.
         max_periods : int
             Maximum number of periods.
 
         Returns
         -------
         forces : (n, 2 n_pairs) [N]
-            Forces in the last period.
+            Forces in the last period, normal ones first.
         states : (n, n_pairs) int
-            States of the pairs.
-        sampled_slider_positions : (n, n_pairs) [m]
-            Positions of the sliders.
+            0: open, 1: sticks, 2 and 3: slips with growing and with falling tangential gap.
+        positions : (n, n_pairs) [m]
+            Slider positions.
         origins : (n_pairs,) int
             Last instant at which the pair did not stick, or 0.
 
@@ -518,12 +522,14 @@ def is_regular(matrix: np.ndarray) -> bool:
 
 
 class ActiveSetSolver:
-    """Contact at instants under a compliance D; inverses on closed sets are kept.
+    """Solver of contact without friction, by sets of closed pairs.
+
+    The inverse of D on each set is kept for later instants.
 
     Attributes
     ----------
     compliance : (n_pairs, n_pairs) [m/N]
-        D = R_inf + I/k.
+        D = R_inf + I/k: residual flexibility and contact springs.
     """
 
     def __init__(self, compliance: np.ndarray) -> None:
@@ -536,11 +542,12 @@ class ActiveSetSolver:
         """The kernel's own object."""
 
     def invert_sets(self, sets: np.ndarray) -> np.ndarray:
-        """Return (D_AA)^-1, with zeros outside A, for each set A of closed pairs.
+        """Invert the compliance D on sets A of closed pairs, with zeros outside A.
 
         Parameters
         ----------
         sets : (m, n_pairs) bool
+            True for the closed pairs of each set.
 
         Returns
         -------
@@ -560,7 +567,7 @@ class ActiveSetSolver:
         Parameters
         ----------
         gap : (n, n_pairs) [m]
-            s.
+            Slow gaps s: gaps without the response to the forces, g = s - R_inf lambda.
         is_closed : (n, n_pairs) bool, optional
             First guess of the closed pairs.
 
@@ -620,9 +627,9 @@ def solve_complementarity(
 
 
 def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Solve as :func:`solve_complementarity`, by least squares with bounds.
+    """Solve the problem of :func:`solve_complementarity` by non-negative least squares.
 
-    An iteration adds the unsymmetric part of D.
+    The symmetric part of D is solved directly, and an iteration adds the unsymmetric part.
     """
     import scipy.optimize  # takes a while, and is rarely needed
 
@@ -652,18 +659,19 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
 def smooth_forces_and_slopes(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find lambda = h(s - D lambda) for a law h without falling parts.
+    """Find the pair forces under a law that is not piecewise linear.
 
-    Newton's method starts from the penalty law's solution.
+    The forces satisfy lambda = h(s - D lambda). Newton's method starts from the penalty law's
+    solution.
 
     Parameters
     ----------
     law : ContactLaw
         h; its force may not fall while the gap grows.
     compliance : (n_pairs, n_pairs) [m/N]
-        D.
+        D, the gap change by unit forces.
     gap : (n, n_pairs) [m]
-        s.
+        s, the gaps without the forces.
 
     Returns
     -------
@@ -691,19 +699,20 @@ def solve_forces(
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Find lambda = h(s - D lambda) at all instants, by Newton's method.
+    """Find the contact forces lambda = h(s - D lambda) at all instants, by Newton's method.
 
-    The solution is the minimum of a convex function. Its slope along a step shows a step that is
+    The forces minimise a convex function. The function's slope along a step shows a step that is
     too long; such a step is shortened.
 
     Parameters
     ----------
     response : callable
-        Gives h(g) and its derivative, pair by pair; h may not fall while g grows.
+        Gives the law's force h(g) and its derivative for gaps g (n, n_pairs), pair by pair; h may
+        not fall while g grows.
     matrix : (n_pairs, n_pairs) [m/N]
-        D, symmetric.
+        D, symmetric, the gap change by unit forces.
     gap : (n, n_pairs) [m]
-        s.
+        s, the gaps without the forces.
     guess : (n, n_pairs) [N]
         First guess of lambda.
 
@@ -767,18 +776,25 @@ def _minimise_along_steps(
     gap: np.ndarray,
     slope_tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Return the fractions of steps at which convex functions are smallest.
+    """Find the fractions of Newton steps at which convex functions are smallest.
 
-    Bisection of the slopes ends at ``slope_tolerance`` (n,).
+    The slope of a function along its step is bisected.
 
     Parameters
     ----------
+    evaluate : callable
+        Gives gap and law's force, (n, n_pairs) each, for contact forces and slow gaps.
     force, step : (n, n_pairs) [N]
-        Start and length of each step.
+        Contact forces at the start of each step, and their change by a full step.
+    gap : (n, n_pairs) [m]
+        Slow gaps, without the forces.
+    slope_tolerance : (n,)
+        Slopes at which bisection ends.
 
     Returns
     -------
     (n,)
+        Fractions from 0 to 1.
     """
     gap_change = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
     fraction, half_width = np.full(len(force), 0.5), 0.5

@@ -122,7 +122,9 @@ def weighted_sum(matrix: Any, weight: float, added_matrix: Any) -> Any:
 
 
 class Factor:
-    """Factorisation of a real square PETSc matrix A, or of [[A, B], [B^T, 0]].
+    """Factorisation of a PETSc matrix A, or of the saddle point [[A, B], [B^T, 0]].
+
+    A is real and square.
 
     Parameters
     ----------
@@ -210,7 +212,7 @@ class Factor:
                 options.delValue(name)
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Solve for one PETSc vector (collective)."""
+        """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective)."""
         padded_rhs, padded_solution = self._vectors
         padded_rhs.array_w[: self._n_local] = rhs.array_r
         padded_rhs.array_w[self._n_local :] = 0.0
@@ -289,9 +291,9 @@ def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) 
 
 
 def _border_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
-    """Return [[A, s B], [s B^T, 0]] with s, the size of A (collective).
+    """Return the saddle-point matrix [[A, s B], [s B^T, 0]] (collective).
 
-    The last rank owns the rows of B^T.
+    ``border`` is B, and s the size of A. The last rank owns the rows of B^T.
     """
     comm, n_border = matrix.comm.tompi4py(), border.shape[1]
     scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0

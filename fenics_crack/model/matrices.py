@@ -76,8 +76,8 @@ class LabelledMatrix:
     labels : (n, 2) int or None
         Node and direction of each row, 1 to 3 along x, y, z. None: unknown.
     held_labels : (k, 2) int or None
-        Node and direction of each dof that the other program holds; the matrix has no rows for
-        them.
+        Node and direction of each dof that the other program has clamped; the matrix has no rows
+        for them.
     """
 
     matrix: sparse.csr_matrix
@@ -85,9 +85,10 @@ class LabelledMatrix:
     held_labels: np.ndarray | None = None
 
     def with_rows_of(self, stiffness: LabelledMatrix) -> sparse.csr_matrix:
-        """Return this matrix with the rows of the stiffness.
+        """Reorder this matrix to the row order of the stiffness.
 
-        Missing rows are zero. Rows that are held in the stiffness are left out.
+        Rows that this matrix lacks are zero. Rows of dofs that are clamped in the stiffness are
+        left out.
 
         Raises
         ------
@@ -229,13 +230,16 @@ def _mirror_triangle(
 def _build_labelled_matrix(
     entry_labels: np.ndarray, entries: np.ndarray, *, has_both_triangles: bool
 ) -> LabelledMatrix:
-    """Make a matrix from entries between two labels.
+    """Make a matrix from entries whose rows and columns are nodes with directions.
 
     Parameters
     ----------
     entry_labels : (m, 2, 2) int
         Row and column of each entry, each a node and a direction.
     entries : (m,)
+        Values.
+    has_both_triangles : bool
+        True if the entries fill both triangles of the matrix.
     """
     (node_numbers, node_indices), (directions, direction_indices) = (
         np.unique(entry_labels[..., axis].ravel(), return_inverse=True) for axis in range(2)
@@ -275,7 +279,7 @@ def _is_abaqus_file(path: Path) -> bool:
 
 
 def _read_abaqus(path: Path) -> LabelledMatrix:
-    """Read an Abaqus matrix without the dofs that are held."""
+    """Read an Abaqus matrix without the clamped dofs."""
     entries = read_number_rows(path, 5, "*", ",")
     labelled_matrix = _build_labelled_matrix(
         entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], has_both_triangles=False
@@ -466,7 +470,7 @@ def format_matrix_market(matrix: sparse.spmatrix) -> str:
 
 
 def read_matrix_market_shape(path: Path) -> tuple[int, int]:
-    """Read the numbers of rows and columns that a file announces.
+    """Read the numbers of rows and columns that a Matrix Market file announces.
 
     Each sparse column must have room for an entry.
 
@@ -485,7 +489,7 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
 def _read_header_and_sizes(
     lines: Iterator[str], max_bytes: int
 ) -> tuple[tuple[str, str], list[int], int]:
-    """Read the header and the line with the sizes.
+    """Read the header of a Matrix Market file and its line with the sizes.
 
     Returns
     -------
@@ -514,7 +518,7 @@ def _read_header_and_sizes(
 
 
 def _parse_header(line: str) -> tuple[str, str]:
-    """Return layout and symmetry from the first line of a file."""
+    """Return layout and symmetry from the first line of a Matrix Market file."""
     words = line.lower().split()
     if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
         raise ValueError("it does not begin with %%MatrixMarket matrix")
@@ -530,7 +534,7 @@ def _parse_header(line: str) -> tuple[str, str]:
 
 
 def _dense_rows_and_columns(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns of the entries in a dense file.
+    """Return row and column indices of the entries in a dense Matrix Market file.
 
     Columns follow each other. A symmetric matrix has only the entries from the diagonal down.
     """
@@ -544,7 +548,15 @@ def _dense_rows_and_columns(shape: tuple[int, int], symmetry: str) -> tuple[np.n
 def _split_coordinates(
     table: np.ndarray, shape: tuple[int, int], symmetry: str
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Return entries, and their rows and columns, from the table of a sparse file."""
+    """Split the table of a sparse Matrix Market file into values and positions.
+
+    Returns
+    -------
+    (m,)
+        Values of the entries.
+    ((m,), (m,)) int
+        Their rows and columns, from 0.
+    """
     if len(table) and table.shape[1] != 3:
         raise ValueError(f"its entries have {table.shape[1]} numbers instead of 3")
     table = table.reshape(-1, 3)
@@ -623,7 +635,7 @@ class ReadOnlyArrays:
 
 
 class AbsentMatrix:
-    """Sizes of a matrix that a file of a prepared structure lacks.
+    """Sizes of a matrix that a prepared structure's file lacks.
 
     Any other use raises InputError.
     """
@@ -692,9 +704,10 @@ def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
 
 
 def read_whole_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
-    """Return a vector or matrix on every rank: (n, m).
+    """Return a vector or matrix whole on every rank, as a matrix (n, m).
 
-    A PETSc object is gathered from all ranks (collective).
+    ``data`` is an array, a PETSc object, which is gathered from all ranks (collective), or the path
+    of a Matrix Market file. ``name`` is the key of errors.
     """
     if isinstance(data, PETSc.Vec):
         data = gather_rows(data.comm.tompi4py(), data.array_r)
@@ -713,7 +726,7 @@ def read_whole_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
 def _check_entries(name: str, entries: np.ndarray) -> None:
     """Raise InputError unless all entries are finite and well scaled.
 
-    The largest is 0, or its powers are numbers too.
+    The largest entry must be 0, or so large or small that its powers neither overflow nor vanish.
     """
     sizes = np.abs(entries)
     if not np.all(np.isfinite(sizes)):
@@ -732,12 +745,13 @@ def check_parts(
 ) -> dict[str, Any]:  # fmt: skip
     """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
 
-    The damping is not among them.
+    The damping is checked elsewhere. ``gaps`` are the matrices B of the normal and B_t of the
+    tangential gaps, or None. ``forces`` are the load's parts by the names of their arguments.
 
     Returns
     -------
     dict
-        Fields of a Body: mass, stiffness, gap, force, clearance and perhaps tangential.
+        Fields of a :class:`Body`: mass, stiffness, gap, force, clearance; tangential if given.
     """
     mass = make_petsc_matrix("mass", mass, comm)
     comm, n, own_rows = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)
@@ -810,7 +824,7 @@ def add_harmonics(
 
     Parameters
     ----------
-    load_coefficients : (2K+1, n_local) [N]
+    force : (2K+1, n_local) [N]
     harmonics : dict of int to (cosine, sine)
         By their orders; each part is (n,) [N] or None.
 
@@ -856,7 +870,11 @@ def lump_mass(mass: Any) -> Any:
 
 
 def add_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> Any:
-    """Return K + B diag(k) B^T with springs k (n_pairs,) [N/m] (collective)."""
+    """Return the stiffness with springs, K + B diag(k) B^T (collective).
+
+    The springs connect the contact pairs. B is ``gap`` (n_local, n_pairs), and k is ``springs``
+    (n_pairs,) [N/m].
+    """
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
     spring_matrix = distribute_rows(gap @ sparse.diags(springs) @ gap_everywhere.T, comm)

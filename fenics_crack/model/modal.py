@@ -93,7 +93,7 @@ class AllModes:
     def modal_receptances(
         self, omega: np.ndarray, factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the receptance H at some frequencies.
+        """Return the receptance H, the modal response to unit modal forces.
 
         Parameters
         ----------
@@ -108,6 +108,7 @@ class AllModes:
         Returns
         -------
         (m, n), or (m, n, n) if damping couples modes
+            Diagonal of H at each frequency, or H.
 
         Raises
         ------
@@ -146,23 +147,29 @@ class AllModes:
         return 1.0 / impedance
 
     def static_part(self, min_frequency: float = np.inf) -> np.ndarray:
-        """Return the residual flexibility of the pairs [m/N].
+        """Return the quasi-static compliance of the contact pairs.
+
+        It consists of the residual flexibility R_inf and of modes above a frequency.
 
         Parameters
         ----------
         min_frequency : float [rad/s]
-            Modes above it are quasi-static, too.
+            Frequency above which modes answer without inertia; default: none does.
 
         Returns
         -------
-        (n_pairs, n_pairs)
+        (n_pairs, n_pairs) [m/N]
+            Gap change by unit forces on the pairs.
         """
         is_fast = self._is_fast(min_frequency)
         flexibility = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
         return flexibility if self.residual is None else flexibility + self.residual
 
     def _is_fast(self, min_frequency: float) -> np.ndarray:
-        """Return True for modes above a frequency, except the lowest mode: (n,) bool."""
+        """Return True for modes above a frequency [rad/s]: (n,) bool.
+
+        The lowest mode never counts.
+        """
         return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
 
     def static_displacement(self, min_frequency: float) -> np.ndarray:
@@ -184,9 +191,9 @@ class AllModes:
         return displacement if self.static_pairs is None else displacement + self.static_pairs
 
     def with_static_modes(self, min_frequency: float | None) -> AllModes:
-        """Return these modes with those above a frequency [rad/s] as massless coordinates.
+        """Move modes above a frequency [rad/s] to the quasi-static part, without inertia.
 
-        None: return the modes themselves.
+        None: return the modes as they are.
         """
         if min_frequency is None:
             return self
@@ -222,7 +229,7 @@ class AllModes:
         return np.linalg.inv(self.shapes)
 
     def damping_force(self, modal_coordinates: np.ndarray) -> np.ndarray:
-        """Return Phi^T C Phi q' of modal velocities q' (..., n)."""
+        """Return the modal damping forces Phi^T C Phi q' from modal velocities q' (..., n)."""
         return (
             modal_coordinates * self.damping
             if self.damping.ndim == 1
@@ -230,21 +237,28 @@ class AllModes:
         )
 
     def respond(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
-        """Return the modal response H f of modal forces f (..., n)."""
+        """Return the modal response H f to modal forces f: (..., n).
+
+        H is the result of :meth:`receptance`.
+        """
         if self.damping.ndim == 1:
             return receptance * modal_force
         return np.matmul(receptance, modal_force[..., None])[..., 0]
 
     def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
-        """Return the compliance B^T Phi H Phi^T B: (..., n_pairs, n_pairs) [m/N]."""
+        """Return the compliance B^T Phi H Phi^T B of the pairs: (..., n_pairs, n_pairs) [m/N].
+
+        H is the result of :meth:`receptance`. An entry is the gap change of a pair by a unit force
+        on another.
+        """
         if self.damping.ndim == 1:
             return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
         return self.pairs.T @ receptance @ self.pairs
 
     def transition(self, h: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motion over a step by state and constant pair forces.
+        """Return the matrices that advance modes over a step under constant pair forces.
 
-        The free motion of the state z = (q, q') is z' = A z.
+        The state z = (q, q') has modal displacements and velocities; freely it moves as z' = A z.
 
         Parameters
         ----------
@@ -280,9 +294,9 @@ class AllModes:
         return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
 
     def steady_response(self, omega: float, force: np.ndarray) -> np.ndarray:
-        """Return complex amplitudes of the modes under a load (n,).
+        """Return the complex amplitudes of the modes under a harmonic load: (n,).
 
-        Modes without load are at rest.
+        ``force`` (n,) has the complex modal forces. Modes without load are at rest.
 
         Raises
         ------

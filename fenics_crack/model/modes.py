@@ -175,11 +175,14 @@ def count_bonded_modes(structure: Structure) -> int:
 
 
 def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
-    """Return linearly independent columns of B, on this rank (collective).
+    """Select contact pairs whose bonds are linearly independent (collective).
+
+    Pairs may share nodes. With bonded faces, B^T u = 0 then has redundant rows.
 
     Returns
     -------
     (n_local, n_ties)
+        Columns of the pairs' matrix B, rows of this rank.
     """
     gap = sparse.csc_matrix(structure.gap)
     gram = structure.sum_over_ranks((gap.T @ gap).toarray())
@@ -193,24 +196,27 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
 
 
 def _count_modes(structure: Structure, ties: Any) -> int:
-    """Return the number of modes if every dof has mass."""
+    """Return the number of modes, dofs less ties, if every dof has mass.
+
+    ``ties`` (n_local, n_ties) are the bonds of a bonded crack, or None.
+    """
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
 class Inverse(Protocol):
-    """Interface of what applies the inverse of a stiffness, such as a :class:`Factor`."""
+    """Interface of solvers K x = r, such as a :class:`Factor`."""
 
     null_pivots: int
     """Dimension of the stiffness's null space."""
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Solve for a PETSc vector (collective)."""
+        """Solve K x = ``rhs`` for a PETSc vector, into ``solution`` (collective)."""
 
 
 class BondedInverse:
-    """Inverse of a stiffness on the space with B^T x = 0.
+    """Solver K x = r with a bonded crack, B^T x = 0.
 
-    It takes the factor of the stiffness and independent columns of B:
+    It takes the factor of the stiffness K and independent columns of the pairs' matrix B:
 
         x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B
     """
@@ -225,7 +231,7 @@ class BondedInverse:
             self._compliance = scipy.linalg.cho_factor(flexibility)
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Solve for a PETSc vector (collective)."""
+        """Solve K x = ``rhs`` for a PETSc vector, into ``solution`` (collective)."""
         self._factor.apply(rhs, solution)
         gap = self._sum_over_ranks(self._ties @ solution.array_r)
         solution.array_w[:] -= scipy.linalg.cho_solve(self._compliance, gap) @ self._tie_responses
@@ -234,14 +240,14 @@ class BondedInverse:
 def solve_modes_with_factor(
     factor: Inverse, structure: Structure, count: int, ties: Any = None
 ) -> Modes:
-    """Find the lowest modes with the factor of the stiffness (collective).
+    """Find the lowest modes of a structure, given the factor of its stiffness (collective).
 
     Every dof of the structure has mass.
 
     Parameters
     ----------
     ties : (n_local, n_ties), optional
-        Independent columns of B, for a bonded crack.
+        From :func:`find_independent_ties`: bond the crack.
     """
     if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
         return cached_modes
@@ -284,9 +290,9 @@ def solve_modes_with_factor(
 
 
 def find_known_modes(structure: Structure, count: int) -> Modes | None:
-    """Return the lowest modes with an open crack, if they are known; else None.
+    """Return the lowest open modes if no solver is needed, else None.
 
-    They were computed before, or the coordinates are those of modes.
+    They were computed before, or the structure's coordinates are modes.
     """
     if structure.whole is not structure:  # small and dense
         if (known_modes := structure.known_modes(is_bonded=False)) is not None:
@@ -307,7 +313,7 @@ def _lowest_modes_cache(structure: Structure) -> list[np.ndarray]:
 
 
 def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
-    """Make SLEPc's solver of K phi = omega^2 M phi."""
+    """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
     solver = slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
@@ -334,9 +340,10 @@ def _run_solver(solver: Any, count: int) -> None:
 def _solve_near_zero(
     factor: Inverse, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the modes closest to zero, with the factor of K (collective).
+    """Find the modes closest to zero frequency, with the factor of K (collective).
 
-    If K is singular, K + s M is factored instead.
+    If the stiffness K is singular, K + s M is factored instead, with a small part s of ``scale``
+    [rad^2/s^2]. ``ties`` bond the crack (:func:`find_independent_ties`).
 
     Returns
     -------
@@ -369,7 +376,9 @@ def krylov_size(count: int) -> int:
 def _solve_near_shift(
     factor: Inverse, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the modes closest to a shift, factored as K - shift M (collective).
+    """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
+
+    ``factor`` solves K - shift M.
 
     Returns
     -------
@@ -448,19 +457,19 @@ def multiply(matrix: Any, columns: np.ndarray) -> np.ndarray:
 def independent_part(
     structure: Structure, matrix: Any, basis: np.ndarray, columns: np.ndarray
 ) -> np.ndarray:
-    """Return the part of columns that is new to a basis (collective).
+    """Orthogonalise columns against a basis and each other (collective).
 
-    Directions are left out if their weight in the Gram matrix of columns of unit size x^T A x is
-    negligible. The loss is at most 1e-6 of a static response and 1e-12 of a compliance.
+    Columns are scaled to x^T A x = 1. Directions with a negligible eigenvalue of the Gram matrix
+    are left out. The loss is at most 1e-6 of a static response and 1e-12 of a compliance.
 
     Parameters
     ----------
     matrix : PETSc.Mat
-        A.
+        A, whose inner product x^T A y is taken.
     basis : (n_local, n)
         V, with V^T A V = I.
     columns : (n_local, m)
-        x.
+        Columns x to orthogonalise.
 
     Returns
     -------
@@ -516,16 +525,16 @@ def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modal damping as C = M Phi diag(modal_damping) Phi^T M.
+    """Modes that carry the modal damping C = M Phi diag(modal_damping) Phi^T M.
 
     Attributes
     ----------
     omega : (m,) [rad/s]
         Natural frequencies of the damped modes.
     modal_damping : (m,) [1/s]
-        2 xi_j omega_j.
+        2 xi_j omega_j, with the damping ratios xi_j.
     shapes, mass_shapes : (n_local, m)
-        Phi and M Phi.
+        Mass-normalised shapes Phi, and M Phi.
     """
 
     omega: np.ndarray
@@ -573,16 +582,16 @@ def check_damped_modes(structure: Structure) -> int:
 def damped_range(structure: Structure) -> tuple[int, float] | None:
     """Return how many modes are damped, and up to which frequency (collective).
 
-    A projected matrix of modal damping counts the modes of the whole structure.
+    If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
+    count.
 
     Returns
     -------
-    int
+    n_damped : int
         Number of damped modes.
-    float [rad/s]
-        Highest frequency of a damped mode.
-    None
-        Instead of both: no higher mode is undamped, or a damping matrix was given.
+    max_frequency : float [rad/s]
+        Highest frequency of a damped mode. The result is None if all higher modes are damped too,
+        or if the damping is a matrix.
 
     Raises
     ------
@@ -615,9 +624,7 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
 
 
 def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Return X^T C X, or its diagonal if it is diagonal (collective).
-
-    A coupling that is rounding of a projection does not count.
+    """Project the damping C on modes X: X^T C X (collective).
 
     Parameters
     ----------
@@ -628,6 +635,7 @@ def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndar
     Returns
     -------
     (m,) or (m, m) [1/s]
+        X^T C X, or the diagonal if coupling terms are only rounding.
     """
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squares)
@@ -639,7 +647,7 @@ def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndar
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """Return X^T C X of columns X (n_local, m): (m, m) [kg/s] (collective)."""
+    """Project the damping C on columns X (n_local, m): X^T C X, (m, m) [kg/s] (collective)."""
     rule = structure.damping
     if isinstance(rule, RayleighDamping):  # without C
         product = rule.mass * multiply(structure.mass, columns)
@@ -663,9 +671,10 @@ FREQUENCY_KINDS = ("open", "tied", "bilinear")
 
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
-    """Natural frequencies with the crack open, ascending, and bonded with the same shapes.
+    """Natural frequencies of modes with the crack open, and of the same shapes bonded.
 
-    The bonded ones are not ascending if the bond takes one mode past another.
+    The open frequencies ascend. The bonded frequencies do not if the bond takes one mode past
+    another.
 
     Half a natural period with the crack open and half a natural period with the crack bonded make a
     period pi / w_o + pi / w_t. That is the bilinear frequency
@@ -678,8 +687,8 @@ class BilinearFrequencies(Tabular):
     Attributes
     ----------
     omega_open, omega_tied : (n,), or (..., n) [rad/s]
-        Frequencies of modes with one shape, or at several speeds. A bonded one is infinite if there
-        is none.
+        Frequencies w_o and w_t mode by mode; the leading axes are rotor speeds, if several.
+        A mode without a bonded one has the bonded frequency inf.
     """
 
     omega_open: np.ndarray
@@ -691,7 +700,7 @@ class BilinearFrequencies(Tabular):
 
     @property
     def omega_bilinear(self) -> np.ndarray:
-        """2 w_o w_t / (w_o + w_t): (..., n) [rad/s]."""
+        """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (..., n) [rad/s]."""
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
 
@@ -707,9 +716,9 @@ class BilinearFrequencies(Tabular):
         -------
         dict
             ``mode``, the number of the mode; ``omega_open``, ``omega_tied`` and ``omega_bilinear``
-            [rad/s]; ``over_open``, ``over_tied`` and ``over_bilinear``, the load frequency relative
-            to each: less one, this is the frequency shift. Shape (...), which is that of the speeds
-            if there are several.
+            [rad/s]; ``over_open``, ``over_tied`` and ``over_bilinear``, the ratios of the load
+            frequency to them: a ratio less 1 is a frequency shift. The shape (...) is that of
+            ``omega``, and with several speeds also that of the speeds.
         """
         omega, omega_bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
         mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)

@@ -167,7 +167,7 @@ class Pairs(ReadOnlyArrays):
 
 
 def body_property(name: str) -> Any:
-    """Make a property that reads an attribute of the structure's body."""
+    """Make a property that reads a field of the structure's :class:`Body`."""
     return property(attrgetter(f"body.{name}"))
 
 
@@ -181,7 +181,7 @@ class Coordinates:
     comm : MPI.Comm
         The ranks that share the structure.
     gap : scipy.sparse.csr_matrix
-        B, the rows owned by this rank: (n_local, n_pairs).
+        B of the normal gaps B^T u, the rows owned by this rank: (n_local, n_pairs).
     tangential : scipy.sparse.csr_matrix or None
         B_t, likewise, for faces in a plane: tangential gaps g_t = B_t^T u.
     force : (2K+1, n_local) [N]
@@ -247,9 +247,9 @@ class Coordinates:
 
     @property
     def watched_pairs(self) -> dict[str, int]:
-        """One pair of each crack by its place, "the mouth".
+        """Index of one pair of each crack, by place: {"the mouth": 0}.
 
-        Without a mesh, the first pair: "pair 1".
+        Without a mesh, the first pair: {"pair 1": 0}.
         """
         return self.pairs.places or ({"pair 1": 0} if self.n_pairs else {})
 
@@ -265,8 +265,8 @@ class Coordinates:
     def watched_dof(self) -> int:
         """Dof of the whole structure for results without a named dof (collective).
 
-        It is the dof in the setting, else the largest factor of ``watched``, else the dof that
-        carries most of the load.
+        It is the dof of :meth:`Structure.watching`, else the one with the largest factor in
+        ``watched``, else the one that carries most of the load.
         """
         whole_structure = self.whole
         if self.setting.watched_dof is not None:
@@ -288,7 +288,7 @@ class Coordinates:
 
     @property
     def n_modes(self) -> int:
-        """Number of natural modes: of coordinates with mass."""
+        """Number of natural modes, which is the number of dofs with mass."""
         return self.n_dofs
 
     @property
@@ -316,26 +316,27 @@ class Coordinates:
         return dofs.function(self.expand(displacement[None])[0])
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
-        """Return B^T u on every rank (collective).
+        """Return the normal gaps B^T u, without clearance, on every rank (collective).
 
         Parameters
         ----------
-        displacement : (m, n_local)
+        displacement : (m, n_local) [m]
+            Displacements u, one in each row.
 
         Returns
         -------
-        (m, n_pairs)
+        (m, n_pairs) [m]
         """
         return self.sum_over_ranks((self.gap.T @ displacement.T).T)
 
     def apply_tangential(self, displacement: np.ndarray) -> np.ndarray | None:
-        """Return B_t^T u on every rank, or None without B_t (collective)."""
+        """Return the tangential gaps B_t^T u on every rank, or None without B_t (collective)."""
         if self.tangential is None:
             return None
         return self.sum_over_ranks((self.tangential.T @ displacement.T).T)
 
     def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
-        """Return B lambda, (m, n_local), from forces on the pairs (m, n_pairs)."""
+        """Return the forces B lambda on dofs, (m, n_local), from pair forces (m, n_pairs) [N]."""
         return (self.gap @ pair_force.T).T
 
     def sum_over_ranks(self, array: np.ndarray) -> np.ndarray:
@@ -351,13 +352,14 @@ class Coordinates:
         return total
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Pick dofs from displacements, on every rank (collective).
+        """Pick the values of dofs from displacements, on every rank (collective).
 
         Parameters
         ----------
         displacement : (m, n_local)
         dofs : sequence of int or None
-            As in :meth:`check_dofs`, which raises InputError.
+            Numbers of dofs through all ranks; None stands for the watched dof. Checked by
+            :meth:`check_dofs`, which raises InputError.
 
         Returns
         -------
@@ -441,7 +443,9 @@ class Coordinates:
 
 @dataclass(frozen=True)
 class Clamp:
-    """Inertia and load of a mesh under rigid motions: translations, then rotations.
+    """Inertia and load of a mesh, for the reaction at the clamp.
+
+    The motions r are the translations, then the rotations.
 
     A rigid motion r of the whole mesh stretches nothing, K r = 0, and closes no gap, B^T r = 0.
     With the displacement u relative to the clamp, Newton's law gives, over all nodes, clamped ones
@@ -468,31 +472,32 @@ class Clamp:
     load: np.ndarray
 
     def with_weights(self, weights: float | np.ndarray) -> Clamp:
-        """Return the clamp under a load with other weights.
+        """Return the clamp under another load: the present one, weighted.
 
         Parameters
         ----------
         weights : float or (2K+1, 2K+1)
-            Factor of the load, or matrix that maps its rows.
+            Factor of the load, or matrix that maps its rows (mean, cosine and sine parts).
         """
         return replace(self, load=np.dot(weights, self.load))
 
     def reaction_of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return the reaction to a periodic motion at some phases.
+        """Return forces and moments at the clamp in a periodic motion, at some phases.
 
         Parameters
         ----------
         waves : (2H+1, n_rigid)
-            Coefficients of r^T M u.
+            Fourier coefficients of r^T M u, with the rigid motions r and the mass matrix M.
         omega : float [rad/s]
             Angular frequency of the motion.
         subharmonic : int
             Frequency of the load relative to the motion.
         drag : float [1/s]
-            a.
+            Mass coefficient a of Rayleigh damping.
         phases : (n,) [rad]
+            Phases of the motion.
 
         Returns
         -------
@@ -512,18 +517,20 @@ class Clamp:
     def reaction_of_record(
         self, time: np.ndarray, inertia_record: np.ndarray, omega: float, drag: float
     ) -> tuple[np.ndarray, ...]:
-        """Return the reaction to a recorded motion, as :meth:`reaction_of_waves`.
+        """Return forces and moments at the clamp in a recorded motion.
+
+        The results are those of :meth:`reaction_of_waves`.
 
         Parameters
         ----------
         time : (n,) [s]
             Instants of the record.
         inertia_record : (n, n_rigid)
-            r^T M u at these instants.
+            r^T M u at these instants, as in :meth:`reaction_of_waves`.
         omega : float [rad/s]
             Angular frequency of the load.
         drag : float [1/s]
-            a.
+            Mass coefficient a of Rayleigh damping.
         """
         from scipy.interpolate import make_interp_spline  # takes a while, rarely used
 

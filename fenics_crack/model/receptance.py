@@ -1,12 +1,13 @@
 """Receptance of a structure: its response to pair forces and load, at pairs and load.
 
-With X = [B, B_t, f] and unit amplitudes c, the response to forces X c of angular frequency w is
+The columns of X = [B, B_t, f] are the forces of the normal pairs, of the tangential pairs, and the
+load's parts. The response to forces X c of angular frequency w is
 
     X^T u = sum_j X^T phi_j phi_j^T X c / (w_j^2 - w^2) + S c
 
-The sum has the N lowest modes; S = X^T G X is the static compliance of all other modes. Fewer modes
-truncate more, by the statics of the modes between. So one receptance holds all those of fewer
-modes, as sums of small arrays. More modes extend it.
+The sum has the N lowest modes; S = X^T G X is the static compliance of all other modes, with their
+flexibility G. With fewer modes in the sum, the static compliance of the modes between is added to
+S. One receptance thus gives those of fewer modes, as sums of small arrays. More modes extend it.
 
 All structures with the same matrices share one receptance. Made from arrays alone it needs no
 matrices. Then only the dofs with known rows have displacements.
@@ -37,23 +38,28 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 @dataclass(frozen=True, eq=False)
 class Receptance:
-    """The lowest modes and their truncated part at pairs and load, on every rank.
+    """Lowest modes at pairs and load, and the other modes' statics.
+
+    The columns of X are unit forces on the pairs, then the nonzero parts of the load. G is the
+    static flexibility of the modes that are not among ``squares``. Every rank has the same arrays,
+    except ``force``.
 
     Attributes
     ----------
     squares : (n_modes,) [rad^2/s^2]
         w_j^2, ascending.
     modal : (n_sources, n_modes)
-        X^T Phi, of mass-normalised modes.
+        X^T Phi with the mass-normalised mode shapes Phi.
     compliance : (n_sources, n_sources)
-        S = X^T G X beyond the modes.
+        S = X^T G X.
     rows : dict of int to ((n_modes,), (n_sources,))
-        Displacements of a dof by the modes, and by G X. Further dofs are added on request.
+        By the number of a dof: its row of Phi, and its row of G X. Further dofs are added on
+        request.
     force : (2K+1, n_local) [N]
-        The structure's load f; X has its nonzero rows.
+        The structure's load f.
     inertia : (n_pairs,) [m s^2/N]
-        Diagonal of B^T G M G B beyond the modes. Forces of angular frequency w do more than S says,
-        by w^2 times this.
+        Diagonal of B^T G M G B. At the angular frequency w, a pair's compliance exceeds S by about
+        w^2 times this number.
     """
 
     squares: np.ndarray
@@ -71,12 +77,14 @@ class Receptance:
     def residual_response(
         self, n_kept_modes: int, residual_part: np.ndarray, modal_displacements: np.ndarray
     ) -> np.ndarray:
-        """Return Y^T G X, with G beyond the first ``n_kept_modes`` modes.
+        """Return static responses of the modes beyond the first ``n_kept_modes``.
+
+        They are Y^T G X, the displacements along Y by the forces X.
 
         Parameters
         ----------
         residual_part : (m, n_sources)
-            Y^T G X, with G beyond all modes.
+            Y^T G X of the modes beyond all ``n_modes``.
         modal_displacements : (m, n_modes)
             Y^T Phi.
 
@@ -89,7 +97,10 @@ class Receptance:
         return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_modes].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return S beyond the first ``n_kept_modes`` modes: (n_sources, n_sources)."""
+        """Return the static compliance S beyond the first modes.
+
+        In S = X^T G X, G omits the first ``n_kept_modes`` modes. Shape: (n_sources, n_sources).
+        """
         return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
@@ -101,14 +112,15 @@ class Receptance:
 
 
 def receptance(structure: Structure, n_modes: int) -> Receptance:
-    """Return the receptance of the original structure (collective).
+    """Return the receptance of a structure before it was varied (collective).
 
-    It has at least ``n_modes`` modes.
+    It has at least ``n_modes`` modes, and is kept for later requests.
 
     Raises
     ------
     InputError
-        The structure is made from arrays alone, which have fewer modes, or another load.
+        The structure comes from a file without matrices, and the file has fewer modes or another
+        load.
     """
     structure = structure.original
     cache = structure.compute_once(receptance_cache)
@@ -140,9 +152,9 @@ def shared_receptance_cache(structure: Structure) -> list[Receptance]:
 
 
 def _with_load(structure: Structure, known_receptance: Receptance) -> Receptance | None:
-    """Return a receptance with the structure's load, from one with another load (collective).
+    """Convert a receptance with another load to the structure's load (collective).
 
-    None: the structure's load is no sum of the other load's parts.
+    None: the structure's load is no linear combination of the other load's parts.
     """
     load_parts, known_load = structure.force[loaded_parts(structure)], known_receptance.force
     all_parts = np.vstack([known_load[loaded_parts(structure, known_load)], load_parts])
@@ -180,13 +192,19 @@ def _with_load(structure: Structure, known_receptance: Receptance) -> Receptance
 
 
 def check_matrices(structure: Structure, missing_result: str) -> None:
-    """Raise InputError if a structure of arrays alone lacks its matrices."""
+    """Raise InputError if a structure from a file lacks its matrices.
+
+    ``missing_result`` names what they are needed for.
+    """
     if not structure.has_matrices:
         raise AbsentMatrix.input_error(missing_result)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:
-    """Return X: (n_local, n_sources) (collective)."""
+    """Return the forces of pairs and load as columns X = [B, B_t, f] (collective).
+
+    The shape is (n_local, n_sources). f has the nonzero parts of the load.
+    """
     load_parts = structure.force[loaded_parts(structure)]
     pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
     return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
@@ -198,6 +216,7 @@ def loaded_parts(structure: Structure, load_coefficients: np.ndarray | None = No
     Returns
     -------
     (2K+1,) bool
+        For the mean, and the cosine and sine part of each harmonic.
     """
     load_coefficients = structure.force if load_coefficients is None else load_coefficients
     return np.asarray(structure.sum_over_ranks((load_coefficients**2).sum(axis=1)) > 0.0)
@@ -206,7 +225,7 @@ def loaded_parts(structure: Structure, load_coefficients: np.ndarray | None = No
 def _extend_receptance(
     structure: Structure, known_receptance: Receptance | None, n_modes: int
 ) -> Receptance:
-    """Return a receptance with more modes than are known (collective)."""
+    """Make a receptance with ``n_modes`` modes, from one with fewer modes or none (collective)."""
     begin("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
         modes = solve_modes_with_factor(factor, structure, n_modes)
@@ -259,14 +278,16 @@ def _extend_receptance(
 def displacement_rows(
     structure: Structure, n_modes: int, dofs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacements of dofs by modes and by G X, and keep them (collective).
+    """Return displacements of dofs by the modes and by all other modes' statics (collective).
+
+    Later requests for the same dofs take them from the receptance.
 
     Returns
     -------
     (m, n_modes)
-        Displacements by the modes.
+        Displacements of the dofs in the mass-normalised modes.
     (m, n_sources)
-        Displacements by G X beyond the modes.
+        Static displacements by the unit forces X, without these modes.
     """
     known_receptance, structure = receptance(structure, n_modes), structure.original
     requested_dofs = [int(dof) for dof in dofs]
@@ -289,16 +310,20 @@ def displacement_rows(
 def expand_residual_response(
     structure: Structure, shapes: np.ndarray, squares: np.ndarray, amplitudes: np.ndarray
 ) -> np.ndarray:
-    """Return G X c beyond some modes, from amplitudes (collective).
+    """Return the static displacements G X c by forces, without some modes (collective).
 
     Parameters
     ----------
+    shapes : (n_local, n_modes)
+        Mass-normalised modes without which G is taken.
+    squares : (n_modes,) [rad^2/s^2]
+        Squares of their frequencies.
     amplitudes : (m, n_sources)
-        c.
+        Amplitudes c of the forces X of pairs and load (:func:`sources_of`).
 
     Returns
     -------
-    (m, n_local)
+    (m, n_local) [m]
     """
     is_nonzero = np.any(amplitudes != 0.0, axis=1)
     displacements = np.zeros((len(amplitudes), structure.n_local))
@@ -319,7 +344,7 @@ def _add_rows(
     flexibility: ResidualFlexibility,
     factor: Factor | None = None,
 ) -> None:
-    """Add the rows of some dofs to a receptance (collective)."""
+    """Add the displacements of some dofs to ``rows`` of a receptance (collective)."""
     local_dofs = dofs - structure.first_dof
     owned_entry_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
     shape = structure.n_local, len(dofs)
@@ -341,7 +366,7 @@ def _add_rows(
 def _loaded_dofs(structure: Structure) -> np.ndarray:
     """Return the dofs under the load, to watch the effect of the load (collective).
 
-    If they exceed one block of static solutions, return the watched dof alone.
+    If there are more than MAX_BLOCK_COLUMNS of them, return the watched dof alone.
     """
     owned_dofs = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     dofs = gather_rows(structure.comm, owned_dofs)
@@ -349,16 +374,17 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
 
 
 class ResidualFlexibility:
-    """G = K^-1 - Phi Lambda^-1 Phi^T of a structure, a map of forces to displacements.
+    """Static flexibility G = K^-1 - Phi Lambda^-1 Phi^T without some modes Phi.
 
-    A force f first loses its part on the modes, r = f - M Phi Phi^T f. The displacement x = K^-1 r
-    then loses its own, x - Phi Phi^T M x. Nothing cancels, and modes hold a structure that can move
-    as a rigid body.
+    G maps forces to displacements; Lambda holds the squares of the modes' frequencies. A force f
+    first loses its part on the modes, r = f - M Phi Phi^T f. The displacement x = K^-1 r then loses
+    its part, too: x - Phi Phi^T M x. No digits cancel. If the structure can move as a rigid body,
+    these motions are among the modes.
 
     Attributes
     ----------
     structure : Structure
-        The whole one.
+        Structure that is not reduced.
     shapes : (n_local, n_modes)
         Phi, mass-normalised.
     squares : (n_modes,) [rad^2/s^2]
@@ -379,7 +405,10 @@ class ResidualFlexibility:
         self._is_well_supported = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
-        """Return G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
+        """Return displacements G f by forces f, both (m, n_local) (collective).
+
+        ``factor`` solves with the stiffness K.
+        """
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
         displacements = factor.solve(
@@ -393,7 +422,7 @@ class ResidualFlexibility:
     def project_with_inertia(
         self, factor: Factor, columns: sparse.spmatrix
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return Y^T G X, and the diagonal of Y^T G M G Y (collective).
+        """Return displacements along forces Y by the forces X (collective).
 
         Parameters
         ----------
@@ -427,14 +456,14 @@ class ResidualFlexibility:
         return products, inertias
 
     def compliance_and_inertia(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
-        """Return S = X^T G X, and the diagonal of X^T G M G X (collective).
+        """Return the compliance of pairs and load, and its inertia (collective).
 
         Returns
         -------
         (n_sources, n_sources)
             S, symmetric.
         (n_sources,)
-            Diagonal of X^T G M G X.
+            Diagonal of X^T G M G X, the change of S's diagonal by w^2.
         """
         products, inertia = self.project_with_inertia(factor, self.sources)
         return 0.5 * (products + products.T), inertia

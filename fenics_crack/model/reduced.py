@@ -1,4 +1,4 @@
-"""Structures in few coordinates q of a basis, u = T q.
+"""Structures in few coordinates q of a basis T of displacements, u = T q.
 
 :class:`ReducedStructure` has mass in all of its coordinates. In :class:`MasslessStructure` only the
 lowest modes Phi have mass. The truncated part is quasi-static:
@@ -46,7 +46,7 @@ MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_expo
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ReducedBody(Body):
-    """Body of a reduced structure.
+    """Constant data of a reduced structure (:class:`Body`).
 
     ``source`` is the structure that was reduced; :class:`ReducedStructure` explains all other
     fields.
@@ -63,10 +63,10 @@ def _make_body_fields(
     source: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
     gap: np.ndarray, tangents: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
-    """Make the fields of a body with modal and massless coordinates.
+    """Return the fields of a :class:`ReducedBody` by name.
 
-    The modes have mass 1 and stiffness ``squares``. The massless coordinates have the stiffness
-    ``compliance``.
+    The modal coordinates have mass 1 and stiffness ``squares``. The coordinates without mass, if
+    any, have the stiffness ``compliance``.
     """
     n_modes, n_massless = len(squares), len(compliance)
     if isinstance(damping, np.ndarray):
@@ -83,9 +83,9 @@ def _make_body_fields(
 
 
 class ReducedStructure(Structure):
-    """A structure in the coordinates q of a basis, u = T q.
+    """A structure in few coordinates q of a basis T, u = T q.
 
-    Every rank has the same one. ``find_dof`` and ``values_at`` refer to the dofs of the whole
+    Every rank has all coordinates. ``find_dof`` and ``values_at`` refer to the dofs of the whole
     structure, and so do drawings and files of its solutions.
 
     Attributes
@@ -97,10 +97,10 @@ class ReducedStructure(Structure):
     omega : (n_dofs,) [rad/s]
         Frequencies of these modes.
     reference : ReducedStructure or None
-        The same with a larger basis, to estimate the reduction error.
+        Reduction to a larger basis, to estimate the reduction error.
     share : float
-        Share of the truncated part that the reference has: three quarters or more with static
-        shapes of the next order, about a half with twice the modes.
+        Share of the truncation error that the reference removes: three quarters or more with static
+        shapes of the next order, at most a half with twice the modes.
     """
 
     body: ReducedBody
@@ -128,17 +128,17 @@ class ReducedStructure(Structure):
 
     @cached_property
     def _source(self) -> Structure:
-        """The structure that was reduced, in the same setting."""
+        """Structure that was reduced, under the same load, clearance and damping factor."""
         return self._apply_setting(self.body.source)
 
     @property
     def whole(self) -> Structure:
-        """The structure that was reduced first."""
+        """Structure with all dofs, even if it was reduced repeatedly."""
         return self._source.whole
 
     @cached_property
     def reference(self) -> ReducedStructure | None:
-        """The same with a larger basis, in the same setting."""
+        """Reduction to a larger basis, under the same load, clearance and damping factor."""
         return self.body.reference and self._apply_setting(self.body.reference)
 
     def damped(self, damping: DampingRule | None) -> Self:
@@ -150,7 +150,7 @@ class ReducedStructure(Structure):
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Return u = T q, (m, whole.n_local), from coordinates (m, n_dofs)."""
+        """Return displacements u = T q, (m, whole.n_local), from coordinates q (m, n_dofs)."""
         return self._source.expand(displacement @ self.basis.T)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
@@ -164,19 +164,19 @@ class ReducedStructure(Structure):
         return displacement @ self._source.values_at(self.basis.T, dofs)
 
     def _with_changes(self, **changes: Any) -> Structure:
-        """Return a plain structure of the coordinates, without positions."""
+        """Return a plain Structure with the coordinates as dofs, without node positions."""
         return super()._with_changes(**({"nodes": None} | changes))
 
 
 class QuasiStaticReduction(ReducedStructure):
-    """Modes with mass, and a quasi-static truncated part.
+    """Reduced structure whose modes alone have mass; the truncated part is quasi-static.
 
     Base of :class:`MasslessStructure` and :class:`fenics_crack.model.rotation.RunUpStructure`.
 
     Attributes
     ----------
     shapes : (n_dofs, n_modes)
-        Phi, mass-normalised.
+        Mode shapes Phi in the coordinates, mass-normalised.
     static_root : (n_dofs, r) [(m/N)^(1/2)]
         Root L of the flexibility beyond the modes: forces f move the coordinates by L L^T f
         without inertia.
@@ -188,7 +188,7 @@ class QuasiStaticReduction(ReducedStructure):
 
     @property
     def residual_flexibility(self) -> np.ndarray:
-        """Displacement by forces beyond the modes, without inertia: (n_dofs, n_dofs) [m/N]."""
+        """Static displacement by unit forces, without the modes: (n_dofs, n_dofs) [m/N]."""
         return self.static_root @ self.static_root.T
 
     @property
@@ -198,7 +198,7 @@ class QuasiStaticReduction(ReducedStructure):
 
     @property
     def rate(self) -> np.ndarray:
-        """Phi^T C Phi [1/s], without the factor of a varied copy.
+        """Modal damping matrix Phi^T C Phi [1/s], before the damping factor.
 
         A diagonal matrix is given as its diagonal, (n_modes,), any other as (n_modes, n_modes).
         """
@@ -211,29 +211,31 @@ class QuasiStaticReduction(ReducedStructure):
         return np.asarray(damping.getValues(mode_range, mode_range))
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the modes with mass for an open crack, else None."""
+        """Return frequencies omega and ``shapes`` for an open crack; None for a bonded crack."""
         return None if is_bonded else (self.omega, self.shapes)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MasslessBody(ReducedBody):
-    """Body of a structure with massless crack faces."""
+    """Constant data of a :class:`MasslessStructure`; ``root`` is explained there."""
 
     root: np.ndarray
 
 
 class MasslessStructure(QuasiStaticReduction):
-    """Modes with free crack faces, and a massless truncated part.
+    """Structure reduced to modes with mass and crack faces without mass.
 
         u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T
 
-    Lambda holds the squares of the modes' frequencies. The coordinates are those of the modes and,
-    without mass, amplitudes c of the forces on which G acts: u = Phi q + G X c, X = [B, B_t, f].
+    Phi are the lowest modes with an open crack, and Lambda holds the squares of their frequencies.
+    G is the static flexibility of all other modes, under the load f and the contact forces lambda.
+    The coordinates are the amplitudes q of the modes and, without mass, the amplitudes c of unit
+    forces X = [B, B_t, f] on pairs and load: u = Phi q + G X c.
 
     Attributes
     ----------
     root : (n_dofs - n_modes, r)
-        Root W of the flexibility, with W^T S W = I.
+        Root W of the inverse W W^T of S = X^T G X, with W^T S W = I.
     """
 
     body: MasslessBody
@@ -258,13 +260,13 @@ class MasslessStructure(QuasiStaticReduction):
         source : Structure
             Structure to reduce.
         squares : (n_modes,) [rad^2/s^2]
-            Lambda.
+            Lambda, the squares of the modes' frequencies.
         modal_pairs : (n_modes, n_pairs or 2 n_pairs)
-            Phi^T [B, B_t].
+            Phi^T [B, B_t], the modes' gaps at the pairs.
         force : (2K+1, n_dofs)
             Load on all coordinates.
         compliance : (n_sources, n_sources)
-            S.
+            S = X^T G X, the static compliance of pairs and load without the modes.
         reference, share
             As of :class:`ReducedStructure`.
         """
@@ -279,36 +281,38 @@ class MasslessStructure(QuasiStaticReduction):
 
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]
-        """Phi: (whole.n_local, n_modes)."""
+        """Mode shapes Phi on the dofs: (whole.n_local, n_modes)."""
         return solve_modes(self._source, self.n_modes).shapes
 
     @property
     def shapes(self) -> np.ndarray:  # type: ignore[override]
-        """Unit vectors: the first coordinates are those of the modes."""
+        """Mode shapes in the coordinates: unit vectors, since the modes come first."""
         return np.eye(self.n_dofs, self.n_modes)
 
     @property
     def flexibility(self) -> np.ndarray:
-        """Inverse of S, the stiffness of the massless coordinates: (n_dofs - n_modes,) * 2.
+        """Inverse of the compliance S, a matrix of n_dofs - n_modes rows and columns.
 
-        The pseudoinverse if the forces depend on each other.
+        S is the stiffness of the massless coordinates. If the unit forces depend on each other, the
+        pseudoinverse is returned.
         """
         return self.root @ self.root.T
 
     @property
     def static_root(self) -> np.ndarray:  # type: ignore[override]
-        """W on the massless coordinates, zero on the modes."""
+        """Root L in the coordinates: ``root`` for the massless ones, zero for the modes."""
         return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return omega and unit vectors; with a bonded crack other modes.
+        """Return frequencies and shapes of all modes, with an open or a bonded crack.
 
-        The bonded modes follow from
+        With an open crack the shapes are unit vectors. The bonded modes follow from
 
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q
 
-        Ties are springs with the compliance R_inf of the truncated modes. A tie without compliance
-        holds b^T q. Pairs whose static compliance makes them depend on each other are one tie.
+        Here q are amplitudes of the open modes with the squares Lambda of their frequencies. A
+        bonded pair acts as a spring with the residual flexibility R_inf; without flexibility it
+        holds b^T q = 0. Linearly dependent pairs are one bond.
         """
         if not is_bonded:
             return super().known_modes(is_bonded=False)
@@ -330,13 +334,16 @@ class MasslessStructure(QuasiStaticReduction):
 
     @property
     def compliance(self) -> np.ndarray:
-        """S: (n_dofs - n_modes,) * 2."""
+        """Static compliance S = X^T G X of pairs and load, without the modes.
+
+        It has n_dofs - n_modes rows and columns.
+        """
         massless_range = range(self.n_modes, self.n_dofs)
         return np.asarray(self.stiffness.getValues(massless_range, massless_range))
 
     @property
     def residual(self) -> np.ndarray:
-        """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
+        """Residual flexibility R_inf = B^T G B of the pairs: (n_pairs, n_pairs) [m/N]."""
         pair_factor = self.gap[self.n_modes :].T @ self.root
         return np.asarray(pair_factor @ pair_factor.T)
 
@@ -345,16 +352,16 @@ class MasslessStructure(QuasiStaticReduction):
         return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, crack faces without mass"
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Return u = Phi q + G X c (collective).
+        """Return displacements u = Phi q + G X c from the coordinates (collective).
 
         Parameters
         ----------
         displacement : (m, n_dofs)
-            Coordinates q and c.
+            Amplitudes q of the modes Phi, then amplitudes c of the unit forces X on pairs and load.
 
         Returns
         -------
-        (m, whole.n_local)
+        (m, whole.n_local) [m]
         """
         return self._source.expand(self._expand_to_source(displacement))
 
@@ -371,7 +378,7 @@ class MasslessStructure(QuasiStaticReduction):
         Parameters
         ----------
         displacement : (m, n_dofs)
-            Coordinates q and c.
+            Coordinates, as in :meth:`expand`.
         """
         if self._source.whole is not self._source:  # it is reduced itself
             return self._source.values_at(self._expand_to_source(displacement), dofs)
@@ -380,7 +387,7 @@ class MasslessStructure(QuasiStaticReduction):
 
 
 def check_mass(structure: Structure, remedy: str) -> None:
-    """Raise InputError, with a remedy, if the crack faces have no mass."""
+    """Raise InputError, with advice ``remedy``, if crack faces lack mass."""
     if structure.light_lips:
         raise InputError("structure", repr(structure), f"one with mass at its faces; {remedy}")
 
@@ -391,7 +398,7 @@ def as_massless_structure(structure: Structure | None) -> MasslessStructure | No
 
 
 def _factor_of_inverse(compliance: np.ndarray) -> np.ndarray:
-    """Return the factor W of the pseudoinverse W W^T of a compliance C.
+    """Return a root W of the pseudoinverse W W^T of a compliance C.
 
     It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.
     """

@@ -18,14 +18,14 @@ With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diag
 
 Estimate of the reduction error
 -------------------------------
-A reduced structure has a *reference*, a larger reduction. With mass, it also has the static
-response K^-1 M Psi to the inertia of Psi, the next term of the expansion in w^2. A massless
+A reduced structure has a *reference*, a larger reduction. With mass, the reference also has the
+static response K^-1 M Psi to the inertia of Psi, the next term of the expansion in w^2. A massless
 reference has twice the modes. The error estimate is the difference between both results, divided by
-the reference's share of the truncated part.
+the share of the truncation error that the reference removes.
 
 To the order of w^2, truncated modes with flexibility G change the compliance of the pairs by w^2
-B^T G M G B. A massless reference has a known share of the trace. At most a half is used, because
-contact also excites modes at their own frequencies.
+B^T G M G B. A massless reference removes a known share of the trace. At most a half is assumed,
+because contact also excites modes at their own frequencies.
 """
 
 from __future__ import annotations
@@ -158,12 +158,13 @@ def reduce_structure(
 def _reduce_massless(
     structure: Structure, modes: int, reference_choice: bool | int
 ) -> MasslessStructure:
-    """Reduce a structure to modes and a massless truncated part.
+    """Reduce a structure to ``modes`` modes and crack faces without mass.
 
-    The reference has twice the modes, or ten more. It must leave something for every pair, which
-    would otherwise have mass, and at most a half of the kept modes' rest. Otherwise it has all
-    modes. A number in ``reference_choice`` decides instead. The reference's share is measured by
-    the inertia of the truncated part.
+    The reference, which estimates the error, has twice the modes or ten more, but at most n_dofs -
+    n_pairs: each pair then keeps a static part. If this limit leaves a pair more than half of its
+    residual flexibility, the reference has all modes. A number in ``reference_choice`` is the
+    number of modes instead; False omits the reference. The reference's ``share`` is measured by the
+    inertia of the truncated modes.
     """
     original = structure.original
     n_doubled, max_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
@@ -225,8 +226,9 @@ def _is_rounding(
     compliance_diagonal : (n_sources,) [m/N]
         Residual flexibility of each force.
     modal_sources : (n_modes, n_sources)
-        Phi^T X.
+        Modal forces Phi^T X by the unit forces X.
     squares : (n_modes,) [rad^2/s^2]
+        Squares of the modes' frequencies.
     """
     is_elastic = squares > 0.0
     modal_compliance = np.sum(modal_sources[is_elastic] ** 2 / squares[is_elastic, None], axis=0)
@@ -258,9 +260,10 @@ def _uniform_damping_rule(structure: Structure) -> DampingRule | None:
 
 @contextmanager
 def _factor_regular(factor: Factor, structure: Structure, *, is_held: bool) -> Iterator[Factor]:
-    """Return the factor of K, or if K is singular of K + s M.
+    """Yield a factor of the stiffness, shifted if it is singular.
 
-    s is one of the lowest eigenvalues.
+    ``is_held`` is True if K is regular. Otherwise K + s M is factored, with one of the lowest
+    eigenvalues s = omega^2.
     """
     if is_held:
         yield factor
@@ -279,9 +282,10 @@ def _reduce_to_vectors(
     vectors: np.ndarray,
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
-    """Reduce a structure to known modes and other vectors.
+    """Reduce a structure to the span of modes and other displacement vectors.
 
-    The basis is made M-orthonormal and K-diagonal.
+    The basis is made M-orthonormal and K-diagonal. ``squares`` are the squares of the modes'
+    frequencies; ``vectors`` are (n_local, m).
     """
     vectors = independent_part(structure, structure.mass, mode_shapes, vectors)
     projected_stiffness = structure.sum_over_ranks(
@@ -298,10 +302,10 @@ def _reduce_to_vectors(
 def _reduce_damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
 ) -> DampingRule | np.ndarray | None:
-    """Return T^T C T as a rule if it is diagonal, else as a matrix.
+    """Return the reduced damping T^T C T, as a rule or matrix.
 
-    T^T M T = I and T^T K T is diagonal, so that Rayleigh's coefficients stay. One ratio for all
-    modes stays, too.
+    Rayleigh's coefficients stay, since T^T M T = I and T^T K T = diag(squares). One ratio for all
+    modes stays, too. Otherwise a diagonal matrix becomes one ratio per coordinate.
     """
     if structure.damping is None:
         return None

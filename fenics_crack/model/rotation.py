@@ -57,11 +57,11 @@ class Rotation:
     at_rest : Structure
         The structure without rotation: K and its own load.
     stiffness : PETSc.Mat
-        K_1 = K_g - M_y: (n, n) [kg].
+        K_1 = K_g - M_y, stress stiffening less spin softening at 1 rad/s: (n, n) [kg].
     displaced_stiffness : tuple of PETSc.Mat
         K_2 [kg] and K_3 [kg s^2], due to the displaced shape.
     force : (n_local,) [kg m]
-        f_c.
+        Centrifugal load f_c at 1 rad/s.
     speed : float
         W [rad/s].
     """
@@ -118,7 +118,7 @@ class Rotation:
         return static_stiffness, stiffness
 
     def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
-        """Return the rotation of a changed structure at rest."""
+        """Return these terms of rotation about a changed structure at rest."""
         return replace(self, at_rest=change(self.at_rest))
 
 
@@ -165,7 +165,7 @@ def static_state(
 
 
 def describe_unstable_speed(structure: Structure, speed: float) -> str:
-    """Say which speeds are allowed, after a speed [rad/s] without stability (collective).
+    """Describe the allowed speeds, after a speed [rad/s] at which K(W) is unstable (collective).
 
     A solid may be stable by the Coriolis force, which is left out. The size is reported because a
     mesh in mm is unstable.
@@ -182,13 +182,13 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
 def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
     """Return relative shifts of natural frequencies due to the Coriolis force (collective).
 
-    The Coriolis force is left out elsewhere. In the space of the given modes,
+    Other functions omit the Coriolis force. In the space of the given modes,
 
         q'' + G q' + Lambda q = 0,      G = 2 Phi^T M (W x Phi)
 
-    The mass matrix is the same in each direction, so it multiplies the turned vectors of each node.
-    With x = (Lambda^1/2 q, q') the matrix of x' = A x is skew. A plate has no shifts: the force is
-    normal to it.
+    Phi are the mode shapes, q their amplitudes, and Lambda the squares of their frequencies. W x
+    Phi turns the displacement vector of each node. With x = (Lambda^1/2 q, q') the matrix of x' = A
+    x is skew. A plate has no shifts: the force is normal to it.
 
     Parameters
     ----------
@@ -221,26 +221,28 @@ def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Ritz:
-    """A structure and its terms of rotation, in a basis, on every rank.
+    """A rotating structure projected on a basis V for all speeds (Ritz method).
+
+    Every rank has all arrays. At the speed of ``structure``, the projected stiffness is I.
 
     Attributes
     ----------
     structure : Structure
-        Structure that was reduced, at its own speed.
+        Structure that was projected, at its own speed.
     basis : (structure.n_local, n)
-        V.
+        V, of modes and static responses at several speeds.
     at_rest, stiffness : (n, n), (3, n, n)
-        V^T K V, and V^T K_i V of K_1, K_2, K_3.
+        V^T K V at rest, and V^T K_i V of the terms K_1, K_2, K_3 of :class:`Rotation`.
     squares_inverse : (n,)
-        V^T M V, which is diagonal.
+        Diagonal of the mass matrix V^T M V.
     force : (2K+1, n)
-        V^T f at rest.
+        Load V^T f at rest.
     centrifugal : (n,)
-        V^T f_c.
+        Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
-        The mass as a PETSc matrix, V^T B, and V^T B_t or None.
+        The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
     modes : int
-        Number of modes with mass.
+        Number of modes with mass in a :class:`RunUpStructure`.
     """
 
     structure: Structure
@@ -259,20 +261,20 @@ class Ritz:
     def of_range(
         cls, structure: Structure, start: float, stop: float, modes: int, n_bonded: int = 0
     ) -> Ritz:
-        """Make the basis for speeds between two, scaled at the structure's speed (collective).
+        """Project a structure on a basis for a range of speeds (collective).
 
         Parameters
         ----------
         start, stop : float [rad/s]
             Ends of the range.
         modes : int
-            Number of modes with an open crack, of each speed.
+            Number of modes with an open crack at each of a few speeds.
         n_bonded : int
-            Number of modes with a bonded crack, of each speed.
+            Number of modes with a bonded crack at each of these speeds.
         """
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
-        for speed in np.linspace(start, stop, N_SPEEDS):
+        for speed in np.unique(np.linspace(start, stop, N_SPEEDS)):
             is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
             structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
             reduced_structure = reduce_structure(
@@ -352,7 +354,7 @@ class Ritz:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunUpBody(ReducedBody):
-    """Body of a rotating structure at one speed; ``dense_stiffness`` is V^T K(W) V."""
+    """Constant data of a :class:`RunUpStructure`; ``dense_stiffness`` is V^T K(W) V, (n, n)."""
 
     speed: float
     shapes: np.ndarray
@@ -370,9 +372,11 @@ class RunUpStructure(QuasiStaticReduction):
     Attributes
     ----------
     speed : float
-        W [rad/s].
-    shapes, static_root : (n_dofs, n_modes), (n_dofs, n_dofs - n_modes)
-        Phi, mass-normalised, and a root L of K^-1 - Phi Lambda^-1 Phi^T = L L^T.
+        Rotor speed W [rad/s].
+    shapes : (n_dofs, n_modes)
+        Mode shapes Phi in the coordinates, mass-normalised.
+    static_root : (n_dofs, n_dofs - n_modes)
+        Root L of the other modes' flexibility, K^-1 - Phi Lambda^-1 Phi^T = L L^T.
     """
 
     body: RunUpBody
@@ -408,9 +412,9 @@ class RunUpStructure(QuasiStaticReduction):
 
     @shared_property
     def stiffness(self) -> Any:
-        """V^T K(W) V as a PETSc matrix.
+        """Stiffness V^T K(W) V in the coordinates, as a PETSc matrix.
 
-        Paths make a structure for each of many speeds, and never need this matrix.
+        Curves over the speed make many structures, and never need this matrix.
         """
         return distribute_rows(self.body.dense_stiffness, MPI.COMM_SELF)
 
@@ -430,9 +434,11 @@ class RunUpStructure(QuasiStaticReduction):
         return RunUpStructure(self.body.ritz, float(speed))._in_setting(self.setting)
 
     def stiffening(self, omega: float) -> float:
-        """Return d ln w / d ln W of a natural frequency w, crack open.
+        """Return the relative growth of a natural frequency with the rotor speed.
 
-            phi^T dK/d(ln W) phi / (2 w^2),    phi the mode of w
+        With an open crack, a frequency w of the mode phi at the speed W has
+
+            d ln w / d ln W = phi^T dK/d(ln W) phi / (2 w^2)
 
         Parameters
         ----------
@@ -453,8 +459,8 @@ class RunUpStructure(QuasiStaticReduction):
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
     """Make a rotating structure for all speeds in a range (collective).
 
-    It is made at its own speed. One ratio, or one for each of the lowest modes, damps the modes at
-    each speed; modes beyond get the last ratio.
+    The result has the speed of ``structure``. One damping ratio, or one for each of the lowest
+    modes, holds for the modes at each speed; modes beyond get the last ratio.
 
     Parameters
     ----------
@@ -463,7 +469,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     start, stop : float
         Ends of the range [rad/s].
     modes : int
-        Number of modes of each speed in the basis.
+        Number of modes to keep at each speed.
 
     Returns
     -------

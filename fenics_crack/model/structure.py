@@ -17,10 +17,9 @@ phi_j = omega_j^2 M phi_j with phi_i^T M phi_j = delta_ij:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from importlib import import_module
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -93,7 +92,7 @@ class ModalDamping:
         return ModalDamping(tuple(ratio + ratio[-1:] * (n_modes - len(ratio))))
 
     def rate(self, squares: np.ndarray) -> np.ndarray:
-        """Return 2 xi omega [1/s] of the damped modes.
+        """Return the modal damping rates 2 xi omega [1/s] of the damped modes.
 
         Parameters
         ----------
@@ -141,7 +140,7 @@ class RayleighDamping:
 
     @classmethod
     def from_ratios(cls, ratios: Sequence[float], omegas: Sequence[float]) -> RayleighDamping:
-        """Return the damping with given ratios at two frequencies.
+        """Return C = a M + b K with given ratios at two frequencies.
 
         With w_1 < w_2 and s = w_1 (xi_2 - xi_1) / (w_2 - w_1),
 
@@ -189,7 +188,7 @@ class RayleighDamping:
         return self
 
     def rate(self, squares: np.ndarray) -> np.ndarray:
-        """Return 2 xi omega = a + b omega^2 [1/s].
+        """Return the modal damping rates 2 xi omega = a + b omega^2: (n,) [1/s].
 
         Parameters
         ----------
@@ -199,7 +198,7 @@ class RayleighDamping:
         return self.mass + self.stiffness * squares
 
     def matrix(self, mass: Any, stiffness: Any) -> Any:
-        """Return C from PETSc's M and K; sparse (collective)."""
+        """Return the PETSc matrix C = a M + b K (collective)."""
         mass_term = mass.copy()
         mass_term.scale(self.mass)
         total = weighted_sum(mass_term, self.stiffness, stiffness)
@@ -220,9 +219,9 @@ Result = TypeVar("Result")
 
 
 def shared_property(compute: Callable[[Any], Any]) -> Any:
-    """Make a property that all varied copies share.
+    """Make a property that is computed once for a structure and its varied copies.
 
-    It is computed once, from :attr:`Structure.original`.
+    ``compute`` gets :attr:`Structure.original`.
     """
     return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 
@@ -234,8 +233,8 @@ class Structure(Coordinates):
     """A linear structure with contact pairs; read-only.
 
     Made by :func:`fenics_crack.build_structure` from a scene, by :meth:`from_matrices` or by
-    :meth:`from_forms`. It is a body, shared with varied copies, in a setting of its own
-    (``model/body.py``).
+    :func:`fenics_crack.structure_from_forms`. Varied copies share the constant data, the body, and
+    differ in the setting: factors of load and damping, and an added clearance (``model/body.py``).
 
     Attributes
     ----------
@@ -275,7 +274,7 @@ class Structure(Coordinates):
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
-        """Load, weighted by the setting."""
+        """Load with the factor of this copy: (2K+1, n_local) [N]."""
         body_force = self.body.force
         return (
             body_force
@@ -285,9 +284,9 @@ class Structure(Coordinates):
 
     @cached_property
     def clearance(self) -> np.ndarray:
-        """g0 of every pair, with the setting's clearance.
+        """Clearance g0 of every pair, with the addition of this copy: (n_pairs,) [m].
 
-        Tangential pairs, behind the normal ones, get no addition.
+        Tangential gaps, behind the normal ones, get no addition.
         """
         clearance, added_clearance = self.body.clearance.copy(), self.setting.clearance
         clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
@@ -317,17 +316,17 @@ class Structure(Coordinates):
 
     @cached_property
     def clamp(self) -> Clamp | None:
-        """Clamp of a mesh, under the weighted load."""
+        """Clamp of a mesh, under the load of this copy."""
         return self.body.clamp and self.body.clamp.with_weights(self.setting.weights)
 
     @cached_property
     def rotation(self) -> Any:
-        """Terms of rotation, about a structure at rest in the same setting."""
+        """Terms of rotation; their structure at rest is varied as this copy is."""
         return self.body.rotation and self.body.rotation.change_rest_structure(self._apply_setting)
 
     @property
     def original(self) -> Structure:
-        """The structure before it was varied."""
+        """Structure with the load, clearance and damping with which it was made."""
         return self._in_setting(DEFAULT_SETTING)
 
     @property
@@ -338,15 +337,15 @@ class Structure(Coordinates):
     def compute_once(
         self, compute: Callable[[Any], Result], *, from_matrices: bool = False
     ) -> Result:
-        """Return a result of :attr:`original`, computed once for all varied copies.
+        """Return ``compute(original)``, computed once for all varied copies.
 
         Parameters
         ----------
         compute : callable
             Function of a structure.
         from_matrices : bool
-            The result depends on mass, stiffness and pairs alone; structures that share these share
-            it.
+            True if the result depends on mass, stiffness and pairs alone. All structures with the
+            same ones then share the result.
         """
         cache = self.body.matrix_cache if from_matrices else self.body.result_cache
         if compute not in cache:
@@ -355,10 +354,15 @@ class Structure(Coordinates):
         return result
 
     def _in_setting(self, setting: Setting, **changes: Any) -> Self:
-        """Return the same body in another setting.
+        """Return a copy with other factors of load and damping, and another added clearance.
 
-        With changes, the body is a new one with empty caches; results of the matrices stay if the
-        matrices do.
+        Parameters
+        ----------
+        setting : Setting
+            Factors and added clearance.
+        **changes
+            New values for fields of the body (:class:`Body`). Cached results are then dropped, but
+            those from matrices and pairs stay if these do not change.
         """
         if setting is self.setting and not changes:
             return self
@@ -373,7 +377,7 @@ class Structure(Coordinates):
         return new_structure
 
     def _apply_setting(self, structure: AnyStructure) -> AnyStructure:
-        """Return another structure, varied as this one is."""
+        """Return another structure, varied by the setting of this one, too."""
         return (
             structure
             if self.setting is DEFAULT_SETTING
@@ -381,12 +385,14 @@ class Structure(Coordinates):
         )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the coefficients of g = B^T u - g0 on every rank (collective).
+        """Return the gaps' Fourier coefficients on every rank (collective).
+
+        The gaps are g = B^T u - g0.
 
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
-            Coefficients of u.
+            Fourier coefficients of u.
 
         Returns
         -------
@@ -397,12 +403,12 @@ class Structure(Coordinates):
         return gap
 
     def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return modes that follow from the coordinates; None if there are none.
+        """Return the modes of a reduced structure that need no solver, here None.
 
         Parameters
         ----------
         is_bonded : bool
-            Crack bonded, not open.
+            True for a bonded crack, False for an open one.
 
         Returns
         -------
@@ -411,9 +417,58 @@ class Structure(Coordinates):
         """
         return None
 
+    # --- sectors of a bladed disk; any other structure is its only sector -------------------------
+
+    @property
+    def n_sectors(self) -> int:
+        """Number of sectors of a bladed disk that is not reduced; 1 of other structures."""
+        return 1
+
+    @property
+    def sector_structure(self) -> Structure:
+        """One sector of a bladed disk, or the structure itself."""
+        return self
+
+    @property
+    def watched_sector(self) -> int:
+        """Place of the sector whose blade is watched, from 0."""
+        return 0
+
+    def dof_of(self, blade: int, dof: int) -> int:
+        """Return the structure's dof for a dof of a sector, numbered from 1."""
+        return dof
+
+    def blade_of(self, dof: int) -> tuple[int, int]:
+        """Return the sector's number, from 1, and its dof for a dof of the structure."""
+        return 1, dof
+
+    def in_few_coordinates(self) -> Structure:
+        """Return a wheel in the coordinates in which it is solved, or itself (collective)."""
+        return self
+
+    def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the displacement of each sector, from coordinates (m, n_local)."""
+        yield displacement
+
+    def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
+        """Return rows of the load on the watched sector.
+
+        Parameters
+        ----------
+        structure : Structure
+            This structure, or a reduction of it, whose coordinates are loaded.
+        rows : slice
+            Rows of the load.
+
+        Returns
+        -------
+        (m, structure.n_local) [N]
+        """
+        return structure.force[rows]
+
     @cached_property
     def damping_matrix(self) -> Any:
-        """C, if the damping is a matrix or Rayleigh's, else None (collective).
+        """Damping matrix C [N s/m]; None with modal damping or none (collective).
 
         Rayleigh's matrix is formed at the first request.
         """
@@ -423,9 +478,9 @@ class Structure(Coordinates):
         return None if isinstance(damping, DampingRule) else damping
 
     def lumped(self) -> Structure:
-        """Return this structure with the diagonal mass of the row sums of M.
+        """Return this structure with the row sums of M as a diagonal mass.
 
-        Modal damping then follows the modes with that mass, and Rayleigh damping that mass.
+        Modal damping then belongs to the modes with this mass, and Rayleigh damping to this mass.
 
         Raises
         ------
@@ -539,7 +594,7 @@ class Structure(Coordinates):
         return cache[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
-        """Return this structure with the places of its nodes and pairs."""
+        """Return this structure with positions and other mesh data of its nodes and pairs."""
         return self._with_changes(nodes=nodes, pairs=pairs)
 
     def damped(self, damping: DampingRule | None) -> Self:
@@ -605,7 +660,7 @@ class Structure(Coordinates):
         )
 
     def _with_changes(self, **changes: Any) -> Structure:
-        """Return a plain structure of the same matrices and places, except for changes."""
+        """Return a plain Structure with changed fields of the body."""
         names = [
             body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
         ]
@@ -664,68 +719,9 @@ class Structure(Coordinates):
             )
         return cls(Body(**parts, damping=damping))
 
-    @classmethod
-    @alone()
-    @checked_call
-    def from_forms(
-        cls,
-        space: Any,
-        stiffness: Any,
-        mass: Any,
-        *,
-        bcs: Any = (),
-        loads: Any = None,
-        crack: Any = None,
-        thickness: float = 1.0,
-        clearance: Any = 0.0,
-        damping: Any = None,
-    ) -> Structure:
-        """Make a structure from UFL forms on a mesh of DOLFINx (collective).
-
-        Parameters
-        ----------
-        space : dolfinx.fem.FunctionSpace
-            Displacements: vectors, Lagrange elements of order 1 or 2, on a mesh of a plane or of a
-            solid.
-        stiffness, mass : ufl.Form
-            Symmetric bilinear forms on it, without the conditions; the mass positive definite, the
-            stiffness semidefinite. In a plane they hold the thickness.
-        bcs : list of dolfinx.fem.DirichletBC
-            Conditions on the space or its components, all of value zero.
-        loads : (mean, sin, cos) or None
-            Linear forms, or None for a part that is zero: mean, and first harmonic.
-        crack : (facet_tags, lower, upper) or None
-            Tags of the mesh's facets, and those of the two faces of all cracks: exterior facets in
-            the same places, with different nodes but for those of tips and fronts.
-        thickness : float [m]
-            In a plane, for the areas of the contact pairs.
-        clearance : float or (n_pairs,) [m]
-            g0; negative for preload.
-        damping : ModalDamping, RayleighDamping, ufl.Form or None
-            Modal or Rayleigh damping, or the bilinear form of C.
-
-        Raises
-        ------
-        InputError
-            The space, a condition, a form or the tags are not such, nodes of the two faces do not
-            match, or a matrix is none for :meth:`from_matrices`.
-        """
-        bilinear_forms = {"stiffness": stiffness, "mass": mass}
-        if not isinstance(damping, DampingRule | None):
-            bilinear_forms["damping"] = damping
-        # Matrices do not need DOLFINx, which this import loads; it is from a folder above.
-        forms_module = import_module("fenics_crack.fem.forms")
-        parts, *places = forms_module.parts_of_forms(
-            space, bilinear_forms, bcs, loads, crack, thickness
-        )
-        structure = cls.from_matrices(**{"damping": damping} | parts, clearance=clearance)
-        for key in bilinear_forms:
-            parts[key].destroy()
-        return structure.with_places(*places)
-
 
 def _is_mean_kept(load_weights: np.ndarray) -> bool:
-    """Return True if load weights do not change the mean of the load."""
+    """Return True if load weights leave the mean load alone."""
     if load_weights.ndim == 0:
         return bool(load_weights == 1.0)
     return bool(
@@ -736,7 +732,7 @@ def _is_mean_kept(load_weights: np.ndarray) -> bool:
 
 
 def _add_tangents(structure: Structure) -> Structure:
-    """Return a structure with its pairs' tangents, also at rest."""
+    """Return a structure with the mesh's tangential gaps, also at rest."""
     return _change_with_rotation(
         structure,
         lambda source: source._in_setting(source.setting, tangential=source.pairs.tangents),
@@ -744,12 +740,15 @@ def _add_tangents(structure: Structure) -> Structure:
 
 
 def _tangential_pair_cache(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
-    """Return an empty cache for the last requested direction and structure."""
+    """Return an empty cache of :meth:`Structure.with_tangential_pairs`: direction and result."""
     return []
 
 
 def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
-    """Return a structure with tangential gaps as further pairs."""
+    """Return a structure with tangential gaps behind the normal ones in B.
+
+    ``direction`` is that of :meth:`Structure.with_tangential_pairs`.
+    """
     tangents: Any = structure.tangential
     if direction is not None:
         direction_factors = (
@@ -766,6 +765,6 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
 def _change_with_rotation(
     structure: Structure, change: Callable[[Structure], Structure]
 ) -> Structure:
-    """Change a structure, and its structure at rest if it rotates."""
+    """Change a structure, and with rotation also its structure at rest."""
     rotation = structure.rotation and structure.rotation.change_rest_structure(change)
     return change(structure)._in_setting(DEFAULT_SETTING, rotation=rotation)

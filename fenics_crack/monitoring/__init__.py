@@ -1,1 +1,1 @@
-"""A crack from measurements: blade tip timing and identification."""
+"""A crack from measurements: identification, and tip timing of scenes."""

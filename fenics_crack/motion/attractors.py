@@ -50,9 +50,9 @@ class Attractor:
     periods : int
         Number of load periods that were integrated.
     orbits : FlowOrbits
-        Flow and period.
+        Flow, load frequency and period, as equations z(T) = z(0).
     last : (flow.size,)
-        Last state x.
+        Last state, in the scaled unknowns x of ``orbits``.
     growth : float
         Growth of a small disturbance in one period of an irregular motion; else nan.
     """
@@ -109,10 +109,12 @@ def find_attractor(
 
     Parameters
     ----------
+    orbits : FlowOrbits
+        Flow, load frequency and period.
     start : (flow.size,)
-        State x.
+        State at phase zero, in the scaled unknowns x of ``orbits``.
     max_periods : int, optional
-        Default: a quarter of a search's ``evaluations``, for any number of modes.
+        Default: a quarter of ``SearchOptions.evaluations``, for any number of modes.
     """
     max_periods = SearchOptions.evaluations // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
@@ -148,11 +150,11 @@ def find_attractor(
 def find_irregular_motion(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
 ) -> Attractor | None:
-    """Follow a small disturbance of a motion; it grows if the motion is irregular.
+    """Return the motion from a state if a small disturbance of it grows.
 
-    With the derivatives M_i of the flow over the periods, v_{i+1} = M_i v_i is followed from a
-    random v_0. The mean growth in a period is exp(lambda T) with the first Lyapunov exponent
-    lambda.
+    The disturbance v_i after i periods is followed from a random v_0: v_{i+1} = M_i v_i, with the
+    derivative M_i of the flow over period i. The mean growth in a period is exp(lambda T), with the
+    first Lyapunov exponent lambda and the period T.
 
     Parameters
     ----------
@@ -162,8 +164,8 @@ def find_irregular_motion(
     Returns
     -------
     Attractor or None
-        With its growth. None if the disturbance grows less than a thousandfold, or if the motion
-        cannot be integrated.
+        The irregular motion with the growth. None if the disturbance grows less than a
+        thousandfold, or if the motion cannot be integrated.
 
     Notes
     -----

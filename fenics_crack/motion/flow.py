@@ -7,7 +7,8 @@ the stiffness kappa of the contact pairs,
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
 
 While the set A of closed pairs stays, lambda_A = S s_A with S = ((R_inf + I/kappa)_AA)^-1, and the
-motion is linear. Its Taylor series gives the motion, closed pairs' forces and open pairs' openings.
+motion is linear. Its Taylor series gives the motion, closed pairs' forces and open pairs' openings,
+piece by piece.
 An event is an instant at which a force or an opening falls through zero. Behind an event another
 set holds (``kernel/flow.c``). Nothing is truncated: the error is rounding error. Forces are
 continuous, so the flow's derivative is the product of all sets' exponentials.
@@ -48,14 +49,14 @@ from fenics_crack.numerics.fourier import fourier_basis_for
 
 @dataclass(frozen=True)
 class Budget:
-    """Budget for integrating one motion.
+    """Limits on the work for integrating a motion.
 
     Attributes
     ----------
     pieces : int
-        Maximum Taylor pieces.
+        Maximum pieces of the motion, each with a Taylor series.
     intervals : int
-        Maximum intervals between events.
+        Maximum intervals between events: pairs open, close, stick or slip.
     """
 
     pieces: int = 100_000
@@ -113,11 +114,12 @@ def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError |
 
 
 class Flow:
-    """The flow of a small structure under its own load.
+    """Flow of a small structure: motion from a state under the structure's load.
 
-    A state has ``size`` entries: q and q', with friction also the places h at which pairs stick. A
-    pair that does not stick has its tangential gap for h. Contact rows are the normals of the
-    pairs; with friction the tangents follow (n_rows = 2 n_pairs, else n_pairs).
+    A state has ``size`` entries: modal displacements q and velocities q', with friction also h for
+    each pair. h is the tangential gap less the tangential spring's deformation, constant while a
+    pair sticks. Contact rows are the pairs' normal gaps; with friction tangential gaps follow
+    (n_rows = 2 n_pairs, else n_pairs).
 
     Attributes
     ----------
@@ -136,9 +138,9 @@ class Flow:
     compliance : (n_rows, n_rows) [m/N]
         R_inf + I/kappa.
     modal_load : (2K+1, n_modes)
-        f: mean, then cosine and sine of each order.
+        Load f of the modes: mean, then cosine and sine of each order up to K.
     load_gap : (2K+1, n_rows) [m]
-        l, likewise.
+        Gaps l by the load at coordinates without mass, less the clearance.
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
@@ -163,7 +165,8 @@ class Flow:
     ) -> np.ndarray:
         """Return the states (..., size) of displacements and velocities (..., n_dofs).
 
-        ``places`` (..., n_pairs) [m] is h. Default: the tangential gaps without contact forces.
+        ``places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the tangential gaps
+        without contact forces.
         """
         inverse, n_pairs = self.modes.inverse.T, self.structure.n_pairs
         parts = [displacement @ inverse, velocity @ inverse]
@@ -217,7 +220,7 @@ class Flow:
             Basis functions of the load: 1, cosine and sine of each order.
         dofs : array or slice
         rows : (m, n_dofs), optional
-            Return products with these in place of the displacement: (n, m).
+            Factors; return products of rows with the displacement instead: (n, m).
         """
         modes = self.modes
 
@@ -236,7 +239,7 @@ class Flow:
 
 
 class ContactFlow(Flow):
-    """The exact flow, at any frequency of the load."""
+    """Exact flow, without time steps, from one contact event to the next."""
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
@@ -268,12 +271,14 @@ class ContactFlow(Flow):
     def critical_friction(self) -> float:
         """Return the smallest friction coefficient without unique contact forces.
 
-        A root of det A(mu) = 0 is sought in 400 random pair states; without a root the result is
-        infinite. Rows of A belong to closed pairs' normals and stuck pairs' tangents:
+        The matrix A(mu) from forces to gaps is then singular, on closed pairs' normals and stuck
+        pairs' tangents. Roots mu are sought in 400 random states of the pairs; without a root the
+        result is infinite. With the rows D_rows of the compliance R_inf + I/kappa,
 
-            A = D_rows (E_0 + mu E_1),
+            A = D_rows (E_0 + mu E_1).
 
-        so mu = -1 / (a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1).
+        E_0 places the forces in all rows, and E_1 adds the friction of slipping pairs. So mu = -1
+        / (a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1).
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
@@ -296,7 +301,7 @@ class ContactFlow(Flow):
     def rest_state(self) -> np.ndarray:
         """Return the state of rest under the mean load: (size,).
 
-        Rigid-body motion is left out, with friction also tangential forces.
+        The state has no rigid-body motion, and no tangential forces.
         """
         modes, n_pairs = self.modes, self.structure.n_pairs
         modal_flexibility = np.zeros_like(modes.squares)
@@ -331,9 +336,10 @@ class ContactFlow(Flow):
         return float(self.max_rate * duration / kernel.MAX_PIECE_ANGLE)
 
     def weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights for the energy norm of a state: (size,).
+        """Return the weights w of a state z for the energy norm |w z|: (size,).
 
-        Modes below a base frequency [rad/s] have the weight of that frequency.
+        Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
+        ``base_omega``.
         """
         weights = np.ones(self.size)
         np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=weights[: self.n_modes])
@@ -343,10 +349,10 @@ class ContactFlow(Flow):
         return weights
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
-        """Return the weights for the amplitude norm of a state: (size,).
+        """Return the weights w of a state z for the amplitude norm |w z|: (size,).
 
-        Displacements have weight 1. The weights are the energy weights over the modes' rates, for h
-        over the first mode's rate.
+        Energy weights are divided by the mode's frequency, at least ``base_omega``, so modal
+        displacements have weight 1. For h the divisor is the first mode's.
         """
         weights = self.weights(base_omega)
         rates = weights[: self.n_modes]
@@ -371,6 +377,7 @@ class ContactFlow(Flow):
         omega : float
             Load frequency [rad/s].
         duration, start : float [s]
+            Length of the motion, and time at its start: the load's phase is ``omega`` times time.
         instants : (n,) [s], optional
             Ascending times of samples, between start and end.
         budget : Budget, optional
@@ -405,19 +412,19 @@ class ContactFlow(Flow):
     def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
-        """Integrate the motion over equal parts of a period from time zero.
+        """Integrate n motions over n equal parts of a period.
 
         Parameters
         ----------
         states : (n, size)
-            States at the starts of the parts.
+            States at the starts of the parts; the first part begins at time zero.
 
         Returns
         -------
         end_states : (n, size)
             States at the ends of the parts.
         track : Track
-            Track of all parts in sequence.
+            States of the pairs in all intervals between events, part after part.
         interval_counts : (n,) int
             Number of intervals up to each part's end.
 
@@ -440,9 +447,10 @@ class ContactFlow(Flow):
     def _make_motion_struct(
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
-        """Return the kernel's motion, and a function that copies its track.
+        """Return the C struct ``flow_motion``, and a function to copy the track.
 
-        The function takes an interval count, and returns the :class:`Track`'s arrays by name.
+        The function takes the number of intervals between events, and returns a :class:`Track`'s
+        arrays by name.
         """
         budget = budget or Budget()
         if self._max_intervals < budget.intervals:
@@ -466,7 +474,7 @@ class ContactFlow(Flow):
 
 @dataclass(frozen=True)
 class Track:
-    """Sets of closed pairs along a motion, and their durations.
+    """States of the pairs in the intervals between a motion's events.
 
     Attributes
     ----------
@@ -476,9 +484,11 @@ class Track:
     sets : (n, n_pairs) int
         States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
     lengths : (n,) [s]
-        Durations.
+        Durations of the intervals.
     causes, is_first, ratios : (n,)
-        With friction: how intervals end (``kernel/flow.h``).
+        With friction, the ends of intervals. ``causes``: index of the force or gap function at zero
+        (-1: none); ``is_first``: 1 for the first zero at an instant; ``ratios``: ratio of rates
+        (``kernel/flow.h``).
     """
 
     flow: ContactFlow
@@ -504,14 +514,14 @@ class Track:
 
     @cached_property
     def tangent(self) -> np.ndarray:
-        """Return the derivative dz(end) / dz(start): (size, size)."""
+        """Return dz(end) / dz(start), the derivative of the state z: (size, size)."""
         matrix = np.empty((self.flow.size, self.flow.size))
         outcome = kernel.flow_tangent(self.flow.handle, self._struct.address, pointer(matrix))
         _check_outcome(outcome, len(self.lengths) - 1)
         return matrix
 
     def derivative_by_softness(self, start: np.ndarray, softness_rate: np.ndarray) -> np.ndarray:
-        """Return the derivative of z(end) by a structural parameter: (size,).
+        """Return the derivative of the end state by a structural parameter: (size,).
 
         The state at the start does not change with the parameter.
 
@@ -520,7 +530,7 @@ class Track:
         start : (size,)
             State at the start.
         softness_rate : (n_rows,)
-            Derivative of the softness by the parameter.
+            Derivative of 1 / kappa of each contact row by the parameter.
         """
         derivative = np.empty(self.flow.size)
         rates = require_shape(softness_rate, *self.flow.softness.shape)
@@ -532,7 +542,7 @@ class Track:
         return derivative
 
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
-        """Return dz(end) for a change dz(start), without the matrix: (size,)."""
+        """Return the end state's change for a change (size,) of the start state."""
         interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
             self.carry_changes(change, np.zeros((1, self.flow.size)), interval_counts)[-1]
@@ -541,15 +551,16 @@ class Track:
     def carry_changes(
         self, start: np.ndarray, excess: np.ndarray, interval_counts: np.ndarray
     ) -> np.ndarray:
-        """Carry state changes d through consecutive parts of the track.
+        """Carry a change d of the state through consecutive parts of the track.
 
-            d_{i+1} = M_i d_i + excess_i
+            d_{i+1} = M_i d_i + excess_i,    M_i = derivative of the flow over part i
 
         Parameters
         ----------
         start : (size,)
             d_0.
         excess : (n, size)
+            Change added at each part's end.
         interval_counts : (n,) int
             Number of intervals up to each part's end.
 
@@ -588,7 +599,7 @@ class Samples:
     states: np.ndarray
     answers: np.ndarray
     """(n, n_pairs): closed pairs' forces [N], open pairs' openings [m]. With friction (n, 4
-    n_pairs): forces on all rows, then gaps without the part of contact springs."""
+    n_pairs): forces on all rows, then gaps less the deformation of the contact springs."""
     pair_states: np.ndarray
 
     @property
@@ -598,14 +609,14 @@ class Samples:
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Return the contact forces on all rows: (n, n_rows) [N]."""
+        """Return normal contact forces, with friction then friction forces: (n, n_rows) [N]."""
         if self.flow.friction:
             return self.answers[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.answers, 0.0), 0.0)
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Return the gaps of all rows: (n, n_rows) [m]."""
+        """Return normal gaps, with friction then tangential gaps: (n, n_rows) [m]."""
         spring_gaps = self.forces * self.flow.softness
         if self.flow.friction:
             return self.answers[:, len(self.flow.softness) :] + spring_gaps
@@ -613,12 +624,15 @@ class Samples:
 
     @property
     def places(self) -> np.ndarray:
-        """Return h, where pairs stick: (n, n_pairs) [m]. Without friction: (n, 0)."""
+        """Return tangential gaps h of sticking pairs: (n, n_pairs) [m].
+
+        If a pair does not stick, h follows the motion. Without friction: (n, 0).
+        """
         return self.answers[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
 
     @property
     def whole_states(self) -> np.ndarray:
-        """Return the flow's states: (n, size)."""
+        """Return the flow's states q, q' and, with friction, h: (n, size)."""
         return np.hstack([self.states, self.places])
 
     @property
@@ -628,7 +642,7 @@ class Samples:
 
     @property
     def gap(self) -> np.ndarray:
-        """Return g, positive for penetration: (n, n_pairs) [m]."""
+        """Return the normal gaps, positive for penetration: (n, n_pairs) [m]."""
         return self.gaps[:, : self.flow.structure.n_pairs]
 
     @property
@@ -651,7 +665,7 @@ class Motion(NamedTuple):
     state : (size,)
         State at the end.
     events, pieces : int
-        Number of pairs that opened or closed, and of Taylor pieces.
+        Number of events (a pair opens, closes, sticks or slips), and of Taylor pieces.
     track : Track
     samples : Samples
     """
@@ -664,9 +678,10 @@ class Motion(NamedTuple):
 
 
 def _bound_rates(max_square: float, damping: np.ndarray) -> float:
-    """Return an upper bound of |s| in s^2 + c s + k = 0 [1/s].
+    """Return an upper bound of oscillation and decay rates [1/s].
 
-    Here k <= ``max_square``, and c is a Rayleigh quotient of the damping.
+    Roots s of s^2 + c s + k = 0 have no larger |s| for all k <= ``max_square`` [1/s^2] and all
+    Rayleigh quotients c of the damping [1/s].
     """
     max_damping = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex
@@ -675,7 +690,10 @@ def _bound_rates(max_square: float, damping: np.ndarray) -> float:
 
 
 def _check_outcome(outcome: int, events: int) -> None:
-    """Raise the error of a failed integration."""
+    """Raise the error for a failure code of the kernel's integration.
+
+    ``events`` is the number of events before the failure, for the message.
+    """
     if outcome == kernel.FLOW_DONE:
         return
     if outcome == kernel.FLOW_NO_MEMORY:

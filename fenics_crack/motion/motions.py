@@ -115,7 +115,8 @@ class Indicators(Observables, Tabular):
 class Record:
     """A motion over its period, or over several load periods.
 
-    A record has products of rows with the displacement, and the crack faces' gaps and forces.
+    Contents: m products of rows of factors with the displacement, and the crack faces' gaps and
+    contact forces.
 
     Attributes
     ----------
@@ -128,7 +129,7 @@ class Record:
     coefficients : (2H+1, m)
         Fourier coefficients of the products over the period, or over the last period.
     motion : (n, m)
-        Products of the rows with the displacement.
+        Products at the n instants. For a row that selects a dof: its displacement [m].
     gap, force : (n, n_rows) [m], [N]
         Gaps and contact forces of all pairs; with friction tangential rows follow the normal rows.
     structure : Structure
@@ -136,11 +137,12 @@ class Record:
     friction : float or (n_pairs,), optional
         Friction coefficient.
     evaluate : callable, optional
-        Products, gaps and forces at any parts of the period. Extremes are then exact to rounding.
+        Callable from positions in the period, 0 to 1, to products, gaps and forces. Extremes are
+        then exact to rounding.
     steps : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
     exact_numbers : dict of str to float
-        Numbers that are known more accurately than from the instants.
+        Numbers of the crack faces, known more accurately than from the instants.
     """
 
     omega: float
@@ -165,7 +167,7 @@ class Record:
     def n_pairs(self) -> int:
         """Return the number of contact pairs in the record.
 
-        It is 0 if the numbers of the crack faces are known already.
+        0 if the record has no gaps because the crack faces' numbers are known already.
         """
         return self.gap.shape[1] // (1 if self.friction is None else 2)
 
@@ -178,7 +180,7 @@ class Record:
         return replace(self, **{name: getattr(self, name)[last_instants] for name in names})
 
     def select_rows(self, rows: slice) -> Record:
-        """Return the record of some rows."""
+        """Return the record with a selection from the m products."""
         evaluate_all = self.evaluate
         evaluate = evaluate_all and (
             lambda period_fractions: (
@@ -202,10 +204,11 @@ class Record:
 
     @cached_property
     def maxima(self) -> np.ndarray:
-        """Return the largest values in the record: (2 m,) or (2 m + 4,).
+        """Return the maxima over time in the record: (2 m,) or (2 m + 4,).
 
-        All products come first, then all negative products. At crack faces four entries follow:
-        opening, penetration, a pair's contact force, and a crack's contact force.
+        First the maxima of the m products of rows with the displacement, then of the negative
+        products. With contact pairs four maxima follow: opening, penetration [m], contact force of
+        a pair and of a crack [N].
         """
         n_pairs, evaluate, is_in_crack = self.n_pairs, self.evaluate, self.pairs_of_cracks
 
@@ -225,6 +228,8 @@ class Record:
 
 class Harmonics:
     """Harmonics of a displacement.
+
+    U_j is the amplitude at j times the load's frequency.
 
     Attributes
     ----------
@@ -251,18 +256,21 @@ class Harmonics:
                 self.largest_order = 2.0 + index
 
     def harmonic(self, multiple: float) -> float:
-        """Return U_j [m] for j = ``multiple``; nan without that harmonic."""
+        """Return the amplitude U_j [m] at j = ``multiple`` times the load's frequency.
+
+        Without this harmonic: nan.
+        """
         order = multiple * self._subharmonic
         is_included = order == int(order) and order <= len(self._amplitudes)
         return float(self._amplitudes[int(order) - 1]) if is_included else math.nan
 
     def ratio(self, multiple: float) -> float:
-        """Return U_j / U_1 for j = ``multiple``."""
+        """Return U_j / U_1, relative to the amplitude at the load's frequency."""
         return self.harmonic(multiple) / self.fundamental
 
 
 class Point(Harmonics):
-    """A watched displacement: a row of a record.
+    """Displacement of a point: a product in a record.
 
     Attributes
     ----------
@@ -318,9 +326,9 @@ def is_slipping(coefficient: Any, force: np.ndarray, friction_force: np.ndarray)
 
 
 def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
-    """Return the loss of each pair in a period: (n_pairs,) [J].
+    """Return the energy lost by friction of each pair in a period: (n_pairs,) [J].
 
-    The trapezoidal rule integrates int lambda_t g_t' dt.
+    The trapezoidal rule integrates friction force times the rate of the tangential gap.
 
     Parameters
     ----------
@@ -358,7 +366,7 @@ class ExtraRows(NamedTuple):
     rows : (m, n_local)
         Factors of the displacement.
     read_numbers : callable
-        Returns numbers by name from a record of the rows.
+        Returns numbers by name from a :class:`Record` of the rows' products.
     """
 
     rows: np.ndarray
@@ -416,7 +424,7 @@ class ObservedMotion:
     def faces(self) -> dict[str, Any]:
         """Return the numbers of the crack faces by name (collective).
 
-        Numbers that are nan everywhere are left out.
+        Names follow :class:`Indicators`. Numbers that are nan everywhere are left out.
         """
         if not self._face_numbers:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
@@ -495,14 +503,14 @@ class ObservedMotion:
         return displacements, self._gather_numbers(numbers)
 
     def _gather_numbers(self, numbers: Sequence[Mapping[str, float]]) -> dict[str, Any]:
-        """Gather the numbers of all records by name."""
+        """Gather each named number over all records: a float, on a curve (n,)."""
         return {
             name: self._gather([record_numbers[name] for record_numbers in numbers])
             for name in numbers[0]
         }
 
     def _gather(self, values: list[Any]) -> Any:
-        """Return a motion's only value, or an array for a curve."""
+        """Return the value of a motion's only record; curves override the method."""
         [record_value] = values
         return record_value
 

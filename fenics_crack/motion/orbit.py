@@ -82,22 +82,23 @@ OBSERVED_HARMONICS = 40
 
 
 Inverse = Callable[[np.ndarray, float], np.ndarray]
-"""Callable from b and a relative residual to (I - M)^-1 b. If M is formed the solution is exact."""
+"""Callable from b and a relative residual to (I - M)^-1 b, with the monodromy matrix M. If M is
+formed the solution is exact."""
 
 
 class Prediction(NamedTuple):
-    """Result of one Newton step from a harmonic-balance solution.
+    """Result of a Newton step from a solution's states Z to Z + d.
 
     Attributes
     ----------
-    gap_error : float
-        Predicted error |P^T d| / |P^T Z|.
+    error : float
+        Predicted error of the gaps, |P^T d| / |P^T Z|; P^T takes states to gaps.
     states : (n, flow.size)
-        Z + d.
+        Z + d at the starts of n equal parts of the period.
     track : Track
-        Track of all parts in sequence.
+        States of the pairs along the solution, part after part.
     inverse : Inverse
-        (I - M)^-1 with the M of the track.
+        (I - M)^-1, with the monodromy matrix M along the solution.
     """
 
     gap_error: float
@@ -107,7 +108,7 @@ class Prediction(NamedTuple):
 
     @property
     def monodromy(self) -> np.ndarray:
-        """Return M over the period along the solution: (flow.size, flow.size)."""
+        """Return the monodromy matrix along the solution: (flow.size, flow.size)."""
         return self.track.tangent
 
 
@@ -125,7 +126,8 @@ class PeriodicOrbit(ObservedMotion, Described):
     motion : Motion
         Motion over the period.
     state : (flow.size,)
-        State at phase zero of the load: q and q', with friction also h.
+        State z at phase zero of the load: modal displacements q and velocities q', with friction
+        also the sticking pairs' tangential gaps h.
     flows : int
         Number of periods integrated in the search.
     """
@@ -151,12 +153,12 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @property
     def events(self) -> int:
-        """Return how often a pair opens or closes in a period."""
+        """Return how often pairs open, close, stick or slip in a period."""
         return self.motion.events
 
     @property
     def monodromy(self) -> np.ndarray:
-        """Return M: (flow.size, flow.size)."""
+        """Return the monodromy matrix M = dz(T) / dz(0): (flow.size, flow.size)."""
         return self.motion.track.tangent
 
     @cached_property
@@ -166,17 +168,23 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @cached_property
     def residual(self) -> float:
-        """Return ``|z(T) - z(0)| / |z(0)|`` in the energy norm."""
+        """Return the state's relative change in a period, ``|z(T) - z(0)| / |z(0)|``.
+
+        The norm is the energy norm.
+        """
         change = self.motion.state - self.state
         return self.energy_norm(change) / (self.energy_norm(self.state) or 1.0)
 
     def energy_norm(self, change: np.ndarray) -> float:
-        """Return the energy norm of a state change."""
+        """Return the energy norm of a state's change (flow.size,)."""
         return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
 
     @cached_property
     def inverse(self) -> Inverse:
-        """Return (I - M)^-1; raise LinAlgError if I - M is singular."""
+        """Return the function b to (I - M)^-1 b.
+
+        M is the monodromy matrix. Raises LinAlgError if I - M is singular.
+        """
         weights = self.flow.weights(self.omega / self.subharmonic)
         return _make_inverse(self.flow, self.motion.track, weights)
 
@@ -201,15 +209,18 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @property
     def gap(self) -> np.ndarray:
-        """Return g at 512 equally spaced times: (512, n_pairs) [m]."""
+        """Return the normal gaps at 512 equally spaced times: (512, n_pairs) [m]."""
         return self.sampled.gap
 
     def gap_at(self, time: np.ndarray) -> np.ndarray:
-        """Return g at times [s]: (len(time), n_pairs) [m]."""
+        """Return the normal gaps at times [s]: (len(time), n_pairs) [m]."""
         return self._evaluate_at(time, "gap")
 
     def tangential_gap_at(self, time: np.ndarray) -> np.ndarray:
-        """Return g_t at times [s]: (len(time), n_pairs) [m]. Without friction: (len(time), 0)."""
+        """Return the tangential gaps at times [s]: (len(time), n_pairs) [m].
+
+        Without friction: (len(time), 0).
+        """
         return self._evaluate_at(time, "gaps")[:, self.flow.structure.n_pairs :]
 
     def tangential_force_at(self, time: np.ndarray) -> np.ndarray:
@@ -233,10 +244,11 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self.flow.structure
 
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
-        """Yield the record of the motion.
+        """Yield the record of the motion over a period.
 
-        On each piece of the period the motion is the polynomial through Gauss nodes. With a given
-        number of ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
+        ``rows`` (m, n_dofs) are factors of the displacement. Between instants the motion is, on
+        each piece of the period, the polynomial through Gauss nodes. With a given number of
+        ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
         """
         samples, piece_lengths = self._gauss_samples_and_lengths(
             len(self.flow.modal_load) // 2 * self.omega
@@ -283,7 +295,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         )  # fmt: skip
 
     def coefficients(self, harmonics: int) -> OrbitCoefficients:
-        """Return Fourier coefficients of the orbit.
+        """Return Fourier coefficients of gaps, contact forces and displacements.
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
@@ -300,9 +312,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         return OrbitCoefficients(gap, force, displacement)
 
     def product_coefficients(self, rows: np.ndarray, harmonics: int) -> np.ndarray:
-        """Return Fourier coefficients of products with the displacement: (2H+1, m).
+        """Return Fourier coefficients of rows times the displacement: (2H+1, m).
 
-        ``rows`` is (m, n_dofs).
+        ``rows`` (m, n_dofs) are factors of the displacement.
         """
         samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
         return self._integrate_coefficients(samples.products(rows), harmonics)
@@ -336,7 +348,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         Returns
         -------
         samples : Samples
-            In order of time.
+            Motion at all nodes, in order of time.
         piece_lengths : (n_pieces,) [s]
         """
         if not self._node_samples or self._node_samples[-1][0] < omega:
@@ -353,7 +365,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @cached_property
     def _node_samples(self) -> list[tuple[float, Samples, np.ndarray]]:
-        """Return the kept samples: at most one (omega [rad/s], samples, piece lengths [s])."""
+        """Return a list with the last (omega [rad/s], samples, piece lengths [s])."""
         return []
 
     @cached_property
@@ -370,7 +382,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         _, weights, differentiation = gauss_nodes()
 
         def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
-            """Return int F x' dt of each column, by Gauss quadrature."""
+            """Return the work int F x' dt of each column of forces and displacements."""
             shape = len(piece_lengths), len(weights), -1
             rates = differentiation @ node_displacements.reshape(shape)
             return np.asarray(np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates))
@@ -407,8 +419,8 @@ class PeriodicOrbit(ObservedMotion, Described):
     def stuck(self) -> np.ndarray:
         """Return the indices (k,) of pairs that always stick; none without friction.
 
-        Places of such pairs follow from earlier motion, not from the orbit, and have no part in the
-        multipliers.
+        Tangential gaps of these pairs follow from earlier motion, not from the orbit, and have no
+        part in the multipliers.
         """
         sets = self.motion.track.sets
         sticks_always = self.flow.friction is not None and np.all(sets == kernel.STICK, axis=0)
@@ -417,7 +429,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return largest multiplier, extremes of the gap [m] and search figures."""
+        """Return multiplier, gap extremes [m], events, residual and iterations by name."""
         faces = {"opening": 0.0, "penetration": 0.0} | self.faces
         return {
             "multiplier": float(abs(self.multipliers[0])),
@@ -443,8 +455,8 @@ class Work(NamedTuple):
     load, damping : float [J]
         Work done by the load, and lost by damping.
     friction : (n_pairs,) [J]
-        Work lost by friction of each pair, int lambda_t g_t' dt. The load's work is the sum of all
-        losses.
+        Work lost by friction of each pair: friction force times rate of the tangential gap,
+        integrated. The load's work is the sum of all losses.
     """
 
     load: float
@@ -459,7 +471,7 @@ def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns
     -------
     nodes : (n,)
-        From -1 to 1.
+        Positions in the piece, from -1 to 1.
     weights : (n,)
     differentiation : (n, n)
         Matrix from values at the nodes to derivatives at the nodes.
@@ -489,9 +501,9 @@ class OrbitCoefficients(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class MotionInArcs(PeriodicOrbit):
-    """A motion in equal parts of a period, observed like an orbit.
+    """A motion in equal parts of a period, with the interface of an orbit.
 
-    The motion may jump from part to part.
+    The state may jump from part to part.
 
     Attributes
     ----------
@@ -523,7 +535,7 @@ def is_affordable(
 ) -> bool:
     """Return True if a search for an orbit is fast.
 
-    Two cases are affordable:
+    M is the monodromy matrix, formed for up to 120 modes. Two cases are affordable:
 
     - M is formed, and the load is not too slow.
     - M is not formed, crack faces have no mass, and ``periods`` periods without events fit into the
@@ -550,7 +562,7 @@ def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
 def predict_orbit(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
-    """Take one Newton step for a whole motion.
+    """Take a Newton step towards an orbit for all parts of a motion together.
 
     Parameters
     ----------
@@ -580,7 +592,7 @@ def predict_orbit(
 def predict_motion(
     flow: ContactFlow, omega: float, prediction: Prediction, subharmonic: int
 ) -> MotionInArcs | None:
-    """Return the motion of a prediction; None if it cannot be integrated."""
+    """Return the motion from a prediction's states; None if integration fails."""
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
         end_states, track, _ = flow.integrate_parts(prediction.states, omega, period)
@@ -594,7 +606,8 @@ def predict_motion(
 def _make_inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
     """Return the function b to (I - M)^-1 b for a track.
 
-    For large models the relative residual is that of GMRES in the energy norm.
+    M is the monodromy matrix. Models with more than 120 modes use GMRES, in the norm with the given
+    ``weights``.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         factors = factorise(np.eye(flow.size) - track.tangent)
@@ -630,7 +643,7 @@ def find_orbit(
     state : (flow.size,)
         Guess at phase zero.
     inverse : Inverse, optional
-        (I - M)^-1 of a nearby motion.
+        (I - M)^-1 for the first steps, with the monodromy matrix M of a nearby motion.
     step_tolerance : float
         Maximum relative Newton step at the orbit. If M is not formed, it is ROOT_TOLERANCE.
     failure_reasons : list of str, optional
@@ -658,7 +671,7 @@ def find_orbit(
 
 
 class _Search:
-    """Newton's method for z(T) = z(0): current state and motion.
+    """Newton's method for states with z(T) = z(0) after a period T.
 
     Attributes
     ----------
@@ -688,10 +701,11 @@ class _Search:
         return math.sqrt(weighted @ weighted)
 
     def leads_to_orbit(self, inverse: Inverse | None, step_tolerance: float) -> bool:
-        """Return True if the search ends with an orbit.
+        """Take Newton steps and return True if an orbit is reached.
 
-        A step is accepted if |simplified step| <= (1 - damping / 4) |step|. The next damping factor
-        follows from the nonlinearity |simplified step - (1 - damping) step|.
+        ``inverse`` is (I - M)^-1 of a nearby motion, or None. A step is accepted if |simplified
+        step| <= (1 - damping / 4) |step|. The next damping factor follows from the nonlinearity
+        |simplified step - (1 - damping) step|.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping = MIN_NEWTON_STEP if forms_monodromy else 0.1
@@ -742,10 +756,7 @@ class _Search:
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
-        """Return the fraction of a step that a change contains.
-
-        The inner product belongs to the energy norm.
-        """
+        """Return the coefficient of a change projected on a step, in the energy norm."""
         weighted_vector = self._weights**2 * step
         return float(change @ weighted_vector / (step @ weighted_vector))
 
@@ -761,7 +772,10 @@ class _Search:
 def orbit_from(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int, iterations: int = 0
 ) -> PeriodicOrbit:
-    """Return the orbit of a state at phase zero."""
+    """Return the orbit through a state (flow.size,) at phase zero, without a search.
+
+    ``iterations`` is the number of Newton steps to the state.
+    """
     motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
 

@@ -1,16 +1,17 @@
-"""Search for a periodic orbit of the exact flow: guesses, Newton's method, and one budget.
+"""Search for a periodic orbit: a ladder of starts, and a budget.
 
-From the motion of nearly every harmonic-balance solution with few harmonics, Newton's method
-(:mod:`orbit`) leads to an orbit. If it fails from all guesses, three more starts follow:
+The search climbs :data:`ORBIT_STARTS` until a :class:`Start` leads to an orbit:
 
-1. The state after one Newton step of the whole motion
+1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
+   harmonics. Nearly all guesses lead to an orbit.
+2. The state after one Newton step of the whole motion
    (:func:`fenics_crack.motion.orbit.predict_orbit`).
-2. The end of a path (homotopy) through folds, with the guess a:
+3. The end of a path (homotopy) through folds, with the guess a:
 
        p (z(T) - a) - (z - a) = 0,    from z = a at p = 0 to an orbit at p = 1.
 
    At p = 0 there is no other solution. For p <= 1 damping keeps solutions near a.
-3. Close returns of the motion from the guess (recurrence search). A motion without an attracting
+4. Close returns of the motion from the guess (recurrence search). A motion without an attracting
    orbit is irregular, and passes near orbits that it leaves again.
 
 References
@@ -21,11 +22,12 @@ Auerbach et al., Physical Review Letters 58 (1987) 2387-2389.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +38,7 @@ from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MAX_SEARCH_PERIODS,
+    Inverse,
     PeriodicOrbit,
     find_orbit,
     is_same_orbit,
@@ -56,9 +59,8 @@ MAX_RETURN_PERIODS = 8
 """Maximum number of periods after which a motion may return."""
 
 
-@dataclass(frozen=True)
 class SearchOptions:
-    """Options for an orbit search. The defaults suit up to 120 modes.
+    """Guesses and budget of an orbit search, for up to 120 modes.
 
     Attributes
     ----------
@@ -66,23 +68,39 @@ class SearchOptions:
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     evaluations : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
-        are for the path, a quarter for the motion, and the rest for orbits near its close returns.
-        A period has 200 Taylor pieces and 12 modes; other sizes count by their time, proportional
-        to pieces and to the square of the modes. The default takes about a second. With friction
-        three quarters are allowed, and take one to three seconds.
+        are for the path, a quarter for the motion, and the rest for orbits near close returns. A
+        period has 200 Taylor pieces and 12 modes; other sizes count by time, proportional to pieces
+        and to the square of the modes. The budget lasts about a second. With friction three
+        quarters are allowed, for one to three seconds.
     """
 
     harmonics: tuple[int, ...] = (5, 10, 20, 40)
     evaluations: int = 4000
 
-    def piece_budget(self, flow: ContactFlow) -> int:
-        """Return the budget in Taylor pieces."""
-        n_periods = (0.75 if flow.friction else 1.0) * self.evaluations
+    @classmethod
+    def pieces(cls, flow: ContactFlow) -> int:
+        """Return the search's budget on a flow, in pieces with a Taylor series."""
+        n_periods = (0.75 if flow.friction else 1.0) * cls.evaluations
         return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
-    def period_budget(self, flow: ContactFlow) -> int:
-        """Return the maximum number of periods to integrate a motion."""
-        return max(self.piece_budget(flow) // (4 * PIECES_PER_PERIOD), 60)
+    @classmethod
+    def periods(cls, flow: ContactFlow) -> int:
+        """Return the maximum number of periods for integrating a motion."""
+        return max(cls.pieces(flow) // (4 * PIECES_PER_PERIOD), 60)
+
+
+class Start(NamedTuple):
+    """Start for a search, by a name that the progress line prints.
+
+    Attributes
+    ----------
+    name : str
+    candidates : callable
+        Returns guesses, or orbits, made on demand.
+    """
+
+    name: str
+    candidates: Callable[..., Iterable[Any]]
 
 
 class OrbitSearch(NamedTuple):
@@ -108,9 +126,9 @@ def search_orbit(
     omega: float,
     guesses: Iterable[np.ndarray],
     subharmonic: int = 1,
-    options: SearchOptions | None = None,
     *,
     prefer_stable: bool = True,
+    starts: Iterable[Start] = (),
 ) -> OrbitSearch:
     """Search for an orbit of the flow from guesses, taken as needed.
 
@@ -120,60 +138,90 @@ def search_orbit(
         States at equal parts of the period, from phase zero on.
     prefer_stable : bool
         Continue after an unstable orbit. A stable orbit then comes first.
+    starts : iterable of Start
+        Some of :data:`ORBIT_STARTS`; default: all.
 
     Returns
     -------
     OrbitSearch
     """
-    known_orbits, tried_states = list[PeriodicOrbit](), list[np.ndarray]()
-    failure_reasons: list[str] = []
-    search = partial(
-        find_orbit, flow, omega, subharmonic=subharmonic, failure_reasons=failure_reasons
-    )
-    forms_monodromy = flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    for states in guesses:
-        tried_states.append(states)
-        orbit = search(states[0])
+    prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
+    task = _SearchTask(flow, omega, guesses, subharmonic, prefer_stable)
+    for start in starts or ORBIT_STARTS.values():
+        begin(start.name)
+        if orbits := [*start.candidates(task)]:
+            return OrbitSearch(orbits[0], tuple(orbits[1:]), start.name)
+    return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
+
+
+@dataclass(frozen=True)
+class _SearchTask:
+    """Arguments and notes for the starts of an orbit search.
+
+    Attributes
+    ----------
+    tried_states : list of (n, flow.size)
+        Guesses that led to no orbit.
+    reasons : list of str
+        Why starts failed.
+    """
+
+    flow: ContactFlow
+    omega: float
+    guesses: Iterable[np.ndarray]
+    subharmonic: int
+    prefer_stable: bool
+    tried_states: list[np.ndarray] = field(default_factory=list)
+    reasons: list[str] = field(default_factory=list)
+
+    def find_orbit(self, state: np.ndarray, inverse: Inverse | None = None) -> PeriodicOrbit | None:
+        """Search for an orbit by Newton's method."""
+        return find_orbit(
+            self.flow, self.omega, state, subharmonic=self.subharmonic, inverse=inverse,
+            failure_reasons=self.reasons,
+        )  # fmt: skip
+
+    @property
+    def orbits(self) -> FlowOrbits:
+        """Return orbit equations next to the last guess, or to rest."""
+        start = self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.size)
+        return FlowOrbits(self.flow, self.omega, start, self.subharmonic)
+
+
+def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
+    """Find orbits up to the first, or up to the first stable orbit, and sort by stability."""
+    orbits = list[PeriodicOrbit]()
+    for states in task.guesses:
+        task.tried_states.append(states)
+        orbit = task.find_orbit(states[0])
         if orbit is None:
             continue
-        if not any(is_same_orbit(orbit, known_orbit) for known_orbit in known_orbits):
-            known_orbits.append(orbit)
-        if not (prefer_stable and forms_monodromy) or orbit.is_stable:
+        if not any(is_same_orbit(orbit, known_orbit) for known_orbit in orbits):
+            orbits.append(orbit)
+        if not task.prefer_stable or orbit.is_stable:
             break
-    if known_orbits:
-        if prefer_stable and forms_monodromy:
-            known_orbits.sort(key=lambda orbit: not orbit.is_stable)
-        return OrbitSearch(
-            known_orbits[0], tuple(known_orbits[1:]), "exact orbit by Newton's method"
-        )
-    for states in tried_states:
-        prediction = predict_orbit(flow, omega, states, subharmonic)
-        orbit = (
-            None if prediction is None else search(prediction.states[0], inverse=prediction.inverse)
-        )
-        if orbit is not None:
-            return OrbitSearch(orbit, (), "exact orbit by a step of the whole motion")
-    start = tried_states[-1][0] if tried_states else np.zeros(flow.size)
-    options = options or SearchOptions()
-    orbits = FlowOrbits(flow, omega, start, subharmonic)
-    orbit = find_by_homotopy(orbits, options) if tried_states and forms_monodromy else None
-    if orbit is not None:
-        return OrbitSearch(orbit, (), "exact orbit along a path from the motion")
-    recurrence = _find_by_recurrence(orbits, options)
-    if recurrence.orbit:
-        return recurrence
-    return recurrence._replace(reason="; ".join([*failure_reasons[-1:], recurrence.reason]))
+    return sorted(orbits, key=lambda orbit: task.prefer_stable and not orbit.is_stable)
+
+
+def _find_by_steps(task: _SearchTask) -> Iterable[PeriodicOrbit]:
+    """Find the first orbit after a Newton step for a whole guess."""
+    steps = (
+        predict_orbit(task.flow, task.omega, states, task.subharmonic)
+        for states in task.tried_states
+    )
+    orbits = (task.find_orbit(step.states[0], step.inverse) for step in steps if step is not None)
+    return islice(filter(None, orbits), 1)
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
-    """Return a wave's states at equal parts of the period: (SEGMENTS, flow.size).
+    """Return a Fourier series' states at equal parts of the period: (32, flow.size).
 
     Parameters
     ----------
     displacement : (2H+1, n_dofs) [m]
-        Fourier coefficients of the wave.
+        Fourier coefficients of the displacement.
     base_omega : float
-        Frequency of the wave [rad/s].
+        Frequency of the first harmonic [rad/s].
     """
     basis = fourier_basis_over_period(len(displacement) // 2, SEGMENTS)
     velocity = differentiate(displacement, base_omega)
@@ -184,7 +232,7 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
 
 
 class _HomotopyPoint(DenseLinearisation):
-    """Homotopy equations at a point."""
+    """Residual and Jacobian of :class:`Homotopy` at a point (x, p)."""
 
     def __init__(self, orbit_point: OrbitPoint, parameter: float, start: np.ndarray) -> None:
         self._orbit_point, self._parameter, self.unknown = (
@@ -197,7 +245,7 @@ class _HomotopyPoint(DenseLinearisation):
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return p M - I."""
+        """Return p M - I, with the monodromy matrix M in the unknowns x: (n, n)."""
         monodromy = self._orbit_point.monodromy
         return self._parameter * monodromy - np.eye(len(monodromy))
 
@@ -207,9 +255,13 @@ class _HomotopyPoint(DenseLinearisation):
 
 
 class Homotopy:
-    """Homotopy p (z(T) - a) - (z - a) = 0 from a guess a.
+    """Equations of a path from a guess a to an orbit.
 
-    The unknowns are those of ``orbits``, and a is ``orbits.start``.
+        p (z(T) - a) - (z - a) = 0
+
+    Unknowns are the state z at phase zero; z(T) is the state after a period. At p = 0 the solution
+    is a, at p = 1 an orbit. States are scaled like the unknowns x of ``orbits``; a is
+    ``orbits.start``.
 
     Attributes
     ----------
@@ -221,7 +273,7 @@ class Homotopy:
         self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, pieces
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
-        """Return the equations at a point.
+        """Return the equations at a scaled state and a parameter p.
 
         Raises
         ------
@@ -235,56 +287,61 @@ class Homotopy:
         return _HomotopyPoint(orbit_point, parameter, self._orbits.start)
 
 
-def find_by_homotopy(orbits: FlowOrbits, options: SearchOptions) -> PeriodicOrbit | None:
-    """Return the orbit at the end of the path from the guess; None without success."""
-    begin("an orbit along a path from the motion")
-    system = Homotopy(orbits, options.piece_budget(orbits.flow) // 2)
+def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
+    """Find the orbit to which a path leads from the last guess."""
+    if not task.tried_states or task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
+        return
+    orbits = task.orbits
+    system = Homotopy(orbits, SearchOptions.pieces(task.flow) // 2)
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
-    try:
+    with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
         closed_point = solve_in_plane(
             orbits, orbits.start, 1.0, None, tolerance=MAX_LOCATION_RESIDUAL, iterations=1
         )
         if closed_point is not None:
-            return orbits.orbit(closed_point)
-        end_point = Path(
-            system, point_on_path(system, orbits.start, 0.0), path_options, [Target(1.0)]
-        ).run()
-    except (ConvergenceError, np.linalg.LinAlgError):
-        return None
-    if end_point is None:
-        return None
-    state = orbits.state(end_point.unknown)
-    return find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
+            yield orbits.orbit(closed_point)
+            return
+        start_point = point_on_path(system, orbits.start, 0.0)
+        end_point = Path(system, start_point, path_options, [Target(1.0)]).run()
+        if end_point is not None:
+            yield from filter(None, [task.find_orbit(orbits.state(end_point.unknown))])
 
 
 # --- along the motion -----------------------------------------------------------------------------
 
 
-def _find_by_recurrence(orbits: FlowOrbits, options: SearchOptions) -> OrbitSearch:
-    """Find an orbit along the motion from a start.
-
-    The motion may settle to the orbit, or pass near it.
-    """
-    flow, omega, subharmonic = orbits.flow, orbits.omega, orbits.subharmonic
-    max_periods, remaining_pieces = options.period_budget(flow), options.piece_budget(flow) // 4
-    begin(f"the exact motion over up to {max_periods} periods, and orbits that it passes")
-    states = np.array([orbits.start, *follow_periods(orbits, orbits.start, max_periods)])
+def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
+    """Find an orbit to which the motion settles, or which the motion passes."""
+    orbits, remaining_pieces = task.orbits, SearchOptions.pieces(task.flow) // 4
+    periods = follow_periods(orbits, orbits.start, SearchOptions.periods(task.flow))
+    states = np.array([orbits.start, *periods])
+    task.reasons.append(describe_closest_return(states, task.subharmonic))
     return_distances = np.linalg.norm(np.diff(states, axis=0), axis=1)
     # Start from the last state, then from the close returns, the closest first.
     for index in (-1, *np.argsort(return_distances, kind="stable").tolist()):
         if remaining_pieces <= 0:
-            break
-        orbit = find_orbit(flow, omega, orbits.state(states[index]), subharmonic=subharmonic)
+            return
+        state = orbits.state(states[index])
+        orbit = find_orbit(task.flow, task.omega, state, subharmonic=task.subharmonic)
         if orbit is not None:
-            return OrbitSearch(orbit, (), "exact orbit, by following the motion")
+            yield orbit
+            return
         # A failed search takes about half of its maximum.
         remaining_pieces -= MAX_SEARCH_PERIODS // 2 * max(PIECES_PER_PERIOD, orbits.pieces)
-    return OrbitSearch(None, (), describe_closest_return(states, subharmonic))
+
+
+ORBIT_STARTS = {
+    "guesses": Start("exact orbit by Newton's method", _find_from_guesses),
+    "steps": Start("exact orbit by a step of the whole motion", _find_by_steps),
+    "path": Start("exact orbit along a path from the motion", _find_along_path),
+    "motion": Start("exact orbit by following the motion", _find_along_motion),
+}
+"""Starts for an orbit search, by name, in order."""
 
 
 def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
-    """Yield the state x of a motion after each period.
+    """Yield a motion's state, in scaled unknowns x, after each period.
 
     The motion ends after ``periods`` periods, at a failure, or at 200 Taylor pieces times
     ``periods``.
@@ -302,7 +359,7 @@ def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Itera
 def describe_closest_return(
     states: np.ndarray, subharmonic: int, motion: str = "the exact motion"
 ) -> str:
-    """Describe the closest return of a motion.
+    """Return words on a motion's closest return to an earlier state.
 
     Parameters
     ----------

@@ -32,14 +32,14 @@ from fenics_crack.numerics.newton import PathPoint
 
 @dataclass(eq=False, repr=False)
 class OrbitPoint(DenseLinearisation):
-    """Periodic-orbit equations at a state and a frequency.
+    """Equations F(x, p) = 0 of periodic orbits at scaled states x.
 
     Attributes
     ----------
     make_monodromy, make_parameter_derivative : callable
-        Return S M S^-1 and dF/dp.
+        Return the monodromy matrix S M S^-1 in the unknowns x, and dF/dp.
     events, pieces : int
-        Pairs that open or close in the period, and pieces of the Taylor series.
+        Events of the contact pairs in the period, and pieces of the Taylor series.
     """
 
     unknown: np.ndarray
@@ -51,12 +51,12 @@ class OrbitPoint(DenseLinearisation):
 
     @cached_property
     def monodromy(self) -> np.ndarray:
-        """Return the monodromy matrix in the unknowns x, S M S^-1: (n, n)."""
+        """Return the monodromy matrix M in the scaled unknowns x, S M S^-1: (n, n)."""
         return self.make_monodromy()
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return S M S^-1 - I."""
+        """Return dF/dx = S M S^-1 - I: (n, n)."""
         return self.monodromy - np.eye(len(self.monodromy))
 
     @cached_property
@@ -69,28 +69,29 @@ class OrbitPoint(DenseLinearisation):
 
 
 class ShootingEquations(Equations):
-    """F(x, p) of an exact flow, in the kernel (``kernel/shooting.h``).
+    """Equations F = S (z(T) - z(0)) = 0 of periodic orbits, in the kernel.
 
-    dF/dx and dF/dp are exact.
+    T is the period. The unknowns x = S z(0) - x_0 - p x_1 are the scaled state at phase zero less
+    an offset linear in p. dF/dx and dF/dp are exact (``kernel/shooting.h``).
 
     Parameters
     ----------
     flow : ContactFlow
     scale : (flow.size,)
-        Diagonal of S.
+        Diagonal of the scale S.
     omega : (float, float)
         Load frequency at p = 0, and its derivative by p [rad/s].
     subharmonic : int
         Load periods in the orbit's period.
     **arrays
-        Quantities that depend on p, for the kernel. If load or damping do, the kernel modifies the
-        flow.
+        Quantities dependent on p. The kernel then changes load or damping of the flow itself.
 
         - ``force``, ``gap``: load of the flow at p = 0, (2K+1, n_modes) and (2K+1, n_rows).
         - ``force_rate``, ``gap_rate``: derivatives of the load by p.
         - ``damping``, ``damping_rate``: damping at p = 0 and its derivative, each with
-          ``n_damping`` entries. The flow must have the largest damping.
-        - ``rest_states``: x_0 and x_1, (2, flow.size), by default 0.
+          ``n_damping`` entries. Make the flow with the largest damping: the Taylor pieces'
+          lengths follow from it.
+        - ``rest_states``: the offsets x_0 and x_1, (2, flow.size), by default 0.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class ShootingEquations(Equations):
         self.function_table = kernel.equations_of_shooting(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """Return the equations at a point.
+        """Return F, dF/dx and dF/dp at unknowns x and a parameter p.
 
         Raises
         ------
@@ -124,17 +125,17 @@ class ShootingEquations(Equations):
         return self.linearise_evaluated(unknown, parameter)
 
     def advance_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """Return x after one period."""
+        """Return the unknowns x + F after a period from x."""
         self._evaluate(unknown, parameter)
         return unknown + self._residual()
 
     @property
     def pieces(self) -> int:
-        """Return the number of Taylor pieces in the last motion."""
+        """Return the number of Taylor pieces in the period integrated last."""
         return int(kernel.count_pieces(self._point))
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
-        """Integrate the motion over a period."""
+        """Integrate the motion over a period from x, at a parameter p."""
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
         if not self.check_outcome(
@@ -143,7 +144,7 @@ class ShootingEquations(Equations):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _residual(self) -> np.ndarray:
-        """Return F at the last evaluated point."""
+        """Return F, (n,), at the point evaluated last."""
         residual = np.empty(self.shape)
         self.function_table.residual(self.function_table, pointer(residual))
         return residual
@@ -175,7 +176,9 @@ class ShootingEquations(Equations):
 
 
 class FlowOrbits(ShootingEquations):
-    """F(x, p) of an exact flow over the load frequency, p = w / w_0.
+    """Equations of periodic orbits over the load frequency w, p = w / w_0.
+
+    The unknowns x are the state z at phase zero times a diagonal scale S.
 
     The scale S measures states by amplitude: displacements have weight 1, velocities have the
     weight 1 / frequency of the mode. S is divided by the size of a nearby state z_0: |S z_0| = 1.
@@ -190,7 +193,7 @@ class FlowOrbits(ShootingEquations):
     scale : (flow.size,)
         Diagonal of S.
     start : (flow.size,)
-        x of the nearby state, at p = 1.
+        Unknowns x of the nearby state.
     """
 
     def __init__(
@@ -202,14 +205,14 @@ class FlowOrbits(ShootingEquations):
         self.omega, self.start = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
-        """Return z from x: (flow.size,)."""
+        """Return the state z = S^-1 x from the unknowns x: (flow.size,)."""
         return np.asarray(unknown / self.scale)
 
     def unknown(self, state: np.ndarray) -> np.ndarray:
-        """Return x from z: (flow.size,)."""
+        """Return the unknowns x = S z from a state z: (flow.size,)."""
         return np.asarray(self.scale * state)
 
     def orbit(self, point: PathPoint) -> PeriodicOrbit:
-        """Return the orbit at a solved point."""
+        """Return the orbit at a solution (x, p) of the equations."""
         omega, state = point.parameter * self.omega, self.state(point.unknown)
         return orbit_from(self.flow, omega, state, self.subharmonic, point.iterations)

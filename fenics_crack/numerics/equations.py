@@ -51,7 +51,7 @@ whose rounding error is larger are refused."""
 
 
 def residual_rounding(slope: float) -> float:
-    """Return the rounding error of |F| / |x|.
+    """Return the rounding error of a relative residual |F| / |x|.
 
     ``slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
     ``COARSE_TOLERANCE``.
@@ -60,38 +60,38 @@ def residual_rounding(slope: float) -> float:
 
 
 class Linearisation(ABC):
-    """A system at a point (x, p)."""
+    """Residual F and Jacobian J = dF/dx of a system at a point."""
 
     unknown: np.ndarray
-    """x."""
+    """x, in the shape of the system's unknowns."""
     residual: np.ndarray
     """F(x, p), in the shape and units of x."""
 
     @abstractmethod
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        """Return J^-1 r for r in the shape of x."""
+        """Return J^-1 r for a right-hand side r in the shape of x."""
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        """Return J dx for a change dx of the unknowns.
+        """Multiply the Jacobian J by a change dx of the unknowns x.
 
-        SNES needs it for systems without a formed Jacobian.
+        GMRES needs the products for systems without a formed J.
         """
         raise NotImplementedError
 
     @property
     @abstractmethod
     def by_parameter(self) -> np.ndarray:
-        """Return dF/dp."""
+        """Return the derivative dF/dp by the parameter, in the shape of x."""
 
     @property
     def record(self) -> np.ndarray:
-        """Return the numbers that a path may keep at the point. The array may have any shape."""
+        """Return numbers for a step control that a path keeps, in any shape."""
         raise NotImplementedError
 
     @property
     @abstractmethod
     def sign(self) -> float:
-        """Return the sign of det J, +1 or -1. It changes at the folds of a path."""
+        """Return the sign of det J, +1 or -1. Folds of a path change the sign."""
 
 
 class System(Protocol):
@@ -107,20 +107,20 @@ class System(Protocol):
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return the system at a point."""
+        """Return F and J at unknowns x and a parameter p."""
 
 
 class DenseLinearisation(Linearisation):
     """A point with a dense Jacobian, factorised by LAPACK on first use.
 
-    Derived classes form the matrix. None may hold a reference to itself: its matrices are then
-    freed at once.
+    Derived classes form the matrix. An instance must not refer to itself: Python then frees the
+    matrices with the last reference.
     """
 
     @property
     @abstractmethod
     def jacobian(self) -> np.ndarray:
-        """Return J, (n, n). Rows and columns follow the n entries of the residual."""
+        """Return J = dF/dx: (n, n), for the n entries of the residual in C order."""
 
     def matrix_to_factorise(self) -> np.ndarray:
         """Return the matrix to factorise: J, or a smaller matrix with the same determinant."""
@@ -142,7 +142,7 @@ class DenseLinearisation(Linearisation):
 
 
 def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the LU factors of A^T.
+    """Factorise a matrix A by LAPACK, as the LU factors of A^T.
 
     The transpose is in Fortran order, so LAPACK needs no transposed copy.
 
@@ -151,13 +151,14 @@ def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     factors : (n, n)
         L and U of A^T.
     pivots : (n,) int
+        Row swapped with each row by LAPACK.
     """
     factors, pivots, _ = dgetrf(matrix.T)
     return factors, pivots
 
 
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray) -> np.ndarray:
-    """Return A^-1 r from the LU factors of A^T. The right-hand side r may have any shape."""
+    """Solve A x = r with the LU factors of A^T. The right-hand side r may have any shape."""
     return np.reshape(dgetrs(*factors, right_side.ravel(), trans=1)[0], right_side.shape)
 
 
@@ -165,13 +166,14 @@ def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarra
 
 
 class Equations(ABC):
-    """A system with its table of functions for the kernel.
+    """Equations F(x, p) = 0 for C loops of the kernel.
 
     Attributes
     ----------
     shape : tuple of int
         Shape of the unknowns.
-    function_table : the kernel's ``equations``
+    function_table : pointer to the C struct ``equations``
+        Functions for F, solutions with J, dF/dp and the sign of det J.
     follows_many_points : bool
         True if the kernel may follow many points of a path in one call.
     """
@@ -189,15 +191,15 @@ class Equations(ABC):
 
     @abstractmethod
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return the linearisation at the point that the kernel has just evaluated."""
+        """Return F and J at the last point of the kernel."""
 
     def run(self, loop: Any, *arguments: Any) -> int:
-        """Run a loop of the kernel and return its outcome."""
+        """Call a C loop on the equations and return its outcome code."""
         self._last_linearisation = None
         return int(loop(self.function_table, *arguments))
 
     def check_outcome(self, outcome: int) -> bool:
-        """Return True if a loop found a solution, else False.
+        """Return True if a C loop's outcome code means a solution.
 
         Raises
         ------
@@ -214,13 +216,16 @@ class Equations(ABC):
 
 
 def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
-    """Return the compiled equations of a system, or a table for Python."""
+    """Return a system's compiled equations, or equations to call Python methods.
+
+    ``shape`` is the shape of the unknowns.
+    """
     compiled_equations: Equations | None = getattr(system, "compiled", None)
     return _PythonEquations(system, shape) if compiled_equations is None else compiled_equations
 
 
 class _PythonEquations(Equations):
-    """Equations whose table calls a system in Python."""
+    """Equations for the kernel, with calls to a system in Python."""
 
     follows_many_points = False
 
@@ -266,10 +271,10 @@ class _PythonState:
 
 
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator for the functions of the table.
+    """Return a decorator to make a Python function a callback of the kernel.
 
-    An exception must not pass through C. It is kept until the loop has ended, and ``failure_value``
-    is returned instead.
+    An exception must not pass through C: the callback keeps it until the C loop has ended, and
+    returns ``failure_value``.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -34,16 +34,16 @@ MAX_POLYNOMIAL_ERROR = 1e-6
 
 
 def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None) -> np.ndarray:
-    """Return the largest value of each function, (m,).
+    """Return each periodic function's maximum: (m,).
 
-    Without the functions, return the largest samples.
+    Without ``functions``, return each column's largest sample.
 
     Parameters
     ----------
     samples : (n, m)
         Values at n equal parts of the period.
     functions : callable, optional
-        The m functions.
+        Callable from positions (n,), 0 to 1, to values (n, m).
     """
     maxima: np.ndarray = np.max(samples, axis=0)
     previous_samples, next_samples = np.roll(samples, 1, 0), np.roll(samples, -1, 0)
@@ -78,12 +78,12 @@ def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None)
 
 
 def _maximise_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Maximise polynomials through nine values by three Newton steps.
+    """Maximise the polynomials through nine values each, by three Newton steps.
 
     Parameters
     ----------
     values : (n, 9)
-        Values at ``OFFSETS``.
+        Values at ``OFFSETS``, equally spaced from -1 to 1.
     start : (n,)
         First guess of each offset, from -1 to 1.
 

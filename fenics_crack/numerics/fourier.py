@@ -41,7 +41,7 @@ def from_complex(harmonics: np.ndarray) -> np.ndarray:
 
 
 def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
-    """Return 1, cos k theta, sin k theta, ... at phases theta.
+    """Return the Fourier basis 1, cos k theta, sin k theta, ... at phases theta.
 
     Parameters
     ----------
@@ -60,9 +60,10 @@ def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
 
 
 def fourier_basis_for(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Return 1, cos theta, sin theta, ... for all rows of coefficients.
+    """Return the Fourier basis 1, cos theta, sin theta, ... up to harmonic H.
 
-    Only the number of rows, 2H+1, is used. At phases theta (...) [rad] the result is (..., 2H+1).
+    Only the coefficients' number of rows, 2H+1, is used. At phases theta (...) [rad] the
+    result is (..., 2H+1).
     """
     phase, n_harmonics = np.asarray(phase, dtype=float), len(coefficients) // 2
     powers = np.ones((n_harmonics + 1, *phase.shape), dtype=complex)
@@ -79,13 +80,13 @@ def fourier_basis_for(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray
 
 
 def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
-    """Return x(t) at times (n,) [s] from coefficients (2H+1, ...): (n, ...)."""
+    """Return a wave x(t) at times (n,) [s] from coefficients (2H+1, ...): (n, ...)."""
     phase = omega * np.atleast_1d(np.asarray(time, dtype=float))
     return np.tensordot(fourier_basis_for(coefficients, phase), coefficients, 1)
 
 
 def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
-    """Return the coefficients of x'(t): (2H+1, n), as for x(t)."""
+    """Return the coefficients of x'(t) from those of x(t): (2H+1, n)."""
     frequencies = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
     derivative = np.zeros_like(coefficients)
     derivative[1::2] = frequencies * coefficients[2::2]
@@ -94,9 +95,9 @@ def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
 
 
 def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
-    """Return x at ``n_instants`` equal parts of the period: (n_instants, ...).
+    """Return a wave at equally spaced instants of its period: (n_instants, ...).
 
-    Needs more instants than 2H for coefficients (2H+1, ...).
+    For coefficients (2H+1, ...) more than 2H instants are necessary.
     """
     if len(coefficients) * n_instants <= MAX_MATRIX_SIZE:
         return _multiply_columns(
@@ -124,7 +125,7 @@ def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
 
 
 def count_instants(harmonics: int) -> int:
-    """Return how many instants products of H and 2H harmonics need.
+    """Return the number of instants for products of waves with H and 2H harmonics.
 
     From 4H + 1 instants on, harmonics up to H of the product are exact. A slightly larger count may
     suit the FFT.
@@ -139,7 +140,7 @@ def count_instants(harmonics: int) -> int:
 
 @lru_cache(maxsize=16)
 def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
-    """Return 1, cos k theta, sin k theta, ... at ``n_instants`` equal parts of the period.
+    """Return the Fourier basis up to ``harmonics`` at equally spaced instants.
 
     Returns
     -------
@@ -170,7 +171,7 @@ def _multiply_columns(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
 
 
 def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
-    """Return coefficients with ``harmonics`` harmonics, cut off or padded with zeros."""
+    """Cut off coefficients (2K+1, ...) after H = ``harmonics``, or pad with zeros."""
     resized_coefficients = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
     n_rows = min(len(resized_coefficients), len(coefficients))
     resized_coefficients[:n_rows] = coefficients[:n_rows]

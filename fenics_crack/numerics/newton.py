@@ -65,7 +65,7 @@ def gmres(
     tolerance: float,
     max_iterations: int = GMRES_RESTART,
 ) -> np.ndarray:
-    """Return x with |A x - r| <= tolerance |r| by GMRES.
+    """Solve A x = r by GMRES, up to |A x - r| <= tolerance |r|.
 
     If ``max_iterations`` do not suffice, return the best x so far.
 
@@ -102,12 +102,12 @@ def gmres(
 
 
 class SingleSystem(System, Protocol):
-    """A system for single solutions, with F in the units of x."""
+    """Equations F = 0 for SNES, at a given p, with F in the units of x."""
 
     shape: tuple[int, ...]
     """Shape of the unknowns."""
     matrix_free: bool
-    """True if the system only applies its Jacobian. GMRES then solves with it."""
+    """True if J is only multiplied by vectors: GMRES then solves with it."""
 
 
 def can_solve_in_kernel(system: SingleSystem) -> bool:
@@ -130,7 +130,7 @@ class Snes(ABC):
     def __init__(self, matrix: Any, history: list[float] | None = None) -> None:
         """Create the solver.
 
-        ``matrix`` holds the Jacobian; ``history`` collects |F| of every iteration.
+        The PETSc matrix ``matrix`` holds the Jacobian; ``history`` collects |F| of every iteration.
         """
         self.matrix, self._history = matrix, [] if history is None else history
         self._tolerance = 0.0
@@ -163,7 +163,7 @@ class Snes(ABC):
         """Update the matrix to the Jacobian at a vector."""
 
     def run(self, start: np.ndarray, tolerance: float, max_iterations: int) -> tuple[bool, int]:
-        """Solve from a guess, given by the rows on this rank.
+        """Solve F = 0 from a guess, given by the rows on this rank.
 
         Returns
         -------
@@ -185,7 +185,10 @@ class Snes(ABC):
     def _test_convergence(
         self, snes: Any, n_iterations: int, norms: tuple[float, float, float]
     ) -> int:
-        """Compare the residual with the unknowns themselves."""
+        """Return PETSc's reason to stop, by |F| <= tolerance |x|, or to go on.
+
+        ``norms`` are |x|, the step's norm and |F|.
+        """
         self._history.append(norms[2])
         if not np.isfinite(norms[2]):
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
@@ -211,7 +214,7 @@ class Snes(ABC):
 
 
 class Newton(Snes):
-    """SNES for a system that solves with, or applies, its Jacobian.
+    """SNES for a system that solves with its Jacobian, or multiplies by it.
 
     The unknowns are equal on every rank.
     """
@@ -255,7 +258,7 @@ class Newton(Snes):
         return self._linearisation_at(self._unknown), has_converged, n_iterations
 
     def _linearisation_at(self, unknown: Any) -> Linearisation:
-        """Return the system at a vector; SNES asks for residual and Jacobian at the same vector."""
+        """Return F and J at a PETSc vector, computed once for equal successive vectors."""
         if self._last_evaluation is None or not np.array_equal(
             unknown.array_r, self._last_evaluation[0]
         ):
@@ -321,7 +324,7 @@ class Tangent:
         return replace(self, x=-self.x, p=-self.p)
 
     def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
-        """Return w <x, y> in the norm of the tangent."""
+        """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
         if self.time_mean_weight == 1.0:
             return self.weight * float(np.vdot(vector, other_vector))
         x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
@@ -343,7 +346,7 @@ class Tangent:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A path point, and the number of iterations to it."""
+    """Solution (x, p) on a path, with tangent and number of Newton iterations."""
 
     unknown: np.ndarray
     parameter: float
@@ -357,7 +360,7 @@ class PathPoint:
     """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
     control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """Values for a step control: they follow from ``record``."""
+    """Values for a step control, computed from ``record``."""
 
 
 def means_of(system: System) -> int:
@@ -403,7 +406,7 @@ def relative_to_motion(change: np.ndarray, motion: np.ndarray) -> float:
 
 
 def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
-    """Return the weights of the norm at a solution x.
+    """Return the weights of the norm w |x|^2 + p^2 at a solution x.
 
     Means over time contribute at most as much as all else to the size |x|. A clearance or a steady
     load may make the means large, but a resonance must be resolved by steps relative to the
@@ -415,7 +418,7 @@ def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     weight : float
         w = 1 / |x|^2.
     time_mean_weight : float
-        Factor of the squares of means.
+        Factor of the means' squares within |x|^2.
     """
     mean_unknowns = unknown.ravel()[: means_of(system)]
     mean_square = float(mean_unknowns @ mean_unknowns)
@@ -448,7 +451,7 @@ def tangent_of(
 def point_on_path(
     system: System, unknown: np.ndarray, parameter: float, direction: Tangent | None = None
 ) -> PathPoint:
-    """Return a solution with its tangent as a point of a path.
+    """Return a solution (x, p) with its tangent as a point of a path.
 
     The direction follows :func:`tangent_of`.
     """
@@ -523,7 +526,7 @@ def correction_struct(
     least_damping: float = MIN_DAMPING,
     stall: int = 0,
 ) -> Struct:
-    """Return the kernel's ``correction``: options of :func:`solve_in_plane`.
+    """Return options of :func:`solve_in_plane` as the C struct ``correction``.
 
     Along a path ``reach`` is measured in steps.
     """
@@ -550,7 +553,7 @@ def predict_and_correct(
 def step_along(
     system: System, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
-    """Return the point at a distance ``step`` with its own tangent.
+    """Return a path's point at a distance ``step`` from a start, with tangent.
 
     The tangent keeps the direction of the tangent at the start. None if the point is not found.
     """
@@ -571,7 +574,7 @@ def solve_at(
     iterations: int = MAX_FULL_STEPS,
     least_damping: float | None = None,
 ) -> PathPoint | None:
-    """Solve by Newton steps from a guess at a given parameter; None if they fail.
+    """Solve F(x, p) = 0 by Newton steps from a guess x at given p; None if they fail.
 
     Steps are full unless ``least_damping`` is given.
     """

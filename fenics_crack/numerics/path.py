@@ -130,9 +130,9 @@ class PathSegment(Sequence[PathPoint]):
     crossings : (n,) int
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
-        Events between the last two points, each with its place.
+        Events between the last two points, each with its point.
     records, control_values : (n, n_record_entries) and (n, ...), optional
-        For a step control: records of linearisations, and values that follow from the records.
+        For a step control: numbers kept of each point, and the values computed from them.
     """
 
     control_values: np.ndarray
@@ -152,7 +152,7 @@ class PathSegment(Sequence[PathPoint]):
             self.set_point(index, point)
 
     def set_point(self, index: int, point: PathPoint) -> None:
-        """Overwrite a point."""
+        """Overwrite the point at an index."""
         self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
         self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
         self.weights[index], self.time_mean_weights[index] = (
@@ -167,7 +167,7 @@ class PathSegment(Sequence[PathPoint]):
         self.iterations[index], self.crossings[index] = point.iterations, point.crosses_branch
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
-        """Return the kernel's ``path`` whose first ``n_known`` points are known."""
+        """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
         arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
         return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
 
@@ -175,7 +175,7 @@ class PathSegment(Sequence[PathPoint]):
         return len(self.parameters)
 
     def split_points(self) -> Iterator[PathSegment]:
-        """Yield each point as a segment of its own."""
+        """Yield a segment with one point for each point, in order."""
         for index in range(len(self)):
             segment = self[index : index + 1]
             segment.located_events = self.located_events if index == len(self) - 1 else []
@@ -229,7 +229,7 @@ class Event(ABC):
 
     @abstractmethod
     def detect(self, segment: PathSegment) -> np.ndarray:
-        """Return True for steps in which the event may lie: (n-1,) bool.
+        """Return True for steps between points in which the event may lie: (n-1,) bool.
 
         The segment has n points.
         """
@@ -240,7 +240,9 @@ class Event(ABC):
 
 
 class BranchPoint(Event):
-    """Crossing of another branch: t_p det J changes its sign.
+    """Crossing of another branch, where t_p det J changes sign.
+
+    t_p is the tangent's parameter part, J the Jacobian dF/dx.
 
     The step is bisected for as long as the path can be followed.
     """
@@ -267,13 +269,13 @@ class BranchPoint(Event):
 
 
 def _orientation(system: System, point: PathPoint) -> float:
-    """Return the sign of t_p det J at a point."""
+    """Return the sign of t_p det J, with the tangent's parameter part t_p."""
     linearisation = point.linearisation or system.linearise(point.unknown, point.parameter)
     return float(linearisation.sign * np.sign(point.tangent.p))
 
 
 class ZeroCrossing(Event):
-    """Zero of a point function (:func:`find_zero`)."""
+    """Sign change of a function of the path's points, located by :func:`find_zero`."""
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
@@ -289,7 +291,7 @@ class ZeroCrossing(Event):
 def find_zero(
     system: System, ends: SegmentEnds, function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
-    """Find a function's zero between two points of a path.
+    """Find the zero of a function f(point) between two points of a path.
 
     The Illinois method chooses the fraction s of the chord. With the chord (dx, dp) and the
     tangents t_0 and t_1 at both ends, the guess at s is Hermite's cubic
@@ -363,7 +365,7 @@ def find_zero(
 
 
 class Fold(ZeroCrossing):
-    """Turning point of the parameter: t_p changes its sign."""
+    """Turning point of the parameter: the tangent's part t_p changes sign."""
 
     kind = "fold"
 
@@ -469,24 +471,24 @@ def _find_between(
 
 
 class StepControl(ABC):
-    """Control of the step by values of the points."""
+    """Rule to reject long steps of a path by the points' control values."""
 
     @abstractmethod
     def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
-        """Return True for steps that are too long: (n-1-first,) bool.
+        """Return True for steps that are too long: (n-1-first_index,) bool.
 
         The segment has n points; steps before the point ``first_index`` are not judged.
         """
 
 
 def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | None:
-    """Return the values for a step control at a point; None if the system has none."""
+    """Return a point's values for a step control, or None without such values."""
     observe = getattr(system, "observe", None)
     return None if observe is None else np.asarray(observe(linearisation.record[None])[0])
 
 
 class Path:
-    """A path from a solution on, to be iterated over once.
+    """Path of solutions of F(x, p) = 0 from a start, to be iterated over once.
 
     Each :class:`PathSegment` ends at an event, or after as many points as one kernel call yields.
 
@@ -527,7 +529,7 @@ class Path:
         self._restart(start, options.initial_step)
 
     def points(self) -> Iterator[PathPoint]:
-        """Yield the points singly."""
+        """Yield the points of all segments in order."""
         for segment in self:
             yield from segment
 
@@ -615,7 +617,7 @@ class Path:
     # --- its steps --------------------------------------------------------------------------------
 
     def _with_control_values(self, point: PathPoint) -> PathPoint:
-        """Return a point with record and control values."""
+        """Return a point with record and values for the step control, if any."""
         if self._control is None or point.control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
@@ -655,7 +657,8 @@ class Path:
         Returns
         -------
         PathSegment or None
-            The last known point and the accepted new points; None if no new point is accepted.
+            The last point known before the call and the accepted new points; None if no new point
+            is accepted.
         """
         assert self._control is not None
         new_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]

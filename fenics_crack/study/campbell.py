@@ -49,11 +49,12 @@ from fenics_crack.model.modes import (
     multiply,
     solve_modes,
 )
-from fenics_crack.model.rotation import Ritz, coriolis_shifts, static_state
+from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
-from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, over_speed
+from fenics_crack.study.prepare import REFUSALS, law_of
+from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
 from fenics_crack.study.sharing import assembled
 
 HELD = (*FREQUENCY_KINDS[:2], "partly")
@@ -190,11 +191,12 @@ class Campbell(Saved):
 
     def _real_crossings(self, order: int) -> np.ndarray:
         """Return the crossings with each state's line where the crack is in it, or changes."""
-        found = []
-        for kind in self.kinds:
-            for mode, speed in self.crossings(order, kind):
-                if self._states(int(mode), speed)[1] == kind:
-                    found.append((mode, speed))
+        found = [
+            (mode, speed)
+            for kind in self.kinds
+            for mode, speed in self.crossings(order, kind)
+            if self._states(int(mode), speed)[1] == kind
+        ]
         for mode, speed, _ in self.changes:
             before, after = (self._omega(mode, speed, k) for k in self._states(mode, speed))
             if before > order * speed > after:
@@ -292,9 +294,8 @@ class Campbell(Saved):
         if self.cracked:
             found["crack"] = [STATES[kind] for kind in self.kind.ravel()]
         for kind in self.kinds:
-            omega = getattr(self, f"omega_{kind}").ravel()
-            found[f"omega_{kind}"] = omega.tolist()
-            found[f"frequency_{kind}"] = (omega / (2.0 * np.pi)).tolist()
+            for name in (f"omega_{kind}", f"frequency_{kind}"):
+                found[name] = getattr(self, name).ravel().tolist()
         return with_frequency(found)
 
     def said(self) -> Said:
@@ -399,13 +400,24 @@ def campbell(
 
 
 def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
-    """The resonances at the load where its engine order crosses natural frequencies."""
-    scene, order = found.scene, found.scene.excitation.order
-    if order is None or not found.cracked:
+    """Return the resonances at the load where its engine order crosses natural frequencies."""
+    scene, order, law = (
+        found.scene,
+        found.scene.excitation.order,
+        law_of(found.scene, small.structure),
+    )
+    if order is None or law is None:
         return ()
     many = replace(small, modes=max(small.modes, SOUGHT_MODES))
+
+    def find_resonance(speed: float) -> AtLoad:
+        try:
+            return at_load(scene, law, RunUpStructure(many, speed), order * speed, "speed")
+        except REFUSALS as error:
+            return AtLoad(unknown=str(error))
+
     crossings = found.crossings(order, "real").tolist()
-    return tuple((int(mode), over_speed(scene, many, speed)) for mode, speed in crossings)
+    return tuple((int(mode), find_resonance(speed)) for mode, speed in crossings)
 
 
 def report_of_campbell(found: Campbell) -> Report:

@@ -47,7 +47,6 @@ from fenics_crack.model.nodes import format_point
 from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
-from fenics_crack.model.wheel import WheelStructure, in_few_coordinates
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
@@ -80,8 +79,8 @@ class KeyFigures:
         other, by the open modes.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
-    slopes : (at most 4, 2)
-        S = d(w^2) / d(W^2) of the open modes under rotation, and dS / d(W^2); 0 without.
+    slopes : (at most 4,)
+        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -130,7 +129,7 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
-    scene, whole, law = study.scene, in_few_coordinates(study.structure), study.contact
+    scene, whole, law = study.scene, study.structure.in_few_coordinates(), study.contact
     known = whole.known_modes(is_bonded=False)
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
@@ -139,7 +138,6 @@ def find_key_figures(study: Study) -> KeyFigures:
             factor, whole, min(SOUGHT_MODES, most)
         )  # of the resonance, too
         modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
-        slopes = _slopes(factor, many, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
         tied = solve_bonded_modes(whole, count, factor) if whole.n_pairs else modes
@@ -186,7 +184,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         omega_tied=tied.omega,
         omega_bilinear=breathing.omega_bilinear,
         damping=ratios,
-        slopes=slopes,
+        slopes=_slopes(modes),
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
@@ -216,38 +214,22 @@ def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     return left.solve(factor, forces) if free.size else factor.solve(forces)
 
 
-def _slopes(factor: Factor, modes: Modes, count: int) -> np.ndarray:
-    """d(w^2) / d(W^2) of some of the lowest of mass-normalised modes, and its own slope,
+def _slopes(modes: Modes) -> np.ndarray:
+    """Return d(w^2) / d(W^2) of mass-normalised modes phi under rotation, else 0: (n,).
 
-        phi_i^T K' phi_i,        phi_i^T K'' phi_i - 2 sum_j (phi_j^T K' phi_i)^2 / (w_j^2 - w_i^2),
-
-    K' = K_1 + K_2 + 2 W^2 K_3, K'' = 2 K_3, those beyond the modes quasi-static: (count, 2); 0
-    without rotation, and the second of a bladed disk."""
-    whole, squares = modes.structure, modes.omega**2
-    rotation, found = whole.rotation, np.zeros((count, 2))
-    if isinstance(whole, WheelStructure):
-        rotation = whole.whole.rotation
+    phi^T (K_1 + K_2 + 2 W^2 K_3) phi
+    """
+    structure, slopes = modes.structure, np.zeros(len(modes.omega))
+    rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
-        return found
+        return slopes
     second, third = rotation.displaced_stiffness
-    for mode, shape in enumerate(modes.shapes.T[:count]):
-        shapes = shape[:, None]
-        if isinstance(whole, WheelStructure):
-            shapes = np.vstack(list(whole.sector_displacements(shape[None]))).T
-        curved = 2.0 * multiply(third, shapes)
-        slope = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
-        slope += rotation.speed**2 * curved
-        found[mode] = [whole.sum_over_ranks((shapes * one).sum()) for one in (slope, curved)]
-        if isinstance(whole, WheelStructure):
-            found[mode, 1] = 0.0
-            continue
-        force = slope.T
-        coupling = whole.sum_over_ranks(force @ modes.shapes)[0] ** 2
-        apart = np.where(squares == squares[mode], np.inf, squares - squares[mode])
-        static = whole.sum_over_ranks((force * factor.solve(force)).sum())
-        left = static - (coupling / squares).sum() + (coupling / apart).sum()
-        found[mode, 1] -= 2.0 * left
-    return found
+    for mode, shape in enumerate(modes.shapes.T):
+        shapes = np.vstack(list(structure.sector_displacements(shape[None]))).T
+        force = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
+        force += 2.0 * rotation.speed**2 * multiply(third, shapes)
+        slopes[mode] = structure.sum_over_ranks((shapes * force).sum())
+    return slopes
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:
@@ -387,7 +369,7 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
 
 
 def _meeting(
-    scene: Scene, parameter: str, omega: float, slope: np.ndarray, harmonic: float = 1.0
+    scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
     """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency, whose
     square has a slope over that of the speed."""

@@ -17,6 +17,7 @@ from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.threads import machine_memory, memory_of_process
+from fenics_crack.disk.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.model.contact import (
     ContactLaw,
     CoulombFriction,
@@ -30,7 +31,6 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_LARGE_MODES, reduce_structure
 from fenics_crack.model.rotation import N_SPEEDS
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.sharing import LAST, Made, assembled
@@ -166,20 +166,19 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
     if not scene.points:
         dof = structure.watched_dof
         return (Watched("", structure.dof_name(dof), dof),)
-    found, comm, nodes = [], structure.comm, structure.nodes
-    if isinstance(structure, Wheel):  # points are those of a blade
-        comm, nodes = MPI.COMM_SELF, structure.sector.structure.nodes
+    found, part = [], structure.sector_structure  # points are those of a blade
     for point in scene.points:
         key = f"output.points.{point.key}"
-        if nodes is None:
+        if part.nodes is None:
             raise InputError(key, point.values, "left out: the structure has no positions")
-        place, dofs = nodes.find_nearest(comm, key, point.values)
+        place, dofs = part.nodes.find_nearest(part.comm, key, point.values)
         distance = float(np.linalg.norm(place - point.values).round(12))
         for axis, dof in zip(AXES, dofs, strict=False):
             if dof >= 0:
-                name, own = f"{point.key}.u{axis}", int(dof)
-                if isinstance(structure, Wheel):
-                    own = structure.dof_of(structure.first + 1, own)
+                name, own = (
+                    f"{point.key}.u{axis}",
+                    structure.dof_of(structure.watched_sector + 1, int(dof)),
+                )
                 found.append(Watched(name, scene.point_names[name], own, distance))
     return tuple(found)
 
@@ -188,7 +187,7 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     """The structure of a scene from that of one which differs in the rotor's speed alone, and in
     the load's frequency; of a bladed disk in its mistuning; else None (collective)."""
     other, whole = like.scene, like.structure.whole
-    if isinstance(whole, Wheel):
+    if other.disk is not None:
         same = dict.fromkeys(LOOKED_AT) | {
             f"disk.{key}": None for key in ("mistuning", "deviation", "seed")
         }
@@ -220,9 +219,9 @@ def reduced(study: Study, *, judged: bool = True) -> Study:
         return study
     if whole.has_matrices:
         check_memory_of(scene, whole)
-    if isinstance(whole, Wheel):
-        disk = scene.given("disk")
-        structure = reduce_wheel(whole, disk.families, more=disk.modes, reference=judged)
+    if (disk := scene.disk) is not None:
+        wheel = study.structure.whole
+        structure = reduce_wheel(wheel, disk.families, more=disk.modes, reference=judged)
         return replace(study, structure=structure)
     kept = reduction_of(scene, whole)
     if kept is None:
@@ -291,9 +290,8 @@ def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False)
 
 
 def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
-    if isinstance(structure, Wheel):
-        disk = scene.given("disk")
-        return wheel_memory(structure, count_basis_families(disk.families, disk.modes))
+    if (disk := scene.disk) is not None:
+        return wheel_memory(structure.whole, count_basis_families(disk.families, disk.modes))
     kept = reduction_of(scene, structure)
     if kept is None:
         return whole_memory(structure, scene.harmonic_balance.harmonics)

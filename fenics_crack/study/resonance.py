@@ -4,25 +4,22 @@ It is the phase resonance of the mode nearest to the load's frequency
 (:mod:`fenics_crack.curves.resonance`), with as many harmonics as its amplitude takes. That of a
 smooth law is not defined; friction is left out.
 
-An engine order n meets it at the speed W of a rotor at which n W is its frequency w there. From a
-speed W_0 next to it, where it is w_0,
+An engine order n meets it at the speed W of a rotor at which n W is its frequency there. The search
+begins where the order meets an estimate w_0 at the speed W_0,
 
-    (n W)^2 = w_0^2 + S x + C x^2 / 2,        x = W^2 - W_0^2,
-
-S = d(w^2) / d(W^2) and C = dS / d(W^2) being those of the mode with an open crack.
+    (n W)^2 = w_0^2 + S (W^2 - W_0^2),      S = d(w^2) / d(W^2) of the mode with an open crack.
 """
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.balance.phase import Resonance
 from fenics_crack.balance.problem import Problem
+from fenics_crack.basics.causes import OPTIONAL_CAUSES, REQUIRED_CAUSES
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import error_in_words, quantity, without_causes
 from fenics_crack.curves.stability import floquet
@@ -32,16 +29,12 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import Ritz, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSALS, Study, law_of, reduced, reduction_of
-from fenics_crack.study.verification import BY_CHOICE, ESTIMATED
+from fenics_crack.study.prepare import REFUSALS, Study, reduced, reduction_of
 
 SOUGHT_MODES = 10
 """Modes of the whole structure in which it is sought."""
-ENOUGH = 0.1
+AMPLITUDE_TOLERANCE = 0.1
 """Relative error of the amplitude that is enough to name it."""
-NEAR_SPEED = 0.02
-"""Relative change of a frequency with the speed for which its square is taken as quadratic in W^2,
-and the centrifugal load as proportional to W^2."""
 SEE_CURVE = "several modes answer together: see the curve"
 
 
@@ -80,7 +73,7 @@ class AtLoad:
     def in_words(self) -> str:
         """Amplitude, errors, causes that they leave out, and verdict; or why there are none."""
         by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
-        errors = dict.fromkeys((*ESTIMATED, *BY_CHOICE), math.nan) | by_cause
+        errors = dict.fromkeys((*REQUIRED_CAUSES, *OPTIONAL_CAUSES), math.nan) | by_cause
         missing_causes = [cause for cause, error in errors.items() if not math.isfinite(error)]
         known_parts = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
         size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
@@ -95,23 +88,12 @@ class AtLoad:
         """Value and amplitude by their names; none if they are unknown."""
         return {} if self.unknown else {"resonance": self.value, "vibration": self.amplitude}
 
-    @classmethod
-    def of(cls, found: Resonance, rest: float = math.nan) -> AtLoad:
-        """That of a resonance, whose solution is followed for its stability."""
-        if found.several:
-            return cls(found.value, found.width, rest, unknown=SEE_CURVE)
-        solution, verdict = found.solution, "undecided"
-        with suppress(*REFUSALS):
-            verdict = floquet(solution.structure, solution).verdict
-        amplitude = solution.amplitude()
-        return cls(found.value, found.width, rest, amplitude, found.error, verdict)
-
 
 NOT_SOUGHT = AtLoad(unknown="not sought")
 
 
-def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -> float:
-    """Rotor speed W [rad/s] at which an engine order n meets a frequency; nan where it never does.
+def meeting_speed(order: float, speed: float, omega: float, slope: float) -> float:
+    """Return the rotor speed W [rad/s] at which an engine order n meets a natural frequency.
 
     Parameters
     ----------
@@ -119,124 +101,95 @@ def meeting_speed(order: float, speed: float, omega: float, slope: np.ndarray) -
         n.
     speed, omega : float
         W_0 and w_0 [rad/s].
-    slope : (2,)
-        S and C.
+    slope : float
+        S.
+
+    Returns
+    -------
+    float
+        nan if the order never meets it.
     """
-    left, rise = omega**2 - (order * speed) ** 2, order**2 - slope[0]
-    root = rise**2 - 2.0 * slope[1] * left
-    if rise <= 0.0 or root < 0.0:
-        return math.nan
-    square = speed**2 + 2.0 * left / (rise + math.sqrt(root))
+    square = (omega**2 - slope * speed**2) / (order**2 - slope) if order**2 > slope else -1.0
     return math.sqrt(square) if square > 0.0 else math.nan
 
 
 def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtLoad:
-    """The resonance of a study, not reduced, at its own load; why it is not known, if it is not
-    (collective).
+    """Find the resonance of a study, not reduced, at its own load (collective).
 
     Parameters
     ----------
     estimates : (m,) [rad/s]
-        Of the frequencies of its modes at its speed: what an engine order meets first.
-    slopes : (m, 2)
-        S and C of each.
+        Estimated resonances of its modes, at its speed.
+    slopes : (m,)
+        S of each mode, by which an engine order meets its estimate.
+
+    Returns
+    -------
+    AtLoad
+        Without a resonance, the reason.
     """
     scene, whole, law = study.scene, study.structure, study.contact
     if law is None:
         return AtLoad(unknown="there is no crack")
-    load, turns = scene.excitation, whole.rotation is not None and scene.disk is None
-    mode = int(np.argmin(np.abs(estimates - load.omega)))
+    order, kept = scene.excitation.order, reduction_of(scene, whole)
+    n_modes = min(SOUGHT_MODES, whole.n_dofs if kept is None else kept.modes)
+    mode = int(np.argmin(np.abs(estimates - scene.excitation.omega)))
+    omega = float(estimates[mode])
     try:
-        if load.order is None or not turns:
-            problem = _problem(scene, law, _few(study, whole), load.omega)
-            found = _found_at(problem, float(estimates[mode]), tolerance=ENOUGH)
-            return AtLoad.of(found, _at_rest(problem, found.omega))
-        return _of_rotor(study, float(estimates[mode]), slopes[mode])
+        if order is not None and whole.rotation is not None and scene.disk is None:
+            speed = meeting_speed(order, scene.speed, omega, slopes[mode])
+            if math.isnan(speed):
+                raise ConvergenceError(f"engine order {order} does not meet it")
+            rotor = RunUpStructure(Ritz.of_range(whole, speed, speed, n_modes), speed)
+            return at_load(scene, law, rotor, order * speed, "speed", with_rest=True)
+        if scene.disk is not None or (kept is None and is_small(whole)):
+            structure = reduced(study, judged=False).structure
+        else:
+            structure = reduce_structure(whole, modes=n_modes, method="massless", reference=False)
+        return at_load(scene, law, structure, omega, with_rest=True)
     except REFUSALS as error:
         return AtLoad(unknown=str(error))
 
 
-def _of_rotor(study: Study, estimate: float, slope: np.ndarray) -> AtLoad:
-    """The same where an engine order meets it, from an estimate of its frequency at the scene's
-    speed and its S and C.
+def at_load(
+    scene: Scene,
+    law: ContactLaw,
+    structure: Structure,
+    omega: float,
+    parameter: str = "omega",
+    *,
+    with_rest: bool = False,
+) -> AtLoad:
+    """Find the resonance of a small structure under a scene's load, without friction.
 
-    The structure is that at the scene's speed, or where the order meets the estimate if that is far
-    away, and its centrifugal load grows with W^2 from there."""
-    scene, law, whole = study.scene, study.contact, study.structure
-    order, speed = scene.excitation.order, scene.speed
-    assert order is not None and law is not None
+    Parameters
+    ----------
+    omega : float [rad/s]
+        Load frequency at which the search begins.
+    parameter : "omega" or "speed"
+        Quantity that follows the resonance, as in :func:`fenics_crack.resonance_at`.
+    with_rest : bool
+        Find the resonance under a small load, too.
 
-    def met(omega: float, harmonic: int = 1) -> float:
-        found = meeting_speed(order, speed, omega, slope / harmonic**2)
-        if math.isnan(found):
-            raise ConvergenceError(f"engine order {order} does not meet it")
-        return found
+    Raises
+    ------
+    InputError, ConvergenceError, LinAlgError
+        There is no resonance, or it is not found.
+    """
+    from fenics_crack.curves.resonance import at_small_load, resonance_at  # where one is sought
 
-    there = met(estimate)
-    if abs(order * there - estimate) > NEAR_SPEED * estimate:
-        whole, speed, estimate = whole.rotation.at(there), there, order * there
-    steady, count = whole.force[0] - whole.rotation.at_rest.force[0], len(whole.force)
-    loads = np.vstack([whole.force, steady, np.zeros_like(steady)])
-    setting = replace(whole.setting, weights=1.0)
-    more = whole._in_setting(setting, force=loads, clamp=None, rotation=None)
-    small = _few(study, more.watching(study.structure.watched_dof))
-
-    def at(turning: float, omega: float) -> Problem:
-        # The amplitude of a mode is 1 / w^2 of the load.
-        weights = (omega / (order * turning)) ** 2 * np.diag(np.append(np.ones(count), [0.0, 0.0]))
-        weights[0, [0, count]] = 1.0, (turning / speed) ** 2 - 1.0
-        return _problem(scene, law, small.varied(load=weights), order * speed)
-
-    first = _found_at(at(there, estimate), estimate)
-    problem = at(met(first.omega, first.harmonic), first.omega)
-    found = _found_at(problem, first.omega, tolerance=ENOUGH)
-    rest, half = _at_rest(problem, found.omega), 0.5 * found.width
-    every = found.omega - half, found.omega + half, found.omega, rest
-    low, high, value, at_rest = (met(omega, found.harmonic) for omega in every)
-    return AtLoad.of(replace(found, value=value, width=high - low), at_rest)
-
-
-def over_speed(scene: Scene, small: Ritz, speed: float) -> AtLoad:
-    """The resonance at the load of a rotor in a basis for all speeds, next to one at which the
-    scene's engine order meets a natural frequency."""
-    order, law = scene.excitation.order, law_of(scene, small.structure)
-    assert order is not None and law is not None
-    try:
-        rotor = RunUpStructure(small, speed)
-        problem = _problem(scene, law, rotor, order * speed)
-        return AtLoad.of(_found_at(problem, parameter="speed", tolerance=ENOUGH))
-    except REFUSALS as error:
-        return AtLoad(unknown=str(error))
-
-
-def _found_at(problem: Problem, near: float | None = None, **options: Any) -> Resonance:
-    """The resonance of a problem; curves are loaded where one is sought alone."""
-    from fenics_crack.curves.resonance import resonance_at
-
-    return resonance_at(problem, near, **options)
-
-
-def _at_rest(problem: Problem, resonance: float) -> float:
-    """The frequency of a resonance under a small load: the same where nothing else holds pairs."""
-    structure = problem.structure
-    if not np.any(structure.force[0]) and not np.any(structure.clearance):
-        return resonance
-    from fenics_crack.curves.resonance import resonance_under_small_load
-
-    return resonance_under_small_load(problem, resonance)
-
-
-def _few(study: Study, whole: Structure) -> Structure:
-    """A whole structure in few coordinates."""
-    kept = reduction_of(study.scene, whole)
-    if study.scene.disk is not None or (kept is None and is_small(whole)):
-        return reduced(replace(study, structure=whole), judged=False).structure
-    modes = min(SOUGHT_MODES, whole.n_dofs if kept is None else kept.modes)
-    return reduce_structure(whole, modes=modes, method="massless", reference=False)
-
-
-def _problem(scene: Scene, law: ContactLaw, structure: Structure, omega: float) -> Problem:
-    """What is balanced, without friction."""
     balance, friction = scene.harmonic_balance, friction_of(law)
     law = law if friction is None else friction.law
-    return Problem(structure, omega, law, balance.harmonics, balance.samples)
+    problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
+    resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
+    rest = resonance.value if with_rest else math.nan
+    # Only a mean load or a clearance holds pairs under a small load.
+    if with_rest and (np.any(structure.force[0]) or np.any(structure.clearance)):
+        rest = resonance_at(at_small_load(problem), resonance.omega, parameter).value
+    if resonance.several:
+        return AtLoad(resonance.value, resonance.width, rest, unknown=SEE_CURVE)
+    solution, verdict = resonance.solution, "undecided"
+    with suppress(*REFUSALS):
+        verdict = floquet(solution.structure, solution).verdict
+    amplitude = solution.amplitude()
+    return AtLoad(resonance.value, resonance.width, rest, amplitude, resonance.error, verdict)

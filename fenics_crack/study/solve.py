@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from mpi4py import MPI
+
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.error_report import NOT_ESTIMATED
 from fenics_crack.balance.harmonic_balance import (
@@ -16,15 +18,17 @@ from fenics_crack.balance.harmonic_balance import (
 )
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.receptance import receptance, receptance_cache
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
+from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import rows_requested
-from fenics_crack.study.prepare import FEW_DOFS, Study, reduced, reduction_of
+from fenics_crack.study.prepare import FEW_DOFS, Study, prepare, reduced, reduction_of
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,8 +68,8 @@ def solve_prepared(
         solution = solver.solve(initial)
         solution = solution if table.error else solution.reported(NOT_ESTIMATED)
     else:
-        first = next(with_more_modes(whole)).structure  # kept
-        whole = replace(whole, contact=slide_along_lines(first, omega, law))
+        smallest_structure = next(with_more_modes(whole)).structure  # kept
+        whole = replace(whole, contact=slide_along_lines(smallest_structure, omega, law))
         study, solution = _solve_to_tolerance(whole)
     structure = study.structure
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
@@ -75,6 +79,23 @@ def solve_prepared(
         begin("stability")
         solution = replace(solution, stability=floquet(structure, solution))
     return _solved(study, solution)
+
+
+def whole_study(source: Scene | Study, comm: MPI.Comm) -> Study:
+    """Return a scene prepared but not reduced; a study as it is (collective)."""
+    return source if isinstance(source, Study) else prepare(source, comm, whole=True)
+
+
+def required_law(study: Study) -> ContactLaw:
+    """Return the contact law of a study; InputError if it has none."""
+    if study.contact is None:
+        if study.scene.structure is not None:
+            allowed = "given for this command: the path of a Matrix Market file"
+            raise InputError("structure.gap", None, allowed)
+        # The crack of a file is no table.
+        missing = "contact" if study.scene.mesh.layout == "file" else "crack"
+        raise InputError(missing, None, "given for this command: a table")
+    return study.contact
 
 
 def with_lines(study: Study, omega: float) -> Study:
@@ -97,13 +118,13 @@ def _solve_to_tolerance(whole: Study) -> tuple[Study, PeriodicSolution]:
             yield study.structure
 
     problem = Problem(whole.structure, scene.excitation.omega, law, table.harmonics)
-    found = solve_to_tolerance(
+    solution = solve_to_tolerance(
         Solver(problem, throw=False),
         table.given("tolerance"),
         structures=structures(),
         modes_key=scene.modes_key,
     )
-    return next(study for study in studies if study.structure is found.structure), found
+    return next(study for study in studies if study.structure is solution.structure), solution
 
 
 # --- how many modes -------------------------------------------------------------------------------

@@ -48,10 +48,10 @@ from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, o
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
 from fenics_crack.model.structure import Structure
+from fenics_crack.runs.conclusion import at_rest
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.conclusion import at_rest
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, with_any_modes
 from fenics_crack.sweep.file import (

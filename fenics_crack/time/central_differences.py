@@ -6,24 +6,24 @@ The paper's scheme, with the contact force that its printed form leaves out,
 
     (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - 2 M u_{n-1} + dt C u_{n-1},
 
-integrated in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
+integrated in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda and A = M + dt/2 C:
 
-    (M + dt/2 C) (d_{n+1} - d_n) = dt^2 r_n - dt C d_n.
+    A (d_{n+1} - d_n) = dt^2 r_n - dt C d_n.
 
 Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: a step costs a product with K and one
 with M, a solution with M and three products with Phi. Small structures are integrated in the
 coordinates of all their modes instead, by the kernel. The scheme is second order. Steps beyond dt =
 2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
-refused. Below that the scheme conserves energy as long as no pair changes its state; a contact from
-step a to step b creates
+refused. Shorter steps conserve energy as long as no pair opens or closes. A contact from step a to
+step b creates
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
-of either sign, which close to the limit can outgrow the damping. So this energy is summed up and
-reported, and it is an error if it outweighs what the load has put in.
+of either sign. Close to the limit this energy can exceed the damping's loss. It is summed up and
+reported, and more than twice the energy put in is an error.
 
-Without penetration (:class:`UnilateralConstraint`) the forces of instant n are those that keep the
-gaps of the next from penetrating, with d* the increment without them and A^-1 as above,
+Without penetration (:class:`UnilateralConstraint`) the forces at instant n keep the gaps of the
+next instant from penetrating. With the increment d* without forces,
 
     B^T (u_n + d* - dt^2 A^-1 B lambda_n) - g0 <= 0,    lambda_n >= 0,   complementary,
 
@@ -70,8 +70,8 @@ NAME, MORE_STEPS = "central differences", "take more steps per period"
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
     """Return the smallest stable number of steps per load period (collective).
 
-    dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
-    largest frequency, with every pair open.
+    A step dt <= 2 / omega_max is stable. Under a penalty law omega_max is the largest natural
+    frequency with all pairs closed by springs. Under a constraint, it is the one with open pairs.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     Returns
     -------
     int
-        Of :func:`integrate_central_difference`.
+        Least ``steps_per_period`` of :func:`integrate_central_difference`.
 
     Raises
     ------
@@ -110,10 +110,10 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 
 
 def _springs(structure: Structure, contact: ContactLaw) -> np.ndarray:
-    """Return the stiffness of each gap row if its pair is closed: (n_rows,) [N/m].
+    """Return the contact stiffness of each gap: (n_rows,) [N/m].
 
-    With friction the stiffness of sticking pairs follows. It is zero under a constraint. Raises
-    InputError if there is friction without springs.
+    A constraint has 0. The pairs' normal stiffnesses come first; with friction their tangential
+    ones follow. Raises InputError if there is friction without springs.
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
@@ -134,6 +134,9 @@ def integrate_central_difference(
     """Integrate by central differences under the structure's load (collective).
 
         (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - (2 M - dt C) u_{n-1}
+
+    M, C and K are mass, damping and stiffness, f is the load, and B takes the contact forces lambda
+    to the dofs.
 
     Parameters
     ----------
@@ -218,7 +221,8 @@ def _last_velocity(
 ) -> np.ndarray:
     """Return the velocity at the end of a time integration from its last increment.
 
-    The increment over the step size is the velocity half a step earlier.
+    The last increment (n,) over the step size is the velocity half a step earlier. The callable
+    takes a velocity (n,) to the acceleration at the end.
     """
     mean_velocity = velocity = increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
@@ -232,7 +236,7 @@ def _last_velocity(
 class _ModalDifferences(Scheme):
     """Integrate a small structure in modal coordinates by the kernel.
 
-    Operators on the modes are arrays (n,) if damping leaves the modes uncoupled, and matrices
+    Operators on the n modes are arrays (n,) if damping leaves the modes uncoupled, and matrices
     (n, n) if it couples them.
     """
 
@@ -302,9 +306,10 @@ class _ModalDifferences(Scheme):
         return np.asarray(self._shape @ self._modes.pairs - self._contact_structure.clearance)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero of the load.
+        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero: (n,).
 
-        Forces of a constraint are left out: they belong to the next step.
+        q and v are modal displacements and velocities, w natural frequencies, and P lambda modal
+        contact forces. Forces of a constraint are left out: they belong to the next step.
         """
         modes, load_coefficients = self._modes, self._request.structure.force
         acceleration = (
@@ -354,7 +359,8 @@ class _ModalDifferences(Scheme):
 class _CentralDifferences(Scheme):
     """Integrate a large structure step by step with A = M + dt/2 C factored (collective).
 
-    Modal damping C = M Phi diag(c) Phi^T M enters by its low rank: with d = 1 + dt/2 c,
+    Modal damping C = M Phi diag(c) Phi^T M enters by its low rank. With rates c of the
+    mass-normalised modes Phi and d = 1 + dt/2 c:
 
         A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
     """
@@ -433,9 +439,10 @@ class _CentralDifferences(Scheme):
         self.displacement = self.displacement + self.increment
 
     def _pull(self, step: int) -> np.ndarray:
-        """Return f - K u - B lambda at an instant of the period: (n_local,) [N].
+        """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
-        Forces of a constraint are left out: they belong to the next step.
+        ``step`` is the instant in the period. Forces of a constraint are left out: they belong to
+        the next step.
         """
         self.gap = self._gap_of(self.displacement)
         pull = -self._apply(self.structure.stiffness.mult, self.displacement)
@@ -448,7 +455,7 @@ class _CentralDifferences(Scheme):
     def _forces(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N].
 
-        With friction the sticking places are updated.
+        With friction the tangential gaps at which pairs stick are updated.
         """
         if friction_of(self.contact) is None:
             return self.contact.force(gap)
@@ -457,7 +464,7 @@ class _CentralDifferences(Scheme):
         return forces[0]
 
     def _gap_motion(self, motion: np.ndarray) -> np.ndarray:
-        """Return the change of the gaps, B^T u, under a displacement (n_local,)."""
+        """Return B^T u, the gaps' change by a displacement u (n_local,): (n_rows,) [m]."""
         return self.structure.sum_over_ranks(motion[self._gap_rows] @ self._gap_block)
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
@@ -471,7 +478,7 @@ class _CentralDifferences(Scheme):
         return self._y.array_r.copy()
 
     def _solve(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return A^-1 (r - C v) for a force r and a velocity v (n_local,)."""
+        """Return A^-1 (r - C v) with A = M + dt/2 C, a force r and a velocity v (n_local,)."""
         modes = self._modes
         if modes is None:
             return self._apply(self._inverse.apply, force - self._damping_force(velocity))
@@ -499,7 +506,7 @@ class _CentralDifferences(Scheme):
             return np.asarray(factor.solve(force[None])[0])
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
-        """Return the energy (u^T K u + v^T M v) / 2 [J]."""
+        """Return elastic plus kinetic energy, (u^T K u + v^T M v) / 2 [J]."""
         structure = self.structure
         matrix_and_rows = (structure.stiffness, self.displacement), (structure.mass, velocity)
         energy = 0.5 * sum(
@@ -508,7 +515,7 @@ class _CentralDifferences(Scheme):
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the nearest displacement, in the norm of M, without penetration."""
+        """Return the nearest displacement (n_local,) without penetration, in the norm of M."""
         gap = self._gap_of(displacement)
         if not self.rigid or not np.any(gap > 0.0):
             return displacement

@@ -2,8 +2,8 @@
 
 :func:`integrate_events` follows the exact flow from one switching instant to the next
 (:mod:`fenics_crack.motion.flow`). :func:`integrate_exponential` takes exponential steps of equal
-length. Its state z = (q, q') is that of the flow minus the steady response to the load, which has a
-closed form:
+length. Its state z = (q, q') holds modal displacements and velocities less the steady response to
+the load, which has a closed form. With the modal forces P lambda of the contact forces lambda:
 
     z' = A z - [0, P]^T lambda(t).
 
@@ -12,12 +12,13 @@ at both ends,
 
     z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
-where 2 Gamma is the response to constant unit forces. With Q z the gap of a state, the gap at the
-end of the step is linear in the forces there,
+where 2 Gamma is the response to constant unit forces. The matrix Q takes a state to its gaps, and
+R_inf is the residual flexibility. The gap at the end of the step is linear in the forces there,
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
-so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. As long as
+so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary, with the
+stiffness kappa of the pairs and the gap s_free without forces at the end of the step. As long as
 the set of closed pairs does not change, this is one product with a stored matrix. Modes that
 damping leaves uncoupled advance one by one, so a step costs little more than 2 n_modes n_pairs
 products (``kernel/march.c``). The scheme is of second order in h, and exact without contact.
@@ -65,7 +66,7 @@ def integrate_events(
     structure : Structure
         At most 600 dofs; reduce a larger one first.
     contact : UnilateralPenalty, UnilateralConstraint or CoulombFriction of one of them
-        Law of all pairs; the latter where crack faces have no mass.
+        Law of all pairs. UnilateralConstraint: crack faces must have no mass.
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
     omega, periods, **options
@@ -106,27 +107,27 @@ def integrate_exponential(
 
         z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
-    z being displacements and velocities of the modes less the steady response to the load, and
-    2 Gamma the response to unit contact forces held over the step h.
+    z are modal displacements and velocities less the steady response to the load, with z' = A z
+    without contact. lambda are contact forces, 2 Gamma the response to unit forces over a step h.
 
     Parameters
     ----------
     structure : Structure
-        At most 600 dofs; reduce a larger one first. Without penetration crack faces have no mass
-        (``reduce_structure(method="massless")``).
+        At most 600 dofs; reduce a larger one first. Under UnilateralConstraint crack faces must
+        have no mass (``reduce_structure(method="massless")``).
     contact : UnilateralPenalty, UnilateralConstraint or CoulombFriction of one of them
         Law of all pairs.
     steps_per_period : int
-        Of the load; the error falls with its square.
+        Steps in one load period; the error falls with their square.
     omega, periods, **options
         As in :class:`fenics_crack.time.march.March`.
 
     Returns
     -------
     TimeHistory
-        ``created_energy`` is what is missing in the balance of energy, by the trapezoidal rule. A
-        step between equal sets of closed pairs creates none; one in which a pair opens creates half
-        its last force times its opening: much where hardly any residual flexibility is there.
+        ``created_energy`` is missing in the balance of energy, by the trapezoidal rule. A step
+        between equal sets of closed pairs creates none. If a pair opens, the step creates half the
+        pair's last force times its opening: much with hardly any residual flexibility.
 
     Raises
     ------
@@ -149,9 +150,10 @@ def integrate_exponential(
 
 
 def _load_motion_weights(request: March) -> np.ndarray:
-    """Return factors that make the loaded coordinates comparable: (n_loaded,).
+    """Return factors that make motions of loaded coordinates comparable: (n_loaded,).
 
-    Coordinates of massless crack faces are no displacements; the load's work on them counts.
+    Coordinates of a structure with massless crack faces are no displacements. The factor is then
+    the load's size on the coordinate, otherwise 1.
     """
     if not request.structure.light_lips:
         return np.ones(len(request.loaded_dofs))
@@ -161,7 +163,10 @@ def _load_motion_weights(request: March) -> np.ndarray:
 def _displacement_and_velocity(
     flow: Flow, motion: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return displacement and velocity, with friction also sticking places, of a flow's state."""
+    """Return displacement and velocity (n_dofs,) from a flow's state (size,).
+
+    ``motion`` is the displacement. With friction the sticking places (n_pairs,) [m] follow.
+    """
     _, rate, places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     motion_parts = motion.copy(), flow.modes.shapes @ rate
     return (*motion_parts, places.copy()) if flow.friction else motion_parts
@@ -208,11 +213,11 @@ class ExponentialFlow(Flow):
     step_size : float [s]
         h.
     gap_rows : (n_rows, 2 n_modes)
-        Q.
+        Q, the matrix from modal displacements and velocities to gaps.
     steady : (N, 2 n_modes)
-        Steady response to the load without contact at all instants of its period.
+        Steady response to the load without contact, at the N = ``steps`` instants of a period.
     linear_gap : (N, n_rows) [m]
-        Its gap.
+        Gaps under the steady response, less the clearance.
     """
 
     def __init__(self, structure: Structure, omega: float, contact: ContactLaw, steps: int) -> None:
@@ -251,12 +256,15 @@ class ExponentialFlow(Flow):
     def coordinates(
         self, states: np.ndarray, force: np.ndarray, dofs: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
-        """Return the :meth:`displacement` of states (n, 2 n_modes) at n instants from phase 0."""
+        """Return the structure's displacement at n successive instants: (n, n_dofs) [m].
+
+        From phase 0 on: ``states`` (n, 2 n_modes) of the modes, contact ``force`` (n, n_rows) [N].
+        """
         phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
         return self.displacement(states, force, phase, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
-        """Integrate whole load periods from phase 0.
+        """Integrate whole load periods from a state (size,) at phase 0.
 
         Raises
         ------
@@ -288,14 +296,14 @@ class ExponentialFlow(Flow):
 
 @dataclass(frozen=True)
 class Steps:
-    """Hold integrated load periods.
+    """States and contact forces at the N + 1 instants of integrated load periods.
 
     Attributes
     ----------
     states : (N + 1, 2 n_modes)
-        At all instants, both ends included.
+        Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
-    closed : (N + 1, n_pairs) bool
+    is_closed : (N + 1, n_pairs) bool
     end : (size,)
         State of the flow at the end.
     """

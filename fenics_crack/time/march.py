@@ -44,12 +44,12 @@ MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
 Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
-"""A solution, displacement and velocity, with friction perhaps places, or rest."""
+"""Initial state: a solution, arrays (displacement, velocity[, sticking places]), or None: rest."""
 
 
 @dataclass(frozen=True)
 class March:
-    """Hold the checked request for a time integration (collective).
+    """Checked parameters of a time integration (collective).
 
     Attributes
     ----------
@@ -64,15 +64,15 @@ class March:
     steps_per_period : int
         Instants in one load period.
     initial : PeriodicSolution, (displacement, velocity), (displacement, velocity, places) or None
-        State at time 0: a solution's, arrays (n_local,) [m], [m/s], or rest; with friction also the
-        places (n_pairs,) [m] in the tangential gaps where pairs stick, by default those at time 0
-        without contact forces.
+        State at time 0: a solution's, arrays (n_local,) [m], [m/s], or None for rest. With friction
+        ``places`` (n_pairs,) [m] are the tangential gaps at which pairs stick. Default: the
+        tangential gaps at time 0 without contact forces.
     settle : float
-        Stop early when the relative change over a period is below this, of the gaps and of the
-        displacement where the load acts, relative to what moves; ``distance`` of the history
-        is what is left.
+        Stop early if the relative change over a period falls below this limit. It is the change of
+        the gaps, or of the displacement at the load, relative to the moving part.
+        ``TimeHistory.distance`` estimates the remaining distance.
     record_periods : int, optional
-        Keep only the last so many periods.
+        Keep only this number of last periods.
     dofs : sequence of int, optional
         Record only these displacements. A reduced structure records all.
     progress : bool
@@ -81,7 +81,7 @@ class March:
     Raises
     ------
     InputError
-        One of them cannot be used, or the history would not fit in memory.
+        A parameter cannot be used, or the history would not fit in memory.
     """
 
     structure: Structure
@@ -118,7 +118,10 @@ class March:
     def from_call(
         cls, function: Callable[..., Any], options: Mapping[str, Any], *arguments: Any
     ) -> March:
-        """Return the request that a call of a public function makes, its options checked."""
+        """Return the checked parameters of a call to a public integration function.
+
+        ``options`` are the keywords that ``function`` passes on, ``arguments`` the first fields.
+        """
         parameters = signature(function).parameters.values()
         option_names = [
             parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY
@@ -163,7 +166,10 @@ class March:
 
     @cached_property
     def waves(self) -> np.ndarray:
-        """1, cos(j phi) and sin(j phi) of the load phase phi at N instants: (N, 2K+1)."""
+        """Fourier basis 1, cos(j phi), sin(j phi) of the load's K harmonics: (N, 2K+1).
+
+        phi is the load's phase at the N = ``steps_per_period`` instants of a period.
+        """
         instants = np.arange(self.steps_per_period) / self.steps_per_period
         return fourier_basis_for(self.structure.force, 2.0 * np.pi * instants)
 
@@ -179,13 +185,13 @@ class March:
 
     @property
     def rigid(self) -> bool:
-        """True if nothing penetrates."""
+        """True if the law is rigid, without penetration."""
         return is_rigid(self.contact)
 
 
 @dataclass(frozen=True, repr=False)
 class TimeHistory(ObservedMotion, Tabular):
-    """Hold the last periods of a motion from direct time integration.
+    """Last periods of a motion from direct time integration.
 
     Attributes
     ----------
@@ -194,17 +200,17 @@ class TimeHistory(ObservedMotion, Tabular):
     gap : (n, n_pairs) [m]
         g = B^T u - g0; g > 0: penetration.
     settled : float
-        Relative change over the last period, of the gaps or of the displacement where the load
-        acts, whichever is larger; a small number says that the motion repeats with the load.
-        Relative to what moves: means over the period count no more than all else.
+        Larger relative change over the last period, of the gaps and of the displacement at the
+        load. A small number says that the motion repeats with the load. The reference is the moving
+        part: means over the period count no more than all else.
     created_energy : float
         Net energy created, relative to the energy put in by the load and the initial state. Central
-        differences: by contact that opens and closes between steps; it vanishes like dt^2.
-        Exponential steps: what is missing in the energy balance at the end of the last period.
-        Negative: lost; with a constraint impacts lose energy whatever the step.
+        differences: contact that opens and closes between steps creates it, and it vanishes like
+        dt^2. Exponential steps: the energy missing in the balance after the last period.
+        Negative: lost energy. With a constraint impacts lose energy at any step size.
     periods : int
-        Load periods integrated; fewer than requested where the motion settled, or Ctrl-C stopped it
-        at the end of a period.
+        Load periods integrated. They are fewer than requested if the motion settled, or if Ctrl-C
+        stopped it.
     seconds : float
         Wall-clock time of the integration [s].
     steps_per_period : int
@@ -220,20 +226,20 @@ class TimeHistory(ObservedMotion, Tabular):
     steps_per_period: int
     structure: Structure
     recorded: np.ndarray
-    """(n, n_recorded) [m], the dofs of ``recorded_dofs`` that this rank owns."""
+    """(n, n_recorded) [m], displacements of this rank's ``recorded_dofs``."""
     recorded_dofs: np.ndarray
     final_state: tuple[np.ndarray, ...]
-    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period, with friction
-    also the places (n_pairs,) [m] where pairs stick: ``initial`` of a run that goes on, at the same
-    frequency or another."""
+    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period; with friction
+    also the tangential gaps (n_pairs,) [m] at which pairs stick. As ``initial`` it continues the
+    motion, at this frequency or another."""
     contact_force: np.ndarray
     """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
     tangential_gap: np.ndarray | None = None
-    """g_t of contact with friction: (n, n_pairs) [m]."""
+    """Tangential gap with friction: (n, n_pairs) [m]."""
     tangential_force: np.ndarray | None = None
-    """lambda_t, likewise [N]."""
+    """Friction force: (n, n_pairs) [N]."""
     friction: float | np.ndarray | None = None
-    """mu, of all pairs or of each."""
+    """Friction coefficient, one for all pairs or (n_pairs,)."""
 
     KIND: ClassVar[str] = "time history"
 
@@ -267,12 +273,12 @@ class TimeHistory(ObservedMotion, Tabular):
     def distance(self) -> float:
         """Estimate the relative distance between the motion and its limit for long times.
 
-        The larger of two: the distance of the gaps, and of the watched displacement if it is
-        recorded, each relative to its moving part.
+        The gaps and, if recorded, the watched displacement have a distance each, relative to the
+        moving part. The larger one is returned; nan with fewer than three periods kept
+        (collective).
 
-        The limit of a motion with two multipliers left follows from its last four periods
-        (minimal polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2). nan
-        with fewer than three periods kept (collective).
+        The last four periods determine the limit if two Floquet multipliers still decay (minimal
+        polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2).
         """
         records = [record[-RECORDED_PERIODS:] for record in self._watched_periods]
         n_periods = len(records[0])
@@ -293,13 +299,13 @@ class TimeHistory(ObservedMotion, Tabular):
     def change(self, periods: int = 1) -> float:
         """Return the relative change of the motion over the last ``periods`` (collective).
 
-        The larger of two: the change of the gaps, and of the watched displacement if it is
-        recorded. ``settled`` is the change over one period.
+        The larger change is returned: of the gaps, or of the watched displacement if recorded.
+        ``settled`` is the change over one period.
 
         Raises
         ------
         InputError
-            No more periods than these are recorded.
+            At most ``periods`` periods are recorded.
         """
         check_count("periods", periods, 1)
         records = self._watched_periods
@@ -310,7 +316,10 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
-        """B^T u, and the watched displacement if it is recorded, by period (collective)."""
+        """Gaps plus clearance, and the watched displacement if recorded (collective).
+
+        Each array is (n_periods, steps_per_period, n_columns) [m].
+        """
         records = [self.gap + self.structure.clearance]
         with suppress(InputError):
             records.append(self.displacement())
@@ -338,14 +347,14 @@ class TimeHistory(ObservedMotion, Tabular):
         return self.structure.sum_over_ranks(self.recorded @ (selection / n_recording_ranks))
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield the recorded products of the displacement with rows (m, n_local) (collective).
+        """Yield one record: rows (m, n_local) times the displacement, gaps, forces (collective).
 
-        Their harmonics are those of the last period, as many as its instants allow.
+        Fourier coefficients belong to the last period; at most 10 harmonics, fewer with few steps.
 
         Raises
         ------
         InputError
-            A dof that they take was not recorded.
+            The rows need a dof that was not recorded.
         """
         structure = self.structure
         recorded_columns, first_records = np.unique(
@@ -371,7 +380,11 @@ class TimeHistory(ObservedMotion, Tabular):
 
 
 class Window(NamedTuple):
-    """Hold the record of one load period, with a row for each instant."""
+    """Arrays of one load period, filled by a scheme.
+
+    Rows are instants. ``gap`` [m] and contact ``force`` [N] have a column for each normal gap, with
+    friction also for each tangential one.
+    """
 
     gap: np.ndarray
     force: np.ndarray
@@ -386,7 +399,7 @@ class Scheme(ABC):
 
     name: ClassVar[str]
     remedy: ClassVar[str]
-    """What to do if contact creates energy."""
+    """Advice to the user if contact creates energy."""
     created_share = 0.0
     """Energy created relative to the energy put in."""
     petsc_objects: tuple[Any, ...] = ()
@@ -394,15 +407,20 @@ class Scheme(ABC):
 
     @abstractmethod
     def fill(self, window: Window, number: int) -> None:
-        """Integrate a period, record it in the window, and sum up its energy."""
+        """Integrate period ``number``, from 0 on, fill the window, and sum up the energy."""
 
     @abstractmethod
     def state(self) -> tuple[np.ndarray, ...]:
-        """Return displacement and velocity, with friction also sticking places, at the end of the
-        last period."""
+        """Return the final displacement and velocity (n_local,).
+
+        With friction the tangential gaps (n_pairs,) [m] at which pairs stick follow.
+        """
 
     def book(self, created: float, put_in: float) -> None:
-        """Note energies [J]; raise ConvergenceError if contact has created too much."""
+        """Set ``created_share`` from the energies created and put in so far [J].
+
+        Raises ConvergenceError if contact has created more than twice the energy put in.
+        """
         if put_in > 0.0:
             self.created_share = created / put_in
         if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
@@ -412,7 +430,10 @@ class Scheme(ABC):
 
 
 def march(request: March, scheme: Scheme) -> TimeHistory:
-    """Integrate periods with a scheme until the motion settles, and free it (collective)."""
+    """Integrate load periods by a scheme until the motion settles (collective).
+
+    The scheme's PETSc objects are freed.
+    """
     structure, n_kept, steps = request.structure, request.n_kept_periods, request.steps_per_period
     widths = request.n_rows, request.n_rows, len(request.recorded_dofs)
     records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
@@ -468,7 +489,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
 
 
 def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
-    """Return the largest relative change of a motion's parts (N, m) between two periods."""
+    """Return the largest relative change between two periods of the arrays (N, m)."""
     parts = zip(newest, previous, _sizes(newest), strict=True)
     return max(
         float(np.linalg.norm(part - previous_part)) / size for part, previous_part, size in parts
@@ -476,11 +497,11 @@ def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> flo
 
 
 def _sizes(parts: Sequence[np.ndarray]) -> list[float]:
-    """Return the size of the moving part of each record (N, m) of a period.
+    """Return the size of the moving part of each array (N, m) over a period.
 
-    Means do not count, because a clearance or a steady load makes them as large as it likes. The
-    size is infinite if a record is rounding beside the largest one, such as the gaps of rigid crack
-    faces that stay closed: then no change of it counts.
+    Means count no more than all else, because a clearance or a steady load may make them large. The
+    size is infinite if the array is rounding error beside the largest one, so that its changes do
+    not count. An example are the gaps of rigid crack faces that stay closed.
     """
     sizes = [motion_size(part) for part in parts]
     return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]

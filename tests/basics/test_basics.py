@@ -33,8 +33,9 @@ from fenics_crack import InputError
 from fenics_crack.basics import progress, threads
 from fenics_crack.basics.atomic_files import keep_files, write_together, write_whole
 from fenics_crack.basics.errors import WriteError
-from fenics_crack.basics.observables import Place, Where, names_of
+from fenics_crack.basics.observables import QUANTITIES, Place, Where, names_of
 from fenics_crack.basics.tables import (
+    UNITS,
     Described,
     Table,
     Tabular,
@@ -291,6 +292,14 @@ def test_quantities() -> None:
     """A number with a prefix that suits it."""
     shown = {1.4514e-6: "1.451 µm", 0.0: "0 m", -2e-9: "-2 nm", 999.97e-6: "1000 µm", 12.0: "12 m"}
     assert {value: quantity(value, "m") for value in shown} == shown
+    plain = {"": "0.02", "1": "0.02", "deg": "0.02 deg", "Hz": "0.02 Hz"}
+    assert {unit: quantity(0.02, unit) for unit in plain} == plain
+
+
+def test_a_name_has_one_unit() -> None:
+    """An observable named like an entry of another table would silently take its unit."""
+    observables = {name: row.unit for name, row in QUANTITIES.items()}
+    assert {name: UNITS[name] for name in observables} == observables
 
 
 @pytest.mark.parametrize(

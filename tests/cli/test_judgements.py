@@ -497,8 +497,8 @@ def test_ctrl_c_during_the_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         save(*given)
 
     with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.study.run.errors_of", Mock(side_effect=KeyboardInterrupt))
-        wrap(patch, "fenics_crack.study.run.on_root", again)
+        patch.setattr("fenics_crack.runs.run.errors_of", Mock(side_effect=KeyboardInterrupt))
+        wrap(patch, "fenics_crack.runs.run.on_root", again)
         words = ["--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
         assert main(["solve", str(PAPER), *words, "--set", "damping.ratio=0.02"]) == 3
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
@@ -559,6 +559,6 @@ def test_a_result_is_kept_where_another_one_is_stopped(
     words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
     assert main(words) == 0
     first = (tmp_path / "modes.h5").read_bytes()
-    monkeypatch.setattr("fenics_crack.study.run.Run.save", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("fenics_crack.runs.run.Run.save", Mock(side_effect=KeyboardInterrupt))
     assert main([*words, "--set", "material.young=2e11"]) == 130
     assert (tmp_path / "before" / "modes.h5").read_bytes() == first

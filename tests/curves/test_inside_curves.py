@@ -359,7 +359,7 @@ def test_turns_back_past_its_start(stop: Continuation) -> None:
         most_points=500, turning_back=0.0,
     )  # fmt: skip
     path.run()
-    assert not path.complete and path.returned
+    assert not path.complete and path.has_returned
     assert path.status == "turned back past its start"
 
 

@@ -14,7 +14,7 @@ from surroundings import main
 from wheels import BRIEF, SOLID, ring
 
 import fenics_crack as fc
-from fenics_crack.monitoring.tip_timing.scene_timing import tip_direction
+from fenics_crack.monitoring.scene_timing import tip_direction
 
 PATTERN: dict[str, Any] = {"disk__deviation": 0.01, "disk__seed": 3}
 PROBES = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0]

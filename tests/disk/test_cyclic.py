@@ -12,8 +12,8 @@ from helpers import csr
 from wheels import RING, SOLID, ring, wheel_of, whole_scene, write_whole
 
 import fenics_crack as fc
-from fenics_crack.model.cyclic import CyclicModes
-from fenics_crack.model.wheel import WheelStructure
+from fenics_crack.disk.cyclic import CyclicModes
+from fenics_crack.disk.wheel import WheelStructure
 from fenics_crack.scene.scene import Scene
 
 

@@ -14,8 +14,8 @@ import fenics_crack as fc
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import Solver
+from fenics_crack.errors.stated import stated_errors
 from fenics_crack.model.contact import UnilateralConstraint
-from fenics_crack.study.vary import stated_errors
 
 RIGID = UnilateralConstraint()
 

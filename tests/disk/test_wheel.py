@@ -10,8 +10,8 @@ import pytest
 from wheels import RING, SOLID, ring, wheel_of
 
 import fenics_crack as fc
+from fenics_crack.disk.wheel import Wheel, WheelStructure
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.wheel import Wheel, WheelStructure
 from fenics_crack.study.meshes import finer_mesh
 
 LAW = fc.UnilateralConstraint()

@@ -10,7 +10,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.basics.gmsh_process import kept_interrupts
-from fenics_crack.model.wheel import Wheel
+from fenics_crack.disk.wheel import Wheel
 
 RING: dict[str, Any] = {
     "geometry": {"width": 0.012, "height": 0.08, "thickness": 0.02},

@@ -109,7 +109,7 @@ def differences(text: str, comm: MPI.Comm) -> list[float]:
     entry."""
     scene = fc.Scene.from_text(text)
     forms, options, _ = given(scene, comm)
-    pair = fc.build_structure(scene, comm), fc.Structure.from_forms(*forms, **options)
+    pair = fc.build_structure(scene, comm), fc.structure_from_forms(*forms, **options)
     assert pair[0].watched_pairs == pair[1].watched_pairs
     values = [matched(s, comm) + [s.pair_areas, s.pairs.positions] for s in pair]
     omega = [fc.solve_modes(structure, 3).omega for structure in pair]
@@ -149,7 +149,7 @@ def test_solids_of_order_1() -> None:
     space = vectors(space.mesh, 1)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     forms = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx, ufl.inner(u, v) * ufl.dx
-    free = fc.Structure.from_forms(space, *forms, crack=options["crack"])
+    free = fc.structure_from_forms(space, *forms, crack=options["crack"])
     two = fc.build_structure(scene)
     assert free.pair_areas == pytest.approx(two.pair_areas, rel=1e-12)
     points, dofs = free.nodes.points, free.nodes.dofs
@@ -168,7 +168,7 @@ def solved() -> tuple[list[Any], fc.PeriodicSolution]:
     top = plate.measure_on("top")
     loads = ufl.TestFunction(space)[1] * top, 2.0 * x * top, None
     options |= {"loads": loads, "damping": 20.0 * mass + 1e-6 * stiffness, "clearance": 1e-9}
-    made = fc.Structure.from_forms(*forms, **options)
+    made = fc.structure_from_forms(*forms, **options)
     return forms, fc.solve_harmonic_balance(made, 2000.0, fc.UnilateralPenalty(1e9), harmonics=9)
 
 
@@ -245,7 +245,7 @@ def test_modes_that_there_are_not(index: Any) -> None:
 def test_a_free_plate_without_a_crack() -> None:
     """As little as can be given: no conditions, no load, no damping."""
     forms, _, _ = given(PLATE, MPI.COMM_SELF)
-    free = fc.Structure.from_forms(*forms)
+    free = fc.structure_from_forms(*forms)
     assert free.n_pairs == 0 and free.tangential is None and not np.any(free.force)
     omega = fc.solve_modes(free, 4).omega
     assert np.all(omega[:3] < 1e-3 * omega[3])
@@ -319,7 +319,7 @@ def test_refused() -> None:
         arguments = {"space": space} | first | options | change
         three = [arguments.pop(name) for name in ("space", "stiffness", "mass")]
         with pytest.raises(fc.InputError, match=words) as caught:
-            fc.Structure.from_forms(*three, **arguments)
+            fc.structure_from_forms(*three, **arguments)
         assert caught.value.key == key and "\n" not in str(caught.value), change
 
 
@@ -335,7 +335,7 @@ def refused_on_ranks(comm: MPI.Comm) -> list[str]:
     told = []
     for change in ({"bcs": [moved]}, {"crack": (marks, 9, 8)}):
         with pytest.raises(fc.InputError) as caught:
-            fc.Structure.from_forms(space, *forms, **options | change)
+            fc.structure_from_forms(space, *forms, **options | change)
         told += comm.allgather(str(caught.value))
     return told
 

@@ -38,11 +38,7 @@ from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import coriolis_shifts, static_state
-from fenics_crack.monitoring.tip_timing.scene_timing import (
-    probed_displacement,
-    tip_direction,
-    tip_in_words,
-)
+from fenics_crack.monitoring.scene_timing import probed_displacement, tip_direction, tip_in_words
 from fenics_crack.study.plausibility import find_key_figures, remarks_on_scene
 from fenics_crack.sweep.plan import Plan
 

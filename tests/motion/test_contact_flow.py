@@ -519,7 +519,7 @@ def test_no_orbit_is_cheap() -> None:
 # --- the search -----------------------------------------------------------------------------------
 
 
-def test_search_without_guesses() -> None:
+def test_search_without_guesses(monkeypatch: pytest.MonkeyPatch) -> None:
     """From rest along the motion, also to an orbit that it passes: a mass between two hard stops;
     where there is none, how near the motion came to where it was, in periods of the load."""
     wandering = fc.Structure.from_matrices(
@@ -528,9 +528,54 @@ def test_search_without_guesses() -> None:
     )  # fmt: skip
     found = search_orbit(known(wandering, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
     assert found.orbit is not None and not found.orbit.is_stable and found.orbit.residual < 1e-6
-    assert found.reason == "exact orbit, by following the motion"
+    assert found.reason == "exact orbit by following the motion"
     driven = known(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
-    found = search_orbit(driven, 1.0, (), 3, SearchOptions(evaluations=300))
+    monkeypatch.setattr(SearchOptions, "evaluations", 300)
+    found = search_orbit(driven, 1.0, (), 3)
     words = re.search(r"followed for (\d+) periods of the load, .* after (\d+)", found.reason)
     assert found.orbit is None and words is not None
     assert int(words[1]) % 3 == 0 and int(words[2]) % 3 == 0
+
+
+class Layer:
+    """A law of two slopes: a share of the stiffness k up to a depth, all of it beyond."""
+
+    def __init__(self, stiffness: float, share: float, depth: float) -> None:
+        self.stiffness, self.share, self.depth = stiffness, share, depth
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """Return k (s max(g, 0) + (1 - s) max(g - p, 0))."""
+        parts = self.share * np.maximum(gap, 0.0), np.maximum(gap - self.depth, 0.0)
+        return self.stiffness * (parts[0] + (1.0 - self.share) * parts[1])
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """Return its slope."""
+        return self.stiffness * (self.share * (gap > 0.0) + (1.0 - self.share) * (gap > self.depth))
+
+    def scaled(self, factor: float) -> Layer:
+        """Return the law with factor * k."""
+        return Layer(factor * self.stiffness, self.share, self.depth)
+
+
+@pytest.mark.parametrize("omega", [0.9, pytest.param(1.4, marks=pytest.mark.nightly)])
+def test_two_slopes_are_two_penalties(omega: float) -> None:
+    """A pair whose force has two slopes is two rows of one gap, each with a penalty and a clearance
+    of its own: the exact orbit is that of 60 harmonics of the sampled force."""
+    share, depth, gap = 0.4, 0.3, np.array([1.0, -0.5])
+    springs = np.array([[2.0, -1.0], [-1.0, 1.5]])
+
+    def oscillator(gaps: np.ndarray, clearance: list[float]) -> fc.Structure:
+        return fc.Structure.from_matrices(
+            np.eye(2), springs, gap=gaps, clearance=clearance, force_sin=[0.0, 1.0],
+            damping=fc.ModalDamping(0.03),
+        )  # fmt: skip
+
+    rows = oscillator(np.column_stack([gap, gap]), [0.1, 0.1 + depth])
+    penalties = fc.UnilateralPenalty([3.0 * share, 3.0 * (1.0 - share)])
+    orbit = fc.solve_harmonic_balance(rows, omega, penalties, tolerance=1e-2).orbit
+    assert orbit is not None and orbit.measure([1])[0].penetration > 1.2 * depth
+    pair, law = oscillator(gap, [0.1]), Layer(3.0, share, depth)
+    sampled = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
+    assert orbit.amplitude(1) == pytest.approx(sampled.amplitude(1), rel=1e-6)
+    force = sampled.faces["crack_force"]
+    assert orbit.faces["crack_force"] == pytest.approx(force, rel=1e-5)

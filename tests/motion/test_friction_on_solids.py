@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import fenics_crack as fc
-from fenics_crack.study.vary import errors_of
+from fenics_crack.errors.stated import errors_of
 
 BLADE = fc.Scene.from_mapping(
     {

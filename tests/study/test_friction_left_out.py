@@ -134,7 +134,7 @@ def test_where_it_is_silent() -> None:
 
 def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """It names friction above the tolerance only; a search that fails is said."""
-    from fenics_crack.study.conclusion import said_of
+    from fenics_crack.runs.conclusion import said_of
 
     for frequency, said in ((3560.0, True), (2000.0, False)):
         at = {"excitation.frequency": frequency, "harmonic_balance.tolerance": 0.1}
@@ -145,7 +145,7 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise ConvergenceError("none")
 
-    monkeypatch.setattr("fenics_crack.study.vary.law_of", fails)
+    monkeypatch.setattr("fenics_crack.errors.case.law_of", fails)
     errors = fc.solve(FEW, MPI.COMM_SELF).errors
     assert errors.unknown["friction"] == "a run with friction has no solution"
     assert errors.stated("amplitude")[0] > 0.0

@@ -22,12 +22,12 @@ from test_verify import plate
 
 import fenics_crack as fc
 from fenics_crack.balance.solution import Solver
+from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, distribute_rows
 from fenics_crack.study import prepare
 from fenics_crack.study.meshes import finer_mesh
-from fenics_crack.study.numbers import numbers_of
 from fenics_crack.study.observer import at_tips
 from fenics_crack.study.plausibility import (
     KeyFigures,

@@ -11,9 +11,9 @@ from helpers import DEMOS, ROOT
 
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModes
+from fenics_crack.errors.numbers import of_orbit
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.numbers import of_orbit
 
 ALONE = {
     "curve": None, "sweep": None, "mesh.error": False, "contact.friction_error": False,

@@ -13,7 +13,7 @@ from reference_flow import size_of_motion
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.balance.solution import Solver
-from fenics_crack.study.vary import stated_errors
+from fenics_crack.errors.stated import stated_errors
 
 KEYS = {
     "curve": None, "sweep": None, "mesh.error": False, "contact.friction_error": False,

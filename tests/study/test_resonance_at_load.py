@@ -4,10 +4,10 @@ import json
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from helpers import ROOT, titanium_blade
 from mpi4py import MPI
+from rotating import cracked
 from surroundings import RunCommand
 
 import fenics_crack as fc
@@ -57,13 +57,22 @@ def test_what_is_not_known() -> None:
 
 
 def test_speed_that_meets_an_order() -> None:
-    """Of (n W)^2 = w^2 + S x + C x^2 / 2 with x = W^2 - W_0^2; never where it is not real."""
-    for slope in ((0.0, 0.0), (1.5, 0.0), (1.5, -1e-5), (-2.0, 1e-5)):
-        met = meeting_speed(4.0, 100.0, 430.0, np.array(slope))
-        apart = met**2 - 100.0**2
-        square = 430.0**2 + slope[0] * apart + 0.5 * slope[1] * apart**2
+    """Of (n W)^2 = w^2 + S (W^2 - W_0^2); never where it is not real."""
+    for slope in (0.0, 1.5, -2.0):
+        met = meeting_speed(4.0, 100.0, 430.0, slope)
+        square = 430.0**2 + slope * (met**2 - 100.0**2)
         assert met == pytest.approx(math.sqrt(square) / 4.0, rel=1e-12)
-    assert math.isnan(meeting_speed(1.0, 100.0, 430.0, np.array([1.5, 0.0])))
+    assert math.isnan(meeting_speed(1.0, 100.0, 430.0, 1.5))
+
+
+def test_rotor_has_one_answer() -> None:
+    """check, from a speed 6 % below, names the resonance of the Campbell diagram."""
+    scene = cracked(550.0).replace({"excitation.omega": None, "excitation.order": 12})
+    [(_, met)] = fc.campbell(scene, [570.0, 600.0], 1).met
+    found = at_load(scene)
+    assert found.value == pytest.approx(met.value, rel=1e-5)
+    assert found.width == pytest.approx(met.width, rel=1e-3)
+    assert found.amplitude == pytest.approx(met.amplitude, rel=1e-3)
 
 
 @pytest.mark.nightly

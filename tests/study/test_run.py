@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -90,3 +91,11 @@ def test_no_verdict_without_penetration_where_lips_have_mass(scene: fc.Scene) ->
     heavy = scene.replace(RIGID | {"reduction.method": "free_interface"})
     run = fc.solve(heavy, MPI.COMM_SELF)
     assert run.result.converged and run.result.stability is None
+
+
+@pytest.mark.parametrize("kind", [fc.Modes, fc.PeriodicSolution, fc.ResponseCurve, fc.TimeHistory])
+def test_run_has_the_attributes_of_its_result(kind: type) -> None:
+    """Each public attribute of a result is a property of a run."""
+    names = {name for name in dir(kind) if not name.startswith("_")}
+    names |= {entry.name for entry in fields(kind)}
+    assert names <= {*dir(fc.Run), *(entry.name for entry in fields(fc.Run))}

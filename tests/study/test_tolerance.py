@@ -13,7 +13,7 @@ from reference_flow import ReferenceFlow
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.study.vary import stated_errors
+from fenics_crack.errors.stated import stated_errors
 
 LAW = {"contact.stiffness": 1e9, "damping.ratio": 0.03}
 SMALL = {"mesh.columns": 6, "mesh.rows": 12, "mesh.order": 1}
@@ -169,7 +169,7 @@ def test_orbit_beside_which_harmonic_balance_has_no_solution(
     def fail(*_: object) -> None:
         raise fc.ConvergenceError("no solution")
 
-    monkeypatch.setattr("fenics_crack.study.vary._solved", fail)
+    monkeypatch.setattr("fenics_crack.errors.stated.solve_again", fail)
     stated = stated_errors(run, run.result)
     assert "harmonics" not in stated.unknown and "modes" not in stated.unknown
     error = abs(run.result.orbit.amplitude() / run.result.amplitude() - 1.0)

@@ -25,7 +25,7 @@ from scipy.sparse.linalg import spsolve
 from surroundings import ROOT
 
 import fenics_crack as fc
-from fenics_crack.model.wheel import Wheel
+from fenics_crack.disk.wheel import Wheel
 
 COUNT = 4
 GRID = {"layout": "grid", "columns": 16, "rows": 16, "order": 2}

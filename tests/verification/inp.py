@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.model.cyclic import Sector
+from fenics_crack.disk.cyclic import Sector
 
 CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4, "C3D10": 10}
 """Nodes of a cell that an element of CalculiX takes, in VTK's order, which is its own."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.basics.errors import (
     FEW_MODES,
     InputError,
@@ -25,12 +26,11 @@ from fenics_crack.basics.suggestions import checked_call, fitting_argument
 from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
 from fenics_crack.basics.untrusted_files import heading_in_si, table_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.tip_timing.arrival_times import ArrivalTimes
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from fenics_crack.monitoring.tip_timing.passages import PassageFit  # SciPy
+    from fenics_crack.arrivals.passages import PassageFit  # SciPy
 
 FREQUENCY_STATES = ("open", "tied", "bilinear", "resonance", "uncracked")
 """States of a plate with natural frequencies: its crack held open, held closed, breathing by the
@@ -285,8 +285,8 @@ class Measurements(Tabular):
             are, there are fewer than four, or ``noise`` is left out where passages have no scatter,
             or too few for an estimate, as in one revolution alone.
         """
-        from fenics_crack.monitoring.tip_timing.fit_order import Means  # SciPy
-        from fenics_crack.monitoring.tip_timing.robust import student
+        from fenics_crack.arrivals.fit_order import Means  # SciPy
+        from fenics_crack.arrivals.robust import student
 
         check_count("order", order, 1)
         if noise is not None:

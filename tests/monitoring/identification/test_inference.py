@@ -34,7 +34,7 @@ from fenics_crack.monitoring.identification.model import Passages, Prediction
 from fenics_crack.monitoring.identification.nuisance import Whole, crack_deviations
 from fenics_crack.monitoring.identification.posterior import Branch, Likelihood, Posterior
 from fenics_crack.monitoring.identification.result import Worth, advice, worth_of
-from fenics_crack.monitoring.tip_timing.scene_timing import mode_of, passed_in_words
+from fenics_crack.monitoring.scene_timing import mode_of, passed_in_words
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 

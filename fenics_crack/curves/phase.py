@@ -1,0 +1,236 @@
+"""Equations for a phase resonance: the displacement at the load has no part in phase with the load.
+
+The condensed equations F(s, v, w) = 0 (:mod:`contact_system`) have the load's frequency w, and a
+factor v for the vibrating part of the load. One equation is added:
+
+    Re P / Im P = 0,        P = f_k^H u_k.
+
+f_k and u_k are complex coefficients for the exciting harmonic k: f_k of the load, on a wheel only
+on the watched blade, and u_k of the displacement. Re P / Im P is linear in w next to the resonance
+of a single mode. The Jacobian is bordered by a row and a column.
+
+Contact with open or closed pairs is conewise linear. The motion is therefore v times the
+motion under the load itself, with the mean load and the clearance divided by v. Both are in the
+mean of the linear gap alone. F / v, a function of s / v, thus depends on v in the mean only, and P
+/ v does not.
+
+Further modes and harmonics shift the phase. With U(w) the displacement along the load, on the
+response curve through the point,
+
+    d ln U / dw = -2 i / D       for a single mode with the half-power width D.
+
+At a small distance d from the top of the curve, the real part of this derivative is 2 d / D times
+the imaginary part. Further modes cause a distance at the phase resonance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fenics_crack.balance.compliance import ModalCompliance
+from fenics_crack.balance.contact_system import ContactPoint
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.curves.balance_equations import BalanceAlongFrequency
+from fenics_crack.curves.curve_system import CurveSystem
+from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.equations import Linearisation
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Exciting harmonic in a load.
+
+    Attributes
+    ----------
+    harmonic : int
+        k.
+    load_rows : (2, n_dofs) [N]
+        Cosine and sine parts of the load; on a wheel, only on the watched blade.
+    """
+
+    harmonic: int
+    load_rows: np.ndarray
+
+    @classmethod
+    def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
+        """Return a harmonic in a structure's load."""
+        rows = slice(2 * harmonic - 1, 2 * harmonic + 1)
+        return cls(harmonic, structure.whole.load_on_sector(structure, rows))
+
+    def power(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
+        """Return P at a point, or there with given contact forces [N m]."""
+        displacement = compliance_of(point).selected_displacement(
+            self.load_rows, point.force if force is None else force
+        )
+        return self._power_of(displacement)
+
+    def power_by_omega(self, point: ContactPoint) -> complex:
+        """Return dP/dw for fixed contact forces."""
+        return self._power_of(
+            compliance_of(point).selected_displacement_by_omega(self.load_rows, point.force)
+        )
+
+    def _power_of(self, coefficients: np.ndarray) -> complex:
+        """Return the complex power P from products of load and displacement.
+
+        ``coefficients`` (2H+1, 2) [N m] are those of the displacement times the cosine and the sine
+        part of the load.
+        """
+        cosine, sine = coefficients[2 * self.harmonic - 1], coefficients[2 * self.harmonic]
+        return complex(cosine[0] + sine[1], cosine[1] - sine[0])
+
+
+def compliance_of(point: ContactPoint) -> ModalCompliance:
+    """Return a small structure's compliance at a point."""
+    assert isinstance(point.system.compliance, ModalCompliance)
+    return point.system.compliance
+
+
+class PhasePoint(Linearisation):
+    """Equations at a point, with the unknowns s and w.
+
+    s is divided by the system's size times v, and w by the problem's frequency.
+
+    Attributes
+    ----------
+    problem : Problem
+        Problem at v = 1, with a frequency near w.
+    contact_point : ContactPoint
+        F at s / v, for v = 1.
+    omega : float [rad/s]
+        w.
+    power : complex [N m]
+        P / v.
+    unknown_by_frequency, power_by_frequency : (2H+1, n_pairs), complex
+        ds/dw and dP/dw over v, along the response curve through the point.
+    """
+
+    def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
+        self.unknown, self.problem, self.drive = unknown, system.problem, system.drive
+        self._size, self.omega = system.size, system.omega(1.0, unknown)
+        self.contact_point = system.waves.system(self.omega).linearise(system.state(unknown, 1.0))
+        self.power = system.drive.power(self.contact_point)
+        value = system.value(parameter)
+        self._inverse_load = 1.0 / value
+        self._inverse_load_rate = -system.value_rate(value) / value**2
+
+    @cached_property
+    def residual(self) -> np.ndarray:  # type: ignore[override]
+        contact_residual = self.contact_point.residual.copy()
+        contact_residual[0] += (1.0 - self._inverse_load) * self.contact_point.system.linear[0]
+        return np.append(contact_residual / self._size, self.power.real / self.power.imag)
+
+    @cached_property
+    def by_parameter(self) -> np.ndarray:  # type: ignore[override]
+        derivative = np.zeros_like(self.unknown)
+        derivative[: len(self.contact_point.gap[0])] = (
+            -self._inverse_load_rate * self.contact_point.system.linear[0] / self._size
+        )
+        return derivative
+
+    def _phase_change(self, change: complex) -> float:
+        """Return the change in Re P / Im P by a change in the power P."""
+        power = self.power
+        return (change.real - power.real / power.imag * change.imag) / power.imag
+
+    def _power_change(self, change: np.ndarray) -> complex:
+        """Return the power's change by a change in the slow gap (2H+1, n_pairs) [m]."""
+        return (
+            self.drive.power(
+                self.contact_point,
+                self.contact_point.force + self.contact_point.forces.apply(change),
+            )
+            - self.power
+        )
+
+    @cached_property
+    def unknown_by_frequency(self) -> np.ndarray:
+        return -self.contact_point.solve(
+            compliance_of(self.contact_point).derivative("omega", self.contact_point.force)
+        )
+
+    @cached_property
+    def power_by_frequency(self) -> complex:
+        return self.drive.power_by_omega(self.contact_point) + self._power_change(
+            self.unknown_by_frequency
+        )
+
+    def solve(self, right_side: np.ndarray) -> np.ndarray:
+        change = self._size * self.contact_point.solve(
+            right_side[:-1].reshape(self.contact_point.unknown.shape)
+        )
+        remainder = right_side[-1] - self._phase_change(self._power_change(change))
+        omega_change = remainder / self._phase_change(self.power_by_frequency)
+        relative_change = (change + omega_change * self.unknown_by_frequency) / self._size
+        return np.append(relative_change, omega_change / self.problem.omega)
+
+    @property
+    def sign(self) -> float:
+        return self.contact_point.sign * float(np.sign(self._phase_change(self.power_by_frequency)))
+
+    @property
+    def width(self) -> float:
+        """Return D, the half-power width for a mode with this response [rad/s]."""
+        return -2.0 / (self.power_by_frequency / self.power).imag
+
+    @property
+    def distance_to_peak(self) -> float:
+        """Return the distance to the top of the response curve, over the width.
+
+        It follows from the derivative of P by the frequency.
+        """
+        return 0.25 * self.width * (self.power_by_frequency / self.power).real
+
+    @cached_property
+    def solution(self) -> PeriodicSolution:
+        """Return the motion, without a search for an exact orbit."""
+        problem = replace(self.problem, omega=self.omega)
+        return solution_of(problem, self.contact_point, status="phase resonance", search=False)
+
+
+class ResonanceSystem(CurveSystem):
+    """Phase resonance over the factor v of a load.
+
+    The unknowns are s / (size v), and the frequency relative to the problem's frequency.
+
+    Attributes
+    ----------
+    start_unknown : (n_unknowns,)
+        Guess for the resonance at ``start``, from a nearby point.
+    size : float [m]
+        Size of the slow gap's vibration at this point, over v.
+    """
+
+    name, logarithmic = "resonance", True
+
+    def __init__(
+        self,
+        problem: Problem,
+        drive: Drive,
+        nearby_point: ContactPoint,
+        factor_range: tuple[float, float] = (1, 2),
+    ) -> None:
+        self.start, self.end = factor_range
+        self.waves = waves = BalanceAlongFrequency(problem, problem.omega, 0.5 * problem.omega)
+        slow_gap = waves.system(problem.omega).slow_gap(nearby_point.gap, nearby_point.force)
+        slow_gap = slow_gap / self.start
+        self.size = float(np.linalg.norm(slow_gap[1:]))
+        self.start_unknown = np.append(slow_gap / self.size, 1.0)
+        self.problem, self.drive, self.means = waves.problem, drive, waves.means
+        self.shape = self.start_unknown.shape
+
+    def rounding(self, parameter: float) -> float:
+        return self.waves.rounding(0.0)
+
+    def omega(self, value: float, unknown: np.ndarray) -> float:
+        return float(unknown[-1]) * self.problem.omega
+
+    def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
+        return self.size * value * unknown[:-1].reshape(-1, self.means)
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
+        return PhasePoint(self, unknown, parameter)

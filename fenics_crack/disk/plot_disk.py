@@ -1,0 +1,225 @@
+"""Pictures of a bladed disk: its blades, its nodal diameters, and amplification by mistuning."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Unpack
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.tables import RPM, TURN, quantity, readable
+from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_of
+from fenics_crack.disk.cyclic import excited_diameter
+from fenics_crack.disk.wheel import Wheel
+from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, tenth
+from fenics_crack.draw.plot_mesh import draw_moved
+from fenics_crack.fem.nodal_mesh import NodalMesh
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FRAMES = 48
+"""Instants of the period at which the largest displacement of each node is looked for."""
+
+
+def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
+    """Draw a bladed disk coloured by the amplitude of its vibration, with the numbers of its
+    blades (collective).
+
+    The shape is that of the instant at which the wheel moves most, magnified; the colour is the
+    largest displacement over the period, without its mean. Cracked blades have orange numbers.
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        Of a scene with [disk].
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        It is no solution of a bladed disk.
+
+    Examples
+    --------
+    >>> figure = fc.draw_wheel(fc.solve(disk).result, path="disk.png")
+    """
+    wheel = wheel_of(solution.structure)
+    mesh = NodalMesh(solution.structure)
+    moved = mesh.nodal_vectors(
+        solution.displacement_field(solution.period / FRAMES * np.arange(FRAMES))
+    )
+    moved = moved - moved.mean(axis=0)
+    sizes = np.linalg.norm(moved, axis=2)
+    amplitude, largest = sizes.max(axis=0), moved[int(np.argmax(sizes.max(axis=1)))]
+    [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
+    factor, unit = readable(float(amplitude.max()), "m")
+    drawn = 0.5 * tenth(largest, mesh.size) * largest
+    shown = draw_moved(panel, mesh, drawn, factor * amplitude, of_wheel=True)
+    panel.figure.colorbar(shown, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
+    if mesh.dimension == 2:
+        _number_blades(panel, wheel)
+    return picture.saved()
+
+
+def _number_blades(panel: Axes, wheel: Wheel) -> None:
+    """The number of each blade, beyond the node that is farthest from the axis."""
+    sector, nodes = wheel.sector, wheel.sector.structure.nodes
+    assert nodes is not None
+    middle = nodes.points.mean(axis=0) - sector.center
+    reach = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
+    for place in range(sector.count):
+        at = sector.center + reach * sector.rotation_matrix(place) @ (
+            middle / np.linalg.norm(middle)
+        )
+        colour, weight = ("orange", "bold") if place in wheel.cracked else ("grey", "normal")
+        look = {"color": COLOURS[colour], "weight": weight, "ha": "center", "va": "center"}
+        panel.text(*at, str(place + 1), **look)
+        panel.update_datalim([at])
+
+
+def draw_blades(
+    curve: ResponseCurve, dof: int | None = None, *, in_hertz: bool = True, **where: Unpack[Where]
+) -> Figure:
+    """Draw the response of every blade of a bladed disk along a curve; cracked blades are orange,
+    the whole blade with the largest response blue.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+        Of a scene with [disk].
+    dof : int, optional
+        Of one blade, whose place is taken on each; default: the watched one.
+    in_hertz : bool
+        Frequencies in Hz, else in rad/s.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        It is no curve of a bladed disk.
+
+    Examples
+    --------
+    >>> figure = fc.draw_blades(fc.curve(disk).result, path="blades.png")
+    """
+    wheel = wheel_of(curve.problem_of(0).structure)
+    dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
+    lines = np.array([curve.amplitude(one) for one in dofs])
+    factor, *name = parameter_axis(curve.parameter, in_hertz)
+    [panel] = picture = Picture(comm=wheel.comm, **where)
+    whole = [place for place in range(len(dofs)) if place not in wheel.cracked]
+    peaks = lines.max(axis=1)
+    for place in whole:
+        panel.plot(factor * curve.values, lines[place], color="#b4b4b4", lw=0.8)
+    marked = [(max(whole, key=lambda place: peaks[place]), "blue", "")] if whole else []
+    marked += [(place, "orange", ", cracked") for place in wheel.cracked]
+    for place, colour, words in marked:
+        label = f"blade {place + 1}{words}, up to {quantity(float(peaks[place]), 'm')}"
+        panel.plot(factor * curve.values, lines[place], color=COLOURS[colour], lw=1.5, label=label)
+    others = len(whole) - 1
+    if others > 0:
+        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {others} others")
+    panel.set_yscale("log")
+    panel.set_xlabel(f"{name[0]} [{name[1]}]")
+    label_axis(panel.yaxis, "amplitude", "m")
+    return picture.finished()
+
+
+def draw_nodal_diameters(
+    found: NodalDiameters, *, families: int | None = None, **where: Unpack[Where]
+) -> Figure:
+    """Draw natural frequencies over the nodal diameter (SAFE diagram, Singh and others 1988): dots
+    of each family; of a rotor, the frequency of each engine order at the nodal diameter that it
+    excites, which goes up and down between 0 and N/2. The order of the load has a ring on each
+    family.
+
+    Parameters
+    ----------
+    found : NodalDiameters
+        Result to draw.
+    families : int, optional
+        How many; default: all.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(disk), path="diameters.png")
+    """
+    from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
+
+    [panel] = picture = Picture(**where)
+    shown = found.omega[:, :families] / TURN
+    diameters = np.arange(len(shown))
+    for (family, row), colour in zip(enumerate(shown.T, 1), [*COLOURS.values()] * 99, strict=False):
+        panel.plot(diameters, row, ".-", color=colour, ms=7, lw=0.8, label=f"family {family}")
+    look = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
+    excited = shown[found.excited]
+    panel.plot(np.full(len(excited), found.excited), excited, "o", ms=10, **look)
+    top = 1.08 * float(shown.max())
+    if (speed := found.scene.speed) > 0.0:
+        hertz = speed / TURN
+        orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
+        places = [excited_diameter(order, found.sectors) for order in orders]
+        label = f"engine orders at {speed / RPM:.4g} rpm"
+        panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
+    panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))
+    panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+    return picture.finished()
+
+
+def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
+    """Draw the distribution of the amplification factors of random patterns of mistuning: a
+    histogram, the share of patterns below a factor, and Whitehead's bound.
+
+    Parameters
+    ----------
+    found : Amplification
+        Result to draw.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_amplification(fc.amplification(disk, 200), path="amplification.png")
+    """
+    [panel] = picture = Picture(**where)
+    count = len(found.factor)
+    look = {"weights": np.full(count, 100.0 / count), "color": COLOURS["blue"], "alpha": 0.6}
+    panel.hist(found.factor, max(8, int(np.sqrt(count))), **look)
+    panel.set(xlabel="amplification factor", ylabel=f"share of {count} patterns [%]")
+    panel.axvline(found.bound, color=COLOURS["pink"], ls="--", label="Whitehead's bound")
+    percentile = found.percentile(95.0)
+    label = f"95 % of patterns below {percentile:.3g}"
+    panel.axvline(percentile, color=COLOURS["grey"], ls=":", label=label)
+    ranked = np.sort(found.factor)
+    other = panel.twinx()
+    other.plot(ranked, 100.0 * np.arange(1, count + 1) / count, color=COLOURS["orange"], lw=1.4)
+    other.set(ylabel="share below [%]", ylim=(0.0, 102.0))
+    other.yaxis.label.set_color(COLOURS["orange"])
+    return picture.finished()

@@ -1,0 +1,163 @@
+"""Match the sides of a bladed disk's sector, and assemble the wheel.
+
+Turned about the axis by 2 pi / N, in one direction or the other, the left side is the right side,
+node by node. Displacements on the right side are in the frame of the next sector. In sectors
+without a crack, coincident nodes of both crack faces are bonded.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.disk.cyclic import Sector
+from fenics_crack.disk.wheel import Wheel
+from fenics_crack.fem.blocks import RIM_SIDES
+from fenics_crack.fem.cracks import LIP_TAGS, POSITION_TOLERANCE
+from fenics_crack.fem.elasticity import rotation_of
+from fenics_crack.fem.plate import Dofs
+from fenics_crack.model.modes import multiply
+from fenics_crack.model.nodes import format_point
+from fenics_crack.model.structure import Structure
+from fenics_crack.scene.scene import Scene
+
+
+def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
+    """Assemble the bladed disk from its sector (collective).
+
+    Every rank has the whole sector.
+
+    Raises
+    ------
+    InputError
+        The crack reaches a side, or the wheel is unstable at this speed.
+    """
+    disk = scene.given("disk")
+    sector, rotation = _make_sector(scene, dofs, structure), None
+    if scene.speed > 0.0:
+        with sector.factor_stiffness() as solver:  # the load is the same on all sectors
+            rotation = rotation_of(scene, dofs, structure, solver.static_response)
+        static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
+        # u_s and its stress are those of bonded cracks, which the load would open. The force is
+        # K(W) u_s, with the full stiffness of the displaced shape.
+        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation.force
+        stiffened_sector = replace(
+            sector, structure=structure._with_changes(stiffness=static_stiffness)
+        )
+        with stiffened_sector.factor_stiffness() as solver:
+            displacement = solver.static_response(centrifugal_load[:, None])
+        force[0] += (
+            centrifugal_load
+            + (multiply(stiffness, displacement) - multiply(static_stiffness, displacement))[:, 0]
+        )
+        rotating_structure = structure._with_changes(stiffness=stiffness, force=force)
+        sector = replace(sector, structure=rotating_structure)
+    return Wheel(
+        sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,
+        order=scene.excitation.order or 0, families=disk.families, rotation=rotation, comm=comm,
+    )  # fmt: skip
+
+
+def match_sides(scene: Scene, dofs: Dofs) -> None:
+    """Match a sector's left and right nodes, and record them in ``dofs``.
+
+    Displacements on the right side are then in the frame of the next sector.
+
+    Raises
+    ------
+    InputError
+        The mesh has no sides, or their nodes do not match.
+    """
+    from scipy.spatial.transform import Rotation  # only meshes of sectors need it
+
+    disk, (center, axis) = scene.given("disk"), scene.axis
+    points, size = dofs.points, float(np.ptp(dofs.points, axis=0).max())
+    names = RIM_SIDES if RIM_SIDES[0] in dofs.plate.groups else ("left", "right")
+    for name in names:
+        if name not in dofs.plate.groups:
+            requirement = "a mesh of one sector whose sides are named 'left' and 'right'"
+            raise InputError("mesh.file", f"without a side named {name!r}", requirement)
+    left_nodes, right_nodes = (dofs.nodes_on(name) for name in names)
+    spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
+    rotations = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
+    matches = [
+        _distance_and_partners(
+            (spatial_points[left_nodes] - center) @ rotation.T + center, spatial_points[right_nodes]
+        )
+        for rotation in rotations
+    ]
+    best_index = min((0, 1), key=lambda index: matches[index][0])
+    (distance, worst_node, partner), rotation = matches[best_index], rotations[best_index]
+    if distance > POSITION_TOLERANCE * size:
+        place_text = format_point(points[left_nodes[worst_node]])
+        problem = (
+            f"{len(left_nodes)} nodes of the left side and {len(right_nodes)} of the right one"
+        )
+        requirement = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
+        requirement += " degrees, is the right one node by node;"
+        requirement += f" that at {place_text} is {distance:.2g} m from the nearest"
+        raise InputError("mesh.file" if names[0] == "left" else "disk", problem, requirement)
+    if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
+        place_text = format_point(points[common_nodes[0]])
+        requirement = f"a disk with a hole: both sides have the node at {place_text}"
+        raise InputError("mesh.file", "a sector that reaches the axis", requirement)
+    d = points.shape[1]
+    dofs.set_sector_sides(np.array([left_nodes, right_nodes[partner]]), rotation[:d, :d])
+
+
+def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
+    """Return the sector with the nodes of its sides and crack faces."""
+    points, sides, frames = dofs.points, dofs.sides, dofs.frames
+    assert sides is not None and frames is not None
+    crack_nodes = np.zeros((2, 0), dtype=int)
+    if dofs.plate.has_cracks:  # tips belong to both faces and need no bond
+        lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in LIP_TAGS)
+        lower_nodes, upper_nodes = (
+            np.setdiff1d(lower_nodes, upper_nodes),
+            np.setdiff1d(upper_nodes, lower_nodes),
+        )
+        distance, worst_node, partner = _distance_and_partners(
+            points[lower_nodes], points[upper_nodes]
+        )
+        if distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
+            place_text = format_point(points[lower_nodes[worst_node]])
+            requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
+            raise InputError(
+                "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
+            )
+        crack_nodes = np.array([lower_nodes, upper_nodes[partner]])
+    if len(common_nodes := np.intersect1d(crack_nodes, sides)):
+        requirement = (
+            f"away from the sides of its sector, not at {format_point(points[common_nodes[0]])}"
+        )
+        raise InputError("lips", "a crack", requirement)
+    center, rotation = scene.axis[0][: points.shape[1]], frames[sides[1, 0]]
+    n_sectors = scene.given("disk").sectors
+    return Sector(structure, n_sectors, center, rotation, sides, crack_nodes, structure.stiffness)
+
+
+def _distance_and_partners(
+    points: np.ndarray, candidates: np.ndarray
+) -> tuple[float, int, np.ndarray]:
+    """Match two point sets one to one.
+
+    Returns
+    -------
+    float
+        Largest distance of a point from its partner [m]; inf if the match is not one to one.
+    int
+        Index of the point with the largest distance.
+    (n,) int
+        Partner of each point: the nearest candidate.
+    """
+    from scipy.spatial import cKDTree
+
+    distances, partners = cKDTree(candidates).query(points)
+    worst_point = int(np.argmax(distances))
+    is_ambiguous = len(candidates) != len(points) or len(np.unique(partners)) != len(partners)
+    return (math.inf if is_ambiguous else float(distances[worst_point])), worst_point, partners

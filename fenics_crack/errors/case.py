@@ -1,0 +1,266 @@
+"""Answer whose causes of error are varied one at a time.
+
+Two causes are judged the same by one other run and by finer ones. *Harmonics* have the distance
+from the numbers of the exact orbit, if it is the answer's own. *Friction* has two parts:
+
+- Without friction each number changes as between two exact orbits, without friction and with it.
+  The structure of these orbits has few modes, and crack faces without mass. Extremes may agree by
+  chance: as by modes, the part is at least the root mean square of the change of the motion. The
+  difference between this change and that with half the modes is added.
+- With friction on a solid, along one line for each pair, the part is twice the share of sliding
+  across these lines, without friction, in the change by friction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.harmonic_balance import (
+    along_lines,
+    find_sliding_lines,
+    motion_without_friction,
+    slide_along_lines,
+    solve_linear,
+)
+from fenics_crack.balance.problem import Problem, least_harmonics
+from fenics_crack.balance.solution import PeriodicSolution, Solver
+from fenics_crack.basics.causes import OTHER_RUNS
+from fenics_crack.basics.errors import InputError
+from fenics_crack.errors.convergence import GridConvergence, Varied
+from fenics_crack.errors.numbers import (
+    Numbers,
+    accepted_orbit,
+    many_harmonics,
+    numbers_of,
+    of_orbit,
+    sizes_of_change,
+)
+from fenics_crack.errors.verification import Verification
+from fenics_crack.model.contact import CoulombFriction, friction_of
+from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.study.prepare import REFUSALS, Study, law_of
+
+FRICTION_MODES = 20, 10
+"""Modes of the structures that show the effect of friction, and how it depends on modes.
+
+With 40 modes an orbit takes three times as long, and ten times if it is hard to find.
+"""
+TURNING_FACTOR = 2.0
+"""Stated error by sliding across the lines of friction, over its share in the change by friction.
+
+True errors, beside time steps with Coulomb's cone, were 0.03 to 1.2 of that in seven cases.
+"""
+SLIDING_QUANTITIES = ("K_II_max", "K_III_max")
+"""Stress intensities that friction at the tip itself changes."""
+START_HARMONICS = 10
+"""Harmonics of the solutions next to which the two orbits are sought."""
+CAUSE_WITHOUT_CONTACT = "without contact there is one"
+"""Reason why harmonics are not varied."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Answer whose causes of error are varied.
+
+    Attributes
+    ----------
+    study : Study
+        Study of the answer, reduced as it was.
+    answer : PeriodicSolution
+        The answer.
+    answer_numbers : dict of str to float
+        Its numbers.
+    wave : PeriodicSolution
+        Solution by harmonic balance with as many harmonics, to which other solutions are compared.
+        It is the answer if there is no such solution and the answer is an exact orbit.
+    numbers : Numbers
+        Numbers of the wave.
+    """
+
+    study: Study
+    answer: PeriodicSolution
+    answer_numbers: Mapping[str, float]
+    wave: PeriodicSolution
+    numbers: Numbers
+
+    def values_of(
+        self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
+    ) -> dict[str, float]:
+        """Return the numbers of a motion, by default of the answer's study (collective)."""
+        study, mode = study or self.study, self.numbers.mode
+        if isinstance(motion, PeriodicOrbit):
+            return of_orbit(study, self.answer, motion, mode)
+        return numbers_of(study, motion, mode).values
+
+    @cached_property
+    def orbit_values(self) -> dict[str, float] | None:
+        """Numbers of the exact orbit that is accepted for the answer, or None (collective)."""
+        orbit = accepted_orbit(self.answer)
+        return None if orbit is None else self.values_of(orbit)
+
+    def distance_to_orbit(self, orbit_values: Mapping[str, float]) -> Varied:
+        """Return the part of harmonics by the numbers of the exact orbit."""
+        counts = self.answer.harmonics, many_harmonics(self.answer)
+        sizes = 1.0 / counts[1], 1.0 / counts[0]
+        parts = {}
+        for name, value in self.values_of(self.answer).items():
+            limit = orbit_values.get(name, 0.0)
+            parts[name] = GridConvergence(
+                sizes, (limit, value), "exact orbit", factor=1.0, extrapolated=limit
+            )
+        return counts, parts
+
+    def friction(self) -> Varied:
+        """Judge friction by exact orbits without it and with it (collective).
+
+        There is none if the answer has friction, its scene has a coefficient, or crack faces do not
+        touch.
+        """
+        study, scene, answer = self.study, self.study.scene, self.answer
+        law, structure = study.contact, study.structure
+        if law is None or not np.any(answer.contact_force(answer.instants()) > 0.0):
+            return ""
+        if (friction := friction_of(law)) is not None:
+            return "" if friction.direction is None else self._sliding_across_lines(friction)
+        table = scene.given("contact")
+        if table.friction is not None:
+            return ""
+        if not (coefficient := table.friction_error):
+            return "contact.friction_error = false"
+        tangential_structure = structure.whole.with_tangents()
+        if scene.disk is not None or tangential_structure.tangential is None:
+            return "not estimated, only of single plates and solids"
+        keys: dict[str, Any] = {"contact.friction": coefficient, "output.quantities": None}
+        keys["harmonic_balance.form"] = "condensed"
+        if not structure.light_lips:  # faces with mass, in contact as stiff along them as across
+            keys["contact.tangential_stiffness_per_area"] = table.stiffness_per_area
+        (orbits, numbers), (coarse_orbits, coarse_numbers) = (
+            self._orbits_without_and_with(count, tangential_structure, keys)
+            for count in FRICTION_MODES
+        )
+        if len(orbits) < 2:
+            return f"not estimated, no exact orbit next to {START_HARMONICS} harmonics"
+        if len(coarse_orbits) < 2:
+            coarse_numbers = numbers
+        sizes = sizes_of_change(study, *orbits)
+        coefficients, parts = (0.0, float(coefficient)), {}
+        for name, value in self.answer_numbers.items():
+            if name in SLIDING_QUANTITIES:
+                continue
+            change = _relative_change(name, *numbers)
+            error = abs(change) + abs(change - _relative_change(name, *coarse_numbers))
+            if size := abs(numbers[0].get(name, 0.0)):
+                error = max(error, sizes.get(name, 0.0) / size)
+            values = value, value * (1.0 + change)
+            factor = error / abs(change) if change else 1.0
+            parts[name] = GridConvergence(coefficients, values, "two coefficients", factor=factor)
+        return FRICTION_MODES[:1] * 2, parts
+
+    def _orbits_without_and_with(
+        self, count: int, whole: Structure, keys: Mapping[str, Any]
+    ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
+        """Return exact orbits without friction and with it, and their numbers (collective).
+
+        Keys of the scene describe the friction. The lists end at the first orbit that is not found.
+        """
+        study, answer, periods = self.study, self.answer, self.answer.subharmonic
+        count = min(count, whole.n_dofs // 2)
+        reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
+        orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
+        for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
+            assert law is not None
+            contact_law = along_lines(reduced_structure, law, lambda _: orbits[0])
+            problem = Problem(
+                reduced_structure,
+                answer.omega,
+                contact_law,
+                START_HARMONICS * periods,
+                subharmonic=periods,
+            )
+            orbit = Solver(problem).solve(answer).assessment.orbit
+            if orbit is None:
+                break
+            twin = replace(study, structure=reduced_structure, contact=contact_law)
+            orbits.append(orbit)
+            numbers.append(self.values_of(orbit, twin))
+        return orbits, numbers
+
+    def _sliding_across_lines(self, friction: CoulombFriction) -> Varied:
+        """Return the part of sliding across the lines of a solid's friction (collective)."""
+        study, answer = self.study, self.answer
+        structure, periods = study.structure, answer.subharmonic
+        free_motion = motion_without_friction(structure, answer.omega, friction.law, periods)
+        free_values = self.values_of(free_motion, replace(study, contact=friction.law))
+        turning, parts = find_sliding_lines(free_motion, friction.direction)[1], {}
+        for name, value in self.answer_numbers.items():
+            turned_value = value + turning * (free_values.get(name, 0.0) - value)
+            parts[name] = GridConvergence(
+                (0.0, 1.0), (value, turned_value), "two coefficients", factor=TURNING_FACTOR
+            )
+        return (structure.n_modes, structure.n_modes), parts
+
+
+def _relative_change(
+    name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
+) -> float:
+    """Return the relative change of a number from one motion to another; 0 if it has none."""
+    value = numbers.get(name, 0.0)
+    return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
+
+
+def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Verification:
+    """Add the part of each cause, or why it is not known (collective)."""
+    for cause, find_part in causes.items():
+        try:
+            errors = errors.with_part(cause, find_part())
+        except REFUSALS as error:
+            other_run = OTHER_RUNS.get(cause, f"a run with more {cause}")
+            errors = errors.with_unknown(cause, reason_of_failure(other_run, error))
+    return errors
+
+
+def reason_of_failure(run: str, error: Exception) -> str:
+    """Return why another run gives no error: a key that it cannot have, or no solution."""
+    if isinstance(error, InputError):
+        return f"{run} cannot be used, for its {error.key}"
+    return f"{run} has no solution"
+
+
+def solve_again(
+    study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
+) -> PeriodicSolution:
+    """Solve a reduced study without its stability; ConvergenceError if it fails."""
+    if study.contact is None:
+        return solve_linear(study.structure, omega, harmonics=harmonics)
+    return _solver(study, omega, harmonics).solve(initial)
+
+
+def solve_in_steps(
+    study: Study, omega: float, harmonics: int, initial: PeriodicSolution | None = None
+) -> PeriodicSolution:
+    """Solve with half of the harmonics, and from there with all of them.
+
+    Half of them find a motion from rest in less time. If no solution with all harmonics is next to
+    it, the first solution is returned.
+    """
+    n_first = max(harmonics // 2, least_harmonics(study.structure, 1))
+    solution = solve_again(study, omega, n_first, initial)
+    if study.contact is None:
+        return solution
+    solver = _solver(study, omega, harmonics)
+    search, finer_solution = solver.attempt(solution, wholly=False)
+    return finer_solution if search.has_converged else solution
+
+
+def _solver(study: Study, omega: float, harmonics: int) -> Solver:
+    """Return the solver of a study, with friction along the lines of its own sliding."""
+    assert study.contact is not None
+    law = slide_along_lines(study.structure, omega, study.contact)
+    return Solver(Problem(study.structure, omega, law, harmonics))

@@ -1,0 +1,259 @@
+"""Grid convergence: the error of a number that is computed with two or three step sizes.
+
+Of values f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p (Roache's index). Then
+
+    (f_3 - f_2) / (f_2 - f_1) = (h_3^p - h_2^p) / (h_2^p - h_1^p)
+
+gives the observed order p, and f = f_1 + (f_1 - f_2) / ((h_2/h_1)^p - 1) the extrapolated value.
+The uncertainty of f_i is F |f_i - f|; with i = 1, relative to f_1, it is the grid-convergence index
+
+    GCI = F |(f_1 - f_2) / f_1| / ((h_2/h_1)^p - 1).
+
+The factor of safety F is 1.25 if three sizes show an order near the theoretical order, or one
+between that and the best order of the elements; otherwise 3. An order above the theoretical one is
+not used: the slowest part of an error comes last. With errors that are sums of powers from the
+theoretical order on, with coefficients of one sign, no more can be left. Values that oscillate,
+diverge, or converge faster than the elements can are not in the asymptotic range. Nothing is
+extrapolated from them, and their uncertainty is 3 times their spread.
+
+Roache, Journal of Fluids Engineering 116, 1994, 405; Celik and others, the same 130, 2008, 078001;
+ASME V&V 20-2009, section 2; the rule for orders follows Oberkampf and Roy, Verification and
+Validation in Scientific Computing, 2010, chapter 8.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.basics.errors import InputError, check_number
+from fenics_crack.basics.tables import Described
+from fenics_crack.model.matrices import numbers
+from fenics_crack.scene.scene import Scene
+
+SAFE, CAUTIOUS = 1.25, 3.0
+"""Factors of safety."""
+UNCHANGED = 1e-9
+"""Relative spread of values that differ by rounding only."""
+TIP_ORDER, CLAMP_ORDER = 1.0, 1.5
+"""Orders of convergence at a crack tip and at a clamp's ends."""
+MIN_ORDER = 0.5
+"""Smallest observed order that is taken for the asymptotic range."""
+
+
+@dataclass(frozen=True, repr=False)
+class GridConvergence(Described):
+    """Values over a step size, and their error.
+
+    Attributes
+    ----------
+    sizes, values : tuple of float
+        h_i, smallest first, and f_i.
+    behaviour : str
+        "asymptotic": the observed order is near that of theory, or between that and the highest;
+        "outside": it falls, with another order; "irregular": the values oscillate, come no closer,
+        or come closer too fast to show an order; "two sizes": no order is observed;
+        "two coefficients": the sizes are coefficients of friction, the first one is 0;
+        "unchanged": the same to rounding; "carried": the values are those at a shifted resonance;
+        "exact orbit": the first is the limit.
+    order : float
+        p, observed; nan where there is none.
+    exponent : float
+        The order that is extrapolated with from the two smallest sizes; nan where nothing is.
+    factor : float
+        F.
+    extrapolated : float
+        f; nan outside the asymptotic range.
+    """
+
+    sizes: tuple[float, ...]
+    values: tuple[float, ...]
+    behaviour: str
+    order: float = math.nan
+    exponent: float = math.nan
+    factor: float = CAUTIOUS
+    extrapolated: float = math.nan
+
+    @property
+    def is_asymptotic(self) -> bool:
+        """True if something could be extrapolated."""
+        return self.behaviour not in ("irregular", "carried", "two coefficients")
+
+    def uncertainty(self, place: int = 0) -> float:
+        """Return F abs(f_i - f) of a value, by default of the smallest size.
+
+        Outside the asymptotic range it is F times the spread; 0 if values differ by rounding.
+        """
+        if self.behaviour == "unchanged":
+            return 0.0
+        if self.is_asymptotic:
+            return self.factor * abs(self.values[place] - self.extrapolated)
+        return self.factor * (max(self.values) - min(self.values))
+
+    @property
+    def gci(self) -> float:
+        """The uncertainty of the value of the smallest size, relative to it."""
+        return self.uncertainty() / abs(self.values[0]) if self.values[0] else math.nan
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the attributes and the index by name."""
+        return {**vars(self), "gci": self.gci}
+
+    def _title(self) -> str:
+        return f"{self.behaviour}, order {self.order:.3g}, GCI {self.gci:.3g}"
+
+
+def grid_convergence(
+    sizes: Sequence[float],
+    values: Sequence[float],
+    *,
+    formal: float = 2.0,
+    highest: float = math.inf,
+) -> GridConvergence:
+    """Find the observed order, the extrapolated value and the grid-convergence index of values.
+
+    Parameters
+    ----------
+    sizes : (2,) or (3,)
+        Of elements or steps, in any unit, all different; or reciprocals of numbers of something.
+    values : (2,) or (3,)
+        Values computed with these.
+    formal : float
+        The order that theory expects.
+    highest : float
+        Order that the scheme has where nothing disturbs it; above it values are not in the
+        asymptotic range.
+
+    Returns
+    -------
+    GridConvergence
+        With the smallest size first.
+
+    Raises
+    ------
+    InputError
+        These are not two or three finite values with different sizes.
+
+    Examples
+    --------
+    >>> found = fc.grid_convergence([0.5, 0.25, 0.125], [1.25, 1.0625, 1.015625])
+    >>> order, value = found.order, found.extrapolated
+    """
+    check_number("formal", formal, 0.0, above=True)
+    h, f = numbers(sizes), numbers(values)
+    if h.shape not in ((2,), (3,)) or not np.all((h > 0.0) & (h < np.inf)):
+        raise InputError("sizes", sizes, "two or three finite numbers > 0")
+    if len(np.unique(h)) < len(h):
+        raise InputError("sizes", sizes, "all different")
+    if f.shape != h.shape or not np.all(np.isfinite(f)):
+        raise InputError("values", values, f"{len(h)} finite numbers, one for each size")
+    ranking = np.argsort(h)
+    h, f = h[ranking], f[ranking]
+    behaviour, order, exponent = _classify(h, f, formal, highest)
+    if behaviour == "unchanged":
+        limit = float(f[0])
+    else:
+        limit = float(f[0] + (f[0] - f[1]) / math.expm1(exponent * math.log(h[1] / h[0])))
+    return GridConvergence(
+        tuple(h.tolist()),
+        tuple(f.tolist()),
+        behaviour,
+        order,
+        exponent,
+        SAFE if behaviour == "asymptotic" else CAUTIOUS,
+        limit,
+    )
+
+
+def _classify(
+    h: np.ndarray, f: np.ndarray, formal: float, highest: float
+) -> tuple[str, float, float]:
+    """Return the behaviour of values, their observed order, and that of the extrapolation.
+
+    The orders are nan if there are none.
+    """
+    if np.ptp(f) <= UNCHANGED * np.abs(f).max():
+        return "unchanged", math.nan, math.nan
+    if len(h) == 2:
+        return "two sizes", math.nan, formal
+    oscillates = (f[2] - f[1]) * (f[1] - f[0]) < 0.0
+    order = math.nan if oscillates else _observed_order(h, f)
+    if not 0.0 < order <= highest or math.isinf(order):
+        return "irregular", order, math.nan
+    max_order = highest if math.isfinite(highest) else 1.5 * formal
+    behaviour = "asymptotic" if MIN_ORDER <= order <= max_order else "outside"
+    return behaviour, order, min(max(order, MIN_ORDER), formal)
+
+
+def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
+    """Return p of three values that do not oscillate; negative if they diverge."""
+    fine, coarse = np.log(h[1] / h[0]), np.log(h[2] / h[1])
+    if f[1] == f[0] or f[2] == f[1]:
+        return math.inf if f[1] == f[0] else -math.inf
+    log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
+
+    def excess(p: float) -> float:
+        """Return log of the ratio with an order, less that of the values; it rises with p."""
+        if p == 0.0:
+            return math.log(coarse / fine) - log_ratio
+        return p * fine + math.log(math.expm1(p * coarse) / math.expm1(p * fine)) - log_ratio
+
+    steepest = 0.5 * math.log(np.finfo(float).max) / max(fine, coarse)  # else expm1 overflows
+    if excess(steepest) < 0.0 or excess(-steepest) > 0.0:
+        return math.copysign(math.inf, log_ratio)
+    import scipy.optimize  # takes a while, and is needed here alone
+
+    return float(scipy.optimize.brentq(excess, -steepest, steepest))
+
+
+# --- parts of a cause -----------------------------------------------------------------------------
+
+
+Part = tuple[tuple[int, ...], dict[str, GridConvergence]]
+"""Counts of a cause, those of the answer first, and its part in each number."""
+Varied = Part | str
+"""A part; or the reason why there is none, "" if the cause does not apply."""
+Level = tuple[int, Mapping[str, float]]
+"""Count of elements, modes, harmonics or samples of a run, and its numbers."""
+
+
+def part_of(
+    cause: str,
+    levels: Sequence[Level],
+    scene: Scene,
+    *,
+    ratio: float | None = None,
+    formal: float = TIP_ORDER,
+    highest: float = math.inf,
+) -> Part:
+    """Return the part of a cause in each number of the answer, the first level.
+
+    Numbers that another level lacks count as 0. Two or three levels have the orders of
+    :func:`grid_convergence`. With a ratio of sizes, two levels give an error that is expected,
+    without a factor of safety.
+    """
+    counts, runs = zip(*levels, strict=True)
+    sizes = [_size_of(cause, count, scene) for count in counts]
+    if ratio is not None:
+        sizes[1] = ratio * sizes[0]
+    parts = {}
+    for name in runs[0]:
+        values = [run.get(name, 0.0) for run in runs]
+        convergence = grid_convergence(sizes, values, formal=formal, highest=highest)
+        parts[name] = convergence if ratio is None else replace(convergence, factor=1.0)
+    return counts, parts
+
+
+def _size_of(cause: str, count: int, scene: Scene) -> float:
+    """Return the mean element size of a mesh, or the reciprocal of another count.
+
+    The size is the side of a square or cube in [m] if the plate is the scene's (Celik and others,
+    equation 1).
+    """
+    if cause != "mesh":
+        return 1.0 / count
+    return float((math.prod(scene.geometry.sides) / count) ** (1.0 / scene.dimension))

@@ -1,0 +1,527 @@
+"""Stated errors of an answer's numbers: one other run for each cause.
+
+These are errors that are expected, not bounds. docs/notebook/stated_errors.md compares scenes with
+a mesh four times finer.
+
+- *modes*, judged by the reference: a reduced structure's reference has more modes. It is solved
+  from the answer itself, and e = |f - f_ref| / share, with the reference's share of what is left
+  out. To few harmonics the modes above all of them seem static, whether they are kept or not: if an
+  exact orbit is the answer's own, f and f_ref are those of orbits. A number may change by little by
+  chance, where the remaining modes have another phase. So e is at least the size of the motion's
+  change, as the number would show it at another phase (:mod:`numbers`), over the share.
+- *harmonics*, judged by the exact orbit: e = |f - f_orbit|. Without an orbit twice as many are
+  solved. If the report says that harmonics are too few, the difference may vanish by chance, and
+  four times as many are solved, too.
+- *mesh*, judged by a coarser mesh: e = |f - f_r| / (r^p - 1), r being the ratio of lengths. A mesh
+  moves the resonances before all else. Next to one a small shift changes an answer by much, on one
+  side up and on the other down, so that differences may vanish by chance. At half a resonance they
+  vanish across a peak that is no wider than the shift. Hence no number is extrapolated through it.
+  The coarse mesh is solved at w w_r / w_b, as far from its resonance w_r as the answer is from its
+  own, w_b. The effect of the shift is solved for on the answer's mesh, at w w_b / w_e, w_e being
+  the extrapolated resonance, each time from rest, as there may be several motions. The resonance is
+  that of the mode whose shift changes the watched points the most: at half a resonance the second
+  harmonic meets it, and another mode may be nearer to the load. Both parts have a sign and are
+  added. Their order p is that of tips, 1, or any up to the best of the elements:
+
+      e = max over p of |(f - f_r) / (r^p - 1) + f(w w_b / w_e(p)) - f|,
+
+  and a tenth of what could cancel is not known. With a preload or a mean load a crack closes pair
+  by pair, and the closed part ends somewhere between two pairs. So the clearance is uncertain by
+  half a step of the gap between pairs, times the part of the period in which some touch and others
+  do not. If a point is watched under a force, what elements half as long would add has no limit,
+  and is part of its numbers. All harmonics of the answer are kept: with half of them it may move
+  near half a resonance by as much as the mesh moves it. K_I that is computed while a solid's front
+  is closed is another part of the numbers of K; their difference between the meshes is taken where
+  it is the largest on the front.
+- *friction*: see :mod:`case`.
+
+The contact duty cycle is counted at instants, the same in all these runs. Its error is the distance
+from that by the switching instants of the exact orbit; elsewhere one instant's part is added.
+
+The root of the sum of the squares of all causes is the total, if they are independent, and their
+sum, if they are not.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from operator import methodcaller
+
+import numpy as np
+
+from fenics_crack.balance.error_report import ENOUGH_HARMONICS, LARGE_ERROR, ErrorReport
+from fenics_crack.balance.more_modes import reference_of
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.causes import REDUCTION_CAUSES
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.observables import Place, names_of
+from fenics_crack.basics.tables import frequency_axis
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors.case import (
+    CAUSE_WITHOUT_CONTACT,
+    Case,
+    reason_of_failure,
+    solve_again,
+    solve_in_steps,
+    vary,
+)
+from fenics_crack.errors.convergence import TIP_ORDER, UNCHANGED, GridConvergence, Varied, part_of
+from fenics_crack.errors.numbers import (
+    as_changed,
+    bilinear_of,
+    natural_name,
+    numbers_of,
+    sizes_of_change,
+)
+from fenics_crack.errors.verification import Verification, dent_by_force
+from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.modes import (
+    BilinearFrequencies,
+    Modes,
+    bilinear_frequencies,
+    solve_bonded_modes,
+    solve_modes,
+)
+from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.rotation import RunUpStructure
+from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.study.meshes import coarser
+from fenics_crack.study.observer import errors_along_fronts, rows_requested
+from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced
+from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
+
+STATED_CAUSES = (*REDUCTION_CAUSES, "friction")
+"""Causes of stated errors."""
+HARMONIC_FACTORS = 2, 4
+"""Factors of the harmonics of other runs; the second is used if the report's error is large."""
+MIN_EXTRAPOLATED, MAX_EXTRAPOLATED = 3, 8
+"""Fewest and most extrapolated resonances, by orders of a mesh, at which a response is solved."""
+MESH_MODES = 50
+"""Most modes of a structure that shows what the mesh changes. With 120 modes the orbits of the
+breathing plate take 14 times as long, and the parts differ by less than those of the modes."""
+CANCELLING_FRACTION = 0.1
+"""Fraction of two parts of one order that is left if they cancel."""
+Motion = PeriodicOrbit | PeriodicSolution
+"""Motion whose numbers are compared."""
+
+
+def errors_of(study: Study, result: object) -> Verification | None:
+    """Return the stated errors of any result, or None (collective).
+
+    A curve has those of its largest response, which moves with the resonance unless it is an end of
+    the curve. None: the result is not a vibration, or has not converged.
+    """
+    if isinstance(result, Modes):
+        return errors_of_natural(study, {"open": result.omega})
+    if isinstance(result, ResponseCurve) and result.parameter in ("omega", "speed"):
+        top = result.top(study.watched[0].dof)
+        solution = result.solution(top.index)
+        if not isinstance(solution.structure, RunUpStructure):
+            return stated_errors(study, solution, of_peak=not top.at_end)
+        return _errors_at_speed(study, solution, solution.structure, of_peak=not top.at_end)
+    if isinstance(result, PeriodicSolution) and result.converged and result.report.estimated:
+        return stated_errors(study, result)
+    return None
+
+
+def _errors_at_speed(
+    study: Study, solution: PeriodicSolution, structure: RunUpStructure, *, of_peak: bool
+) -> Verification:
+    """Return the errors of a solution of a run-up (collective).
+
+    They are those of the scene at its speed, with as many modes. If a resonance is off by e, the
+    speed at which the load meets it is off by e / (1 - s), s being d ln w / d ln W.
+    """
+    speed, rate = structure.speed, 1.0 - structure.stiffening(solution.omega)
+    changes = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
+    fixed_study = prepare(study.scene.replace(changes), structure.whole.comm, like=study)
+    answer = solve_again(fixed_study, solution.omega, solution.harmonics, solution)
+    errors = stated_errors(fixed_study, answer, of_peak=of_peak)
+    if (resonance := errors.resonance) not in errors.values:
+        return errors
+    resonance_value = errors.values[resonance]
+
+    def speed_of(frequency: float) -> float:
+        return speed * (1.0 + (frequency / resonance_value - 1.0) / rate)
+
+    def part_of_speed(part: GridConvergence) -> GridConvergence:
+        limit = speed_of(part.extrapolated)
+        return replace(part, values=tuple(map(speed_of, part.values)), extrapolated=limit)
+
+    return replace(
+        errors,
+        values=errors.values | {"speed": speed},
+        units=errors.units | {"speed": "rad/s"},
+        parts={
+            cause: parts | {"speed": part_of_speed(parts[resonance])}
+            for cause, parts in errors.parts.items()
+        },
+    )
+
+
+def errors_of_natural(
+    study: Study,
+    natural: Mapping[str, np.ndarray],
+    at_load: AtLoad = NOT_SOUGHT,
+    slopes: np.ndarray | None = None,
+) -> Verification:
+    """Return mesh errors of natural frequencies and of the resonance at the load (collective).
+
+    Parameters
+    ----------
+    study : Study
+        Of the whole structure.
+    natural : dict of str to (m,) [rad/s]
+        With crack faces "open" and "tied".
+    at_load : AtLoad
+        Of the same structure; its ``numbers`` are among those of the result.
+    slopes : (m,), optional
+        S of each mode (:func:`resonance_of`).
+    """
+    scene = study.scene
+    factor, _, unit = frequency_axis(scene.in_hertz)
+
+    def by_name(frequencies: Mapping[str, np.ndarray]) -> dict[str, float]:
+        return {
+            natural_name(scene, kind, number): factor * float(omega)
+            for kind, omegas in frequencies.items()
+            for number, omega in enumerate(omegas, 1)
+            if 0.0 < omega < np.inf
+        }
+
+    def mesh_error() -> Varied:
+        coarse_mesh = coarser(study)
+        if isinstance(coarse_mesh, str):
+            return coarse_mesh
+        twin, counts, ratio = coarse_mesh
+        n_modes = max(map(len, natural.values()))
+        frequencies = {"open": solve_modes(twin.structure, n_modes).omega}
+        if "tied" in natural:
+            frequencies["tied"] = solve_bonded_modes(twin.structure, n_modes).omega
+        coarse_values = by_name(frequencies)
+        if at_load.numbers and slopes is not None:
+            estimates = BilinearFrequencies(frequencies["open"], frequencies["tied"])
+            coarse_values |= resonance_of(twin, estimates.omega_bilinear, slopes).numbers
+        levels = zip(counts, (values, coarse_values), strict=True)
+        return part_of("mesh", [*levels], scene, ratio=ratio)
+
+    values = by_name(natural) | at_load.numbers
+    errors = Verification(scene, values, dict.fromkeys(values, unit))
+    return vary(errors, {"mesh": mesh_error})
+
+
+def stated_errors(
+    study: Study,
+    answer: PeriodicSolution,
+    *,
+    of_peak: bool = False,
+    causes: Sequence[str] = STATED_CAUSES,
+) -> Verification:
+    """Return the errors of a solution's numbers that are expected by each cause (collective).
+
+    Parameters
+    ----------
+    study : Study
+        Of the solution, reduced as it was.
+    answer : PeriodicSolution
+    of_peak : bool
+        True if it is the largest of a curve over the frequency, which moves with the resonance.
+    causes : sequence of str
+        Those that are varied.
+
+    Returns
+    -------
+    Verification
+        With ``absent`` or ``unknown``, and why, if a cause was not varied.
+    """
+    numbers = numbers_of(study, answer)
+    errors = Verification(study.scene, numbers.values, numbers.units)
+    if not is_small(study.structure):  # three more solutions take three times as long
+        reasons = dict.fromkeys(REDUCTION_CAUSES, "the structure is not reduced")
+        return replace(errors, unknown=reasons)
+    if answer.report.unknown:  # other runs may agree by chance
+        return errors.with_unknown("harmonics", not_estimated(answer.report))
+    try:
+        wave = solve_again(study, answer.omega, answer.harmonics, answer)
+    except REFUSALS as error:
+        if answer.orbit is None:
+            reason = reason_of_failure("harmonic balance from it", error)
+            return errors.with_unknown("harmonics", reason)
+        wave = answer  # has the coefficients of an exact orbit
+    wave_numbers = numbers_of(study, wave, numbers.mode)
+    case = StatedCase(study, answer, numbers.values, wave, wave_numbers, of_peak)
+    return vary(errors, {cause: getattr(case, cause) for cause in causes})
+
+
+def error_by_modes(study: Study, solution: PeriodicSolution) -> float:
+    """Return the largest expected modal truncation error of what is watched (collective).
+
+    It is relative, of the watched amplitudes and of the opening of cracks; inf if it is unknown.
+    """
+    errors = stated_errors(study, solution, causes=["modes"])
+    names = [*(point.column("amplitude") for point in study.watched), "opening"]
+    if errors.unknown:
+        return math.inf
+    stated_names = [name for name in names if errors.parts and errors.values.get(name)]
+    return max((errors.stated(name)[0] for name in stated_names), default=0.0)
+
+
+def not_estimated(report: ErrorReport) -> str:
+    """Return which part of an unknown error could not be estimated."""
+    part = report.largest_part
+    words = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
+    return f"the error due to the {words.get(part, part)} could not be estimated"
+
+
+@dataclass(frozen=True)
+class StatedCase(Case):
+    """Answer whose causes are each judged by one other run.
+
+    Attributes
+    ----------
+    of_peak : bool
+        True if the answer is a peak, which moves with the resonance.
+    """
+
+    of_peak: bool
+
+    def modes(self) -> Varied:
+        """Judge by the motion with the modes of the reference (collective).
+
+        The change is at least the part of harmonics in motions that are truncated: modes above all
+        harmonics are static in both.
+        """
+        structure, reference = self.study.structure, reference_of(self.wave)
+        if reference is None:
+            return "all are kept"
+        assert isinstance(structure, ReducedStructure)
+        larger_study = replace(self.study, structure=reference)
+        base_motion, motion = self._motions_with(larger_study)
+        is_truncated = isinstance(motion, PeriodicSolution)
+        base_values = None if is_truncated else self.orbit_values
+        changed_values = as_changed(
+            self.numbers.values,
+            base_values or self.values_of(base_motion),
+            self.values_of(motion, larger_study),
+        )
+        min_sizes = sizes_of_change(self.study, base_motion, motion)
+        if is_truncated and self._has_massless_flow and not isinstance(self.truncation, str):
+            for name, part in self.truncation[1].items():
+                size = structure.share * part.uncertainty(-1)
+                min_sizes[name] = max(min_sizes.get(name, 0.0), size)
+        counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
+        levels = zip(counts, (self.numbers.values, changed_values), strict=True)
+        _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
+        for name, size in min_sizes.items():
+            error = parts[name].uncertainty(-1) if name in parts else 0.0
+            if 0.0 < error < size / structure.share:
+                parts[name] = replace(parts[name], factor=size / structure.share / error)
+        return counts, parts
+
+    def _motions_with(self, larger_study: Study) -> tuple[Motion, Motion]:
+        """Return the motion with the answer's modes, and with those of a larger study.
+
+        They are the nearest exact orbits; with few harmonics the second may be a predicted motion.
+        If these are not known, they are solutions, with :data:`ENOUGH_HARMONICS` if orbits are
+        affordable.
+        """
+        wave, assessment = self.wave, self.answer.assessment
+        min_harmonics = ENOUGH_HARMONICS * wave.subharmonic
+        if assessment.affordable and (more_modes := assessment.more_modes):
+            is_short = self.answer.orbit is None and wave.harmonics < min_harmonics
+            if motion := more_modes.motion if is_short else more_modes.orbit:
+                return more_modes.nearest_orbit, motion
+        if self._has_massless_flow and wave.harmonics < min_harmonics:
+            wave = solve_again(self.study, wave.omega, min_harmonics, wave)
+        start = wave if self.study.structure.light_lips else None  # else it has other coordinates
+        return wave, solve_again(larger_study, wave.omega, wave.harmonics, start)
+
+    @property
+    def _has_massless_flow(self) -> bool:
+        """True if exact orbits are affordable and crack faces have no mass."""
+        return self.answer.assessment.affordable and self.study.structure.light_lips
+
+    def harmonics(self) -> Varied:
+        """Judge by the exact orbit, or by more harmonics (collective)."""
+        return self.truncation
+
+    @cached_property
+    def truncation(self) -> Varied:
+        """The part of harmonics."""
+        if self.study.contact is None:
+            return CAUSE_WITHOUT_CONTACT
+        if self.orbit_values is not None:
+            return self.distance_to_orbit(self.orbit_values)
+        count, solution, parts_by_factor = self.wave.harmonics, self.wave, []
+        n_runs = 2 if self.answer.report.truncation > LARGE_ERROR else 1
+        for factor in HARMONIC_FACTORS[:n_runs]:
+            solution = solve_again(self.study, self.wave.omega, factor * count, solution)
+            levels = (count, self.numbers.values), (factor * count, self.values_of(solution))
+            _, parts = part_of("harmonics", levels, self.study.scene, ratio=1.0 / factor)
+            parts_by_factor.append(parts)
+        select_largest = partial(max, key=methodcaller("uncertainty"))
+        parts = {
+            name: select_largest(parts[name] for parts in parts_by_factor)
+            for name in self.numbers.values
+        }
+        if "closed_share" in parts:
+            part = parts["closed_share"]  # counted at instants, it is not known to one
+            error = math.hypot(part.uncertainty(-1), 1.0 / len(self.wave.instants()))
+            parts["closed_share"] = replace(part, extrapolated=part.values[-1] + error)
+        return (count, 2 * count), parts
+
+    def mesh(self) -> Varied:
+        """Judge by a coarser mesh, with at most :data:`MESH_MODES` modes (collective)."""
+        few_modes = self._with_few_modes()
+        varied = few_modes._judge_by_coarser_mesh()
+        if few_modes is self or isinstance(varied, str):
+            return varied
+        counts, few_mode_parts = varied
+        parts = {}
+        for name, value in self.numbers.values.items():
+            if (part := few_mode_parts.get(name)) is None:
+                continue
+            change = value - few_modes.numbers.values[name]
+            values = part.values[0] + change, part.values[1] + change
+            parts[name] = replace(part, values=values, extrapolated=part.extrapolated + change)
+        return counts, parts
+
+    def _with_few_modes(self) -> StatedCase:
+        """Return the answer's case on a structure with at most :data:`MESH_MODES` modes."""
+        study, scene = self.study, self.study.scene
+        structure = study.structure
+        if not isinstance(structure, ReducedStructure) or scene.disk is not None:
+            return self
+        if len(structure.omega) <= MESH_MODES:
+            return self
+        scene = scene.replace({scene.modes_key: MESH_MODES})
+        study = reduced(replace(study, scene=scene, structure=structure.whole), judged=False)
+        start = self.wave if structure.light_lips else None  # else it has other coordinates
+        wave = solve_again(study, self.wave.omega, self.wave.harmonics, start)
+        numbers = numbers_of(study, wave, self.numbers.mode)
+        return replace(self, study=study, wave=wave, numbers=numbers)
+
+    def _judge_by_coarser_mesh(self) -> Varied:
+        """Judge by a coarser mesh of the same modes (collective).
+
+        The part is the largest by any order of the mesh. It has the shift of the resonance, but not
+        of a peak; the place where crack faces part; and the dent under a force.
+        """
+        study, wave = self.study, self.wave
+        coarse_mesh = coarser(study)
+        if isinstance(coarse_mesh, str):
+            return coarse_mesh
+        coarse_study, counts, ratio = coarse_mesh
+        coarse_study, mode = _with_known_numbers(coarse_study), self._mode_of_shift()
+        frequency_ratio = bilinear_of(coarse_study.structure, mode)
+        frequency_ratio /= bilinear_of(study.structure, mode)
+        coarse_wave = solve_in_steps(coarse_study, wave.omega * frequency_ratio, wave.harmonics)
+        coarse_values = self.values_of(coarse_wave, coarse_study)
+        levels = zip(counts, (self.numbers.values, coarse_values), strict=True)
+        _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
+        orders = 2.0 * study.scene.mesh.order, TIP_ORDER
+        ends = tuple(1.0 / (ratio**order - 1.0) for order in orders)
+        shift_range = abs(1.0 - frequency_ratio) * (ends[1] - ends[0])
+        factors = np.linspace(*ends, self._n_extrapolated(shift_range, mode))
+        shifted_values = self._values_at_shifts(factors * (1.0 - frequency_ratio))
+        moved_values = self._values_with_shifted_clearance()
+        dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
+        closed_errors, front_changes = errors_along_fronts(study, wave, coarse_study, coarse_wave)
+        for name, part in parts.items():
+            value, coarse_value = part.values
+            shape_errors = factors * (value - coarse_value)
+            shift_errors = np.array([values.get(name, 0.0) for values in shifted_values]) - value
+            cancelling = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
+            error = math.hypot(
+                np.abs(shape_errors + shift_errors).max(),
+                CANCELLING_FRACTION * cancelling,
+                moved_values.get(name, value) - value,
+                closed_errors.get(name, 0.0),
+                dents.get(name, 0.0) * value,
+            )
+            error = max(error, front_changes.get(name, 0.0) * factors.max())
+            parts[name] = replace(part, extrapolated=value + error)
+        return counts, parts
+
+    def _values_at_shifts(self, shifts: np.ndarray) -> list[dict[str, float]]:
+        """Return the numbers at shifted resonances, by relative shifts; of a peak they stay.
+
+        Each solution is found from rest, as on a finer mesh, which may reach another motion.
+        """
+        if self.of_peak:
+            return [self.numbers.values] * len(shifts)
+        frequencies = self.wave.omega / (1.0 + shifts)
+        solutions = (
+            solve_in_steps(self.study, float(omega), self.wave.harmonics) for omega in frequencies
+        )
+        return [self.values_of(solution) for solution in solutions]
+
+    def _n_extrapolated(self, shift_range: float, mode: int) -> int:
+        """Return the number of resonances to look at, within a range of relative shifts.
+
+        They are the ends, the middle, and so many that a peak's half-power width has four.
+        """
+        modes = all_modes(self.study.structure)
+        rates = modes.damping if modes.damping.ndim == 1 else np.diag(modes.damping)
+        omega = math.sqrt(max(modes.squares[mode - 1], sys.float_info.min))
+        n_steps = math.ceil(4.0 * shift_range * omega / max(rates[mode - 1], UNCHANGED * omega))
+        return min(max(1 + n_steps, MIN_EXTRAPOLATED), MAX_EXTRAPOLATED)
+
+    def _mode_of_shift(self) -> int:
+        """Return the mode whose shifted resonance moves the watched points the most (collective).
+
+        Harmonic k of the amplitude U_k changes by about 2 U_k / |1 - (k w / w_j)^2| times the
+        relative shift.
+        """
+        wave = self.wave
+        rows = wave.coefficients_at([watched.dof for watched in self.study.watched])
+        sizes = np.hypot(rows[1::2], rows[2::2]).max(axis=1)
+        harmonics = np.arange(1, wave.harmonics + 1)
+        omega = bilinear_frequencies(self.study.structure).omega_bilinear
+        distances = np.abs(1.0 - (harmonics * wave.omega / omega[:, None]) ** 2)
+        return int(np.argmax((sizes / np.maximum(distances, UNCHANGED)).max(axis=1))) + 1
+
+    @property
+    def _relative_dent(self) -> float:
+        """Relative amplitude that half as long elements add under a force at a watched point."""
+        if self.study.scene.points:
+            return 0.0
+        amplitude = self.wave.amplitude(self.study.watched[0].dof)
+        return dent_by_force(self.study.scene) / amplitude
+
+    def _values_with_shifted_clearance(self) -> dict[str, float]:
+        """Return the numbers with a clearance that is moved between two pairs (collective).
+
+        The shift is half a step of the gap from pair to pair, times the part of the period in which
+        some pairs of a crack touch and others do not.
+        """
+        study, wave, instants = self.study, self.wave, self.wave.instants()
+        cracks = study.structure.pairs.cracks
+        if cracks is None or not len(cracks):
+            return {}
+        gap, touches = wave.gap(instants), wave.contact_force(instants) > 0.0
+        shifts = np.zeros(len(cracks))
+        for crack in np.unique(cracks):
+            is_of_crack = cracks == crack
+            closed_shares, crack_gap = touches[:, is_of_crack].mean(axis=0), gap[:, is_of_crack]
+            extreme_gaps = crack_gap.min(axis=0) if closed_shares.all() else crack_gap.max(axis=0)
+            n_along = is_of_crack.sum() ** (1.0 / (study.scene.dimension - 1))
+            shifts[is_of_crack] = 0.5 * np.ptp(extreme_gaps) / n_along * np.ptp(closed_shares)
+        shifted_study = replace(study, structure=study.structure.varied(clearance=shifts))
+        solution = solve_in_steps(shifted_study, wave.omega, wave.harmonics, wave)
+        return self.values_of(solution, shifted_study)
+
+
+def _with_known_numbers(study: Study) -> Study:
+    """Return a study without stress intensities if its elements are too long for them."""
+    try:
+        rows_requested(study)
+    except InputError:
+        refused_names = names_of(Place.TIPS, Place.ELLIPSE)
+        names = [name for name in study.scene.quantities or () if name not in refused_names]
+        return replace(study, scene=study.scene.replace({"output.quantities": names or None}))
+    return study

@@ -1,0 +1,411 @@
+"""Contributions of each cause to the error of a result's numbers: storage, text and files.
+
+:func:`fenics_crack.verify` finds them with finer meshes, more modes, harmonics and samples
+(:mod:`verify`); each command with one other run for each cause (:mod:`stated`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+from fenics_crack.basics.causes import (
+    MESH_CAUSES,
+    MISSING_PART_REASONS,
+    OPTIONAL_CAUSES,
+    REQUIRED_CAUSES,
+)
+from fenics_crack.basics.errors import TOLERANCE, check_choice
+from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.tables import (
+    Said,
+    Table,
+    error_in_words,
+    percent,
+    quantity,
+    with_unit,
+    without_causes,
+)
+from fenics_crack.errors.convergence import GridConvergence, Varied
+from fenics_crack.files.codec import Parts, from_text, text_of
+from fenics_crack.files.saved import Saved
+from fenics_crack.files.store import Stored
+from fenics_crack.scene.scene import Scene
+
+DOUBTS = {
+    "outside": "the observed order is not that of theory, the factor of safety is 3",
+    "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
+    "irregular": "the values show no order: the uncertainty is 3 times their spread",
+}
+"""Sentence for each behaviour of :class:`GridConvergence` but "asymptotic"."""
+
+
+# --- the result -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, repr=False)
+class Verification(Saved):
+    """Contributions to the error of a scene's result.
+
+    Attributes
+    ----------
+    scene : Scene
+        With all that was chosen for it: length of the crack, modes, harmonics.
+    values, units : dict of str to float, and to str
+        The scene's own answer by its quantities, as ``[output] quantities`` names them, with those
+        of named points as "tip.ux.amplitude"; "frequency_open_1" [Hz] or "omega_open_1" [rad/s] are
+        natural frequencies with the crack open.
+    parts : dict of str to dict of str to GridConvergence
+        By the cause, "mesh", "modes", "harmonics", "friction" or "samples", and the quantity. Sizes
+        are the side of a mean element [m], and one over the number of modes, harmonics or samples;
+        the last value is that of the scene's own choice. Of friction they are coefficients, and the
+        first value is the scene's.
+    counts : dict of str to tuple of int
+        The numbers of elements, modes, harmonics or samples, the scene's own first; of friction the
+        modes of both solutions.
+    absent : dict of str to str
+        Causes that contribute nothing, and why.
+    unknown : dict of str to str
+        Causes whose contribution is not known, and why: no total has it.
+    failures : tuple of str
+        Runs that were refused or did not converge.
+    verdicts : dict of str to str
+        Of the stability, by the run, where an orbit is not known to be stable.
+    """
+
+    scene: Scene
+    values: dict[str, float]
+    units: dict[str, str]
+    parts: dict[str, dict[str, GridConvergence]] = field(default_factory=dict)
+    counts: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    absent: dict[str, str] = field(default_factory=dict)
+    unknown: dict[str, str] = field(default_factory=dict)
+    failures: tuple[str, ...] = ()
+    verdicts: dict[str, str] = field(default_factory=dict)
+
+    KIND: ClassVar[str] = "verification"
+
+    def with_part(self, cause: str, part: Varied) -> Verification:
+        """Return the verification with the part of a cause, or why it was not varied.
+
+        An optional cause that is not varied is unknown; other causes then contribute nothing.
+        """
+        if not isinstance(part, str):
+            counts, convergence = part
+            return replace(
+                self, counts=self.counts | {cause: counts}, parts=self.parts | {cause: convergence}
+            )
+        if not part:
+            return self
+        if cause in OPTIONAL_CAUSES:
+            return self.with_unknown(cause, part)
+        return replace(self, absent=self.absent | {cause: part})
+
+    def with_unknown(self, cause: str, reason: str) -> Verification:
+        """Return the verification with a cause whose contribution is unknown, and why."""
+        return replace(self, unknown=self.unknown | {cause: reason})
+
+    # --- files ------------------------------------------------------------------------------------
+
+    def text(self) -> str:
+        """All of it but the scene, as a dataset of a file."""
+        return text_of(self, "", {})
+
+    def _packed(self) -> Parts:
+        return {"verification": self.text()}
+
+    @classmethod
+    def _unpacked(cls, parts: Parts, scene: Scene | None) -> Verification:
+        return from_text(cls, parts["verification"], scene)
+
+    # --- numbers ----------------------------------------------------------------------------------
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes that were varied."""
+        return tuple(self.parts)
+
+    def contributions(self, quantity: str) -> dict[str, float]:
+        """Uncertainty of a quantity by each cause that has a part for it, in its unit.
+
+        Raises
+        ------
+        InputError
+            There is no such quantity.
+        """
+        check_choice("quantity", quantity, self.values)
+        return {
+            # Sizes are in the order of the smallest; the scene's own choice is the first count.
+            cause: found[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
+            for cause, found in self.parts.items()
+            if quantity in found
+            for counts in [self.counts[cause]]
+        }
+
+    def missing_causes(self, quantity: str) -> dict[str, str]:
+        """Return the causes that were varied without a part for a quantity, and why."""
+        return {
+            cause: MISSING_PART_REASONS.get(cause, "the other run has no such number")
+            for cause, parts in self.parts.items()
+            if quantity not in parts
+        }
+
+    def total(self, quantity: str, *, independent: bool = True) -> float:
+        """Root of the sum of squares of the contributions to a quantity, or their sum; those of the
+        mesh, which belong together, are added before."""
+        found = self._parts(quantity).values()
+        return math.hypot(*found) if independent else sum(found)
+
+    def _parts(self, quantity: str) -> dict[str, float]:
+        """Contributions with one by the mesh."""
+        parts = self.contributions(quantity)
+        mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
+        return ({"mesh": sum(mesh)} if mesh else {}) | parts
+
+    def extrapolated(self, quantity: str) -> float:
+        """The value with the corrections by all causes from which one is extrapolated."""
+        own = self.values[quantity]
+        parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
+        found = (parts[quantity].extrapolated for parts in parts_with_quantity)
+        return own + sum(value - own for value in found if math.isfinite(value))
+
+    def relative(self, quantity: str, error: float) -> float:
+        """An error over the size of a quantity; nan where that is 0."""
+        value = self.values[quantity]
+        return error / abs(value) if value else math.nan
+
+    def stated(self, quantity: str) -> tuple[float, str]:
+        """The error of a quantity, relative to it, by all causes (:meth:`total`).
+
+        The second value is the largest of them: "mesh", "modes", "harmonics", "friction",
+        "samples". Not known: nan, also where the part of the harmonics or the modes is not, or
+        nothing that was varied changes it and something else was not. Infinite where the estimate
+        is as large as the quantity, as of a mesh that is too coarse.
+        """
+        unknown = any(cause in self.unknown for cause in REQUIRED_CAUSES)
+        parts = self._parts(quantity) if quantity in self.values else {}
+        if not parts or unknown:
+            return math.nan, ""
+        total = self.relative(quantity, self.total(quantity))
+        if total == 0.0 and (self.unknown or self.missing_causes(quantity)):
+            return math.nan, ""
+        cause = max(parts, key=lambda one: parts[one])
+        return math.inf if total >= 1.0 else total, cause
+
+    def doubt(self, quantity: str) -> str:
+        """Return why the error of a quantity is unknown; empty where it is known, or was left out
+        by choice."""
+        for cause in REQUIRED_CAUSES:
+            if cause in self.unknown:
+                return self.unknown[cause]
+        error, cause = self.stated(quantity)
+        if math.isinf(error):
+            coarse = "the mesh is too coarse; " if cause == "mesh" else ""
+            return f"{coarse}the estimate is as large as the value, mostly due to the {cause}"
+        return ""
+
+    @property
+    def resonance(self) -> str:
+        """Name of the resonance that the result lies next to, in a run-up the speed at which it is
+        met; empty without crack faces."""
+        resonances = (name for name in self.values if "_bilinear_" in name)
+        return "speed" if "speed" in self.values else next(resonances, "")
+
+    @property
+    def without(self) -> str:
+        """The causes that are missing: "error due to the mesh not included"; empty without any."""
+        return without_causes(self.unknown)
+
+    @property
+    def left_out(self) -> str:
+        """:attr:`without`, and the reason, "mesh.error = false"; empty likewise."""
+        why = "; ".join(dict.fromkeys(self.unknown.values()))
+        return f"{self.without}: {why}" if self.unknown else ""
+
+    # --- tables -----------------------------------------------------------------------------------
+
+    def totals(self) -> Table:
+        """A row for each quantity: value, contributions and totals relative to it in per cent, to
+        three digits, the observed order of the mesh, and the extrapolated value."""
+        rows = []
+        for name, value in self.values.items():
+            contributions = self.contributions(name)
+            errors = [contributions.get(cause, math.nan) for cause in self.causes]
+            errors += [self.total(name), self.total(name, independent=False)]
+            shares = [float(f"{100.0 * self.relative(name, error):.3g}") for error in errors]
+            mesh = self.parts.get("mesh", {})
+            order = mesh[name].order if name in mesh else math.nan
+            quantity = with_unit(name, self.units[name])
+            rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
+        columns = [f"{what} [%]" for what in (*self.causes, "total", "sum")]
+        return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for each quantity and cause, and for its totals: what was varied, the
+        three values, what follows from them, and the uncertainty of the first."""
+        rows = [row for name in self.values for row in self._rows(name)]
+        keys = dict.fromkeys(key for row in rows for key in row)
+        return {key: [row.get(key, math.nan) for row in rows] for key in keys}
+
+    def _rows(self, name: str) -> Iterator[dict[str, Any]]:
+        shared = {"quantity": name, "unit": self.units[name]}
+        for cause in self.contributions(name):
+            part, counts = self.parts[cause][name], self.counts[cause]
+            row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
+            row |= {f"{key}_{n}": math.nan for key in ("count", "value") for n in (1, 2, 3)}
+            row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
+            by_count = dict(zip(sorted(counts, reverse=True), part.values, strict=True))
+            row |= {f"value_{n}": by_count[count] for n, count in enumerate(counts, 1)}
+            numbers = "order", "exponent", "factor", "extrapolated"
+            row |= {key: getattr(part, key) for key in numbers} | {"gci_finest": part.gci}
+            yield row | _sized(self, name, self.contributions(name)[cause])
+        for cause, independent in (("total", True), ("sum", False)):
+            known = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
+            total = _sized(self, name, self.total(name, independent=independent))
+            yield shared | {"cause": cause, "behaviour": ""} | known | total
+
+    def _title(self) -> str:
+        return self.statement[0]
+
+    def said(self) -> Said:
+        """What the last sentence on the study says."""
+        name = next(iter(self.values))
+        words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
+        error, cause = self.stated(name)
+        value = f"{words} {quantity(self.values[name], self.units[name])}"
+        known = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
+        known += f"to the {cause}"
+        if math.isnan(error):
+            known = f"{value}; nothing that was varied changes the numbers"
+        doubt = self.doubt(name)
+        verdicts = (f"{run}: {verdict}" for run, verdict in self.verdicts.items())
+        return Said("verified", value if doubt else known, doubt, [self.without, *verdicts])
+
+    # --- words ------------------------------------------------------------------------------------
+
+    @property
+    def statement(self) -> tuple[str, ...]:
+        """Sentences on the errors, with those that are unknown or doubtful."""
+        first = next(iter(self.values))
+        shares = {name: self.relative(name, self.total(name)) for name in self.values}
+        worst = max(shares, key=lambda name: shares[name])
+        found = [self._in_words(first)]
+        if worst != first:
+            found.append(f"largest of all: {self._in_words(worst)}")
+        found += [f"{cause}, no contribution: {why}" for cause, why in self.absent.items()]
+        return (*found, *self.warnings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences that cast doubt on the numbers."""
+        found = [
+            f"{cause} not varied, so it is missing in the totals: {why}"
+            for cause, why in self.unknown.items()
+        ]
+        found += self.incomplete
+        found += [f"failed, {text}" for text in self.failures]
+        found += [f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()]
+        for cause, parts in self.parts.items():
+            for kind, what in DOUBTS.items():
+                names = [n for n in parts if parts[n].behaviour == kind and self._matters(n, cause)]
+                if names:
+                    found.append(f"{cause}, {', '.join(names)}: {what}")
+        found += self.dents
+        contact = self.scene.contact if self.resonance else None  # of crack faces
+        if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
+            found.append(
+                "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
+                "changes the law, too; contact.stiffness_per_area stays the same law"
+            )
+        return tuple(found)
+
+    @property
+    def incomplete(self) -> tuple[str, ...]:
+        """Sentences on numbers whose error lacks a cause that was varied."""
+        return tuple(
+            f"{', '.join(names)}: error due to the {cause} not included: "
+            f"{self.missing_causes(names[0])[cause]}"
+            for cause, parts in self.parts.items()
+            if (names := [name for name in self.values if name not in parts])
+        )
+
+    @property
+    def dents(self) -> tuple[str, ...]:
+        """Warning that the displacement under a point force has no limit, if elements half as long
+        add much to it."""
+        scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
+        added = dent_by_force(scene)
+        if scene.points or not added > TOLERANCE * amplitude > 0.0:
+            return ()
+        growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
+        return (
+            "amplitude: under a force at a point the displacement has no limit, it grows like "
+            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+            f"watch another place (output.points), or load {side} (loads)",
+        )
+
+    def _matters(self, name: str, cause: str) -> bool:
+        """Return True if a contribution is so large that a doubt about it is reported."""
+        size = max(self.total(name), TOLERANCE * abs(self.values[name]))
+        return self.contributions(name)[cause] >= 0.1 * size
+
+    def _in_words(self, name: str) -> str:
+        """A quantity with its uncertainty, and where most of that is from."""
+        parts = self.contributions(name)
+        text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
+        if not any(parts.values()):
+            return f"{text}: nothing that was varied changes it"
+        shares = (self.relative(name, self.total(name, independent=way)) for way in (True, False))
+        share, bound = map(percent, shares)
+        cause = max(parts, key=lambda one: parts[one])
+        most = self.parts[cause][name]
+        how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
+        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {how}"
+        return f"{text}; extrapolated {self.extrapolated(name):.5g}"
+
+
+def verification_of(stored: Stored) -> Verification | None:
+    """Return the verification in the file of a result; None: none.
+
+    Raises
+    ------
+    InputError
+        It does not fit.
+    """
+    with stored.taken() as parts:
+        if "verification" not in parts:
+            return None
+        found = from_text(Verification, parts["verification"], stored.scene())
+        found.to_dict()  # whose rows have every part
+        return found
+
+
+def dent_by_force(scene: Scene) -> float:
+    """Return the displacement that elements half as long add under a force F at a point [m].
+
+    Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
+    one of its edges; a = pi on an edge, and 2 pi inside, about. Of a solid F / (E h), about.
+    Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
+    """
+    at_points = [load for load in scene.loads if load.point is not None]
+    load = scene.excitation if scene.excitation.force_given else next(iter(at_points), None)
+    if load is None or scene.structure is not None:
+        return 0.0
+    mesh, sides, thickness = scene.mesh, scene.geometry.sides, scene.geometry.thickness
+    parts = [getattr(load, name) or () for name in ("force_sin", "force_cos")]
+    force = math.hypot(*(x for part in parts for x in part)) / scene.material.young
+    if scene.dimension == 3 or thickness is None:
+        return force / mesh.size if mesh.size else 0.0
+    edges = 1
+    if mesh.layout != "file":
+        edges = sum(x in (0.0, side) for x, side in zip(load.point or (), sides, strict=True))
+    angle = math.pi * 2.0 ** (1 - edges)
+    wedge = 1.0 / (angle + math.sin(angle)) + 1.0 / (angle - math.sin(angle))
+    return force / thickness * math.log(2.0) * wedge
+
+
+def _sized(found: Verification, name: str, error: float) -> dict[str, float]:
+    """An error of a quantity, absolute and relative."""
+    return {"uncertainty": error, "relative": found.relative(name, error)}

@@ -1,0 +1,348 @@
+"""Verification of a scene's numbers: two finer runs for each cause.
+
+Each number is extrapolated with the order that it shows (:mod:`convergence`). The uncertainty is
+that of the scene's own choice, the coarsest of the three: coarser meshes mostly are not in the
+asymptotic range.
+
+Orders of theory: at the tip of a crack displacements are like r^(1/2), so frequencies and work
+converge like h with elements of both orders, on equal cells and on cells graded by a fixed ratio
+(Strang and Fix, An Analysis of the Finite Element Method, 1973, chapter 8). At the ends of a clamp
+they converge like h^(3/2) (Williams' equation for a right angle with one side held, nu = 0.3, plane
+stress: 1.52). Modes in a plane have w_j^2 proportional to j, and each that is left out contributes
+w^2 / w_j^4, which sums up to N^-1. Where crack faces hit each other velocities jump: |U_k| falls
+like k^-2 and the remainder like H^-1. It often falls faster (H^-3 where only forces have kinks),
+which is not relied on. Samples of a force with kinks err like N^-2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from mpi4py import MPI
+
+from fenics_crack.balance.contact_integrals import default_samples
+from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError
+from fenics_crack.basics.progress import within
+from fenics_crack.errors.case import CAUSE_WITHOUT_CONTACT, Case, solve_again, vary
+from fenics_crack.errors.convergence import CLAMP_ORDER, TIP_ORDER, Level, Varied, part_of
+from fenics_crack.errors.numbers import accepted_orbit, as_changed, bilinear_of, numbers_of
+from fenics_crack.errors.verification import Verification
+from fenics_crack.model.contact import is_unilateral
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.meshes import finer_mesh, is_even, n_elements
+from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
+from fenics_crack.study.solve import Solved, solve_prepared
+
+REFINEMENT_FACTORS = (1, 2, 4)
+"""Factors of counts in the answer and in both finer runs."""
+SAMPLES_ORDER = 2.0
+"""Order of convergence with samples of a force."""
+SCENE_CHOICE = "the scene's own choice"
+
+
+def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
+    """Compute the convergence of a scene's steady vibration and natural frequencies (collective).
+
+    Mesh, modes, harmonics and samples are made finer, one at a time and twice: a graded mesh by 1.5
+    and 2, a grid by 2 and 3, numbers by 2 and 4. Of the three values of each quantity the observed
+    order p, the extrapolated value f and the uncertainty F abs(f_i - f) follow, with a factor of
+    safety F of 1.25 or 3 (:func:`fenics_crack.grid_convergence`; Roache 1994, Celik and others
+    2008, ASME V&V 20-2009). Harmonics are not varied where an exact orbit is the solution's
+    own: their part is the distance from its numbers.
+
+    A tolerance of the scene chooses harmonics and modes first. Of a mesh file and of matrices the
+    mesh is left alone, and that is said. Runs that fail, and orbits that are not stable, are named.
+
+    Parameters
+    ----------
+    scene : Scene
+        As it is solved.
+    comm : MPI.Comm
+        Ranks that share each mesh.
+
+    Returns
+    -------
+    Verification
+        Each cause's part of the error of each quantity, and their total.
+
+    Raises
+    ------
+    InputError
+        As :func:`fenics_crack.prepare`.
+    ConvergenceError
+        The scene itself does not converge.
+
+    Examples
+    --------
+    >>> found = fc.verify(scene)
+    >>> percent = found.total("amplitude")
+    """
+    with within(SCENE_CHOICE):
+        whole = prepare(scene, comm, whole=True)
+        solved = solve_prepared(whole)
+        if scene.harmonic_balance.tolerance is not None and solved.result.converged:
+            solved = solve_prepared(replace(solved, scene=_settled_scene(solved)), solved.result)
+    answer = solved.result
+    if not answer.converged:
+        raise ConvergenceError(f"{SCENE_CHOICE}: {answer.status}")
+    whole = replace(whole, scene=_settled_scene(solved))
+    numbers = numbers_of(solved, answer)
+    case = _VerifiedCase(solved, answer, numbers.values, answer, numbers, whole)
+    case.note_verdict(SCENE_CHOICE, solved)
+    errors = Verification(whole.scene, numbers.values, numbers.units)
+    errors = vary(errors, {"mesh": case.mesh})
+    causes: dict[str, Callable[[], Varied]] = {
+        "shift": partial(case.shift, errors),
+        "modes": case.modes,
+        "harmonics": case.harmonics,
+        "samples": case.samples,
+        "friction": case.friction,
+    }
+    errors = vary(errors, causes)
+    return replace(errors, failures=tuple(case.failures), verdicts=case.verdicts)
+
+
+def _settled_scene(solved: Solved) -> Scene:
+    """Return the scene of a solution with what was chosen for it.
+
+    If all modes are kept, it is not reduced, so that none is left out on a finer mesh.
+    """
+    scene, whole = solved.scene, solved.structure.whole
+    changes: dict[str, Any] = {}
+    if scene.harmonic_balance.tolerance is not None:
+        changes["harmonic_balance.tolerance"] = None
+        changes["harmonic_balance.harmonics"] = solved.result.harmonics
+    if scene.disk is not None:
+        return scene.replace(changes)
+    reduction = reduction_of(scene, whole)
+    if reduction is None or reduction.modes >= whole.n_dofs:
+        changes |= {"reduction.method": "off", "reduction.modes": None}
+    else:
+        changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.modes}
+    return scene.replace(changes)
+
+
+def _kept_modes(study: Study) -> tuple[int, int] | str:
+    """Return the number of kept modes and the largest; or why they cannot be varied."""
+    disk, reduction = study.scene.disk, reduction_of(study.scene, study.structure)
+    if disk is not None:
+        return disk.families, study.structure.n_dofs // disk.sectors
+    if reduction is None:
+        return "the structure is not reduced"
+    max_modes = study.structure.n_dofs - study.structure.n_pairs
+    return "all are kept" if reduction.modes >= max_modes else (reduction.modes, max_modes)
+
+
+@dataclass(frozen=True)
+class _VerifiedCase(Case):
+    """Answer whose causes are each judged by finer runs.
+
+    Attributes
+    ----------
+    whole : Study
+        Settled scene with its whole structure.
+    failures : list of str
+        Finer runs that failed.
+    verdicts : dict of str to str
+        Verdicts of runs that are not known to be stable.
+    """
+
+    whole: Study
+    failures: list[str] = field(default_factory=list)
+    verdicts: dict[str, str] = field(default_factory=dict)
+
+    def note_verdict(self, name: str, run: Solved) -> None:
+        """Add the verdict of a run if it is not known to be stable."""
+        stability = run.result.stability
+        if stability is not None and stability.verdict != "stable":
+            self.verdicts[name] = stability.verdict
+
+    def _judge_by(
+        self,
+        cause: str,
+        finer_scenes: Sequence[tuple[str, int | None, Scene]],
+        count: int,
+        formal: float,
+        *,
+        shared: Study | None = None,
+        highest: float = math.inf,
+    ) -> Varied:
+        """Return the part of a cause by finer runs (collective).
+
+        Parameters
+        ----------
+        cause : str
+        finer_scenes : sequence of (name, count, scene)
+            The count is None of a mesh, whose elements are counted when it is made.
+        count : int
+            That of the answer.
+        formal, highest : float
+            Orders of theory, and of the scheme.
+        shared : Study, optional
+            Study of all runs but those of a mesh.
+        """
+        levels: list[Level] = [(count, self.numbers.values)]
+        for name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
+            with within(name):
+                try:
+                    run = self._run(scene, shared)
+                except REFUSALS as error:
+                    self.failures.append(f"{name}: {error}")
+                    continue
+            level = finer_count or n_elements(run.structure), self._run_values(run, cause)
+            levels.insert(1, level)
+            self.note_verdict(name, run)
+        if len(levels) == 1:
+            raise ConvergenceError(cause)
+        if len({level_count for level_count, _ in levels}) < len(levels):
+            return "finer ones have as many elements, as mesh.size is that of the plate"
+        return part_of(cause, levels, self.whole.scene, formal=formal, highest=highest)
+
+    def _run(self, scene: Scene, shared: Study | None) -> Solved:
+        """Solve a finer scene (collective).
+
+        It begins at the answer if it shares its structure. On another mesh the load is as far from
+        the resonance of a mode.
+        """
+        study, mode = self.study, self.numbers.mode
+        initial, omega = self.answer if shared is study else None, self.answer.omega
+        if shared is not None:
+            finer_study = reduced(replace(shared, scene=scene), judged=False)
+        else:
+            finer_study = prepare(scene, study.structure.comm, judged=False)
+            omega *= bilinear_of(finer_study.structure, mode) / bilinear_of(study.structure, mode)
+        run = solve_prepared(finer_study, initial, omega)
+        if not run.result.converged:
+            raise ConvergenceError(run.result.status)
+        return run
+
+    def _run_values(self, run: Solved, cause: str) -> dict[str, float]:
+        """Return the numbers of a finer run (collective).
+
+        With more modes they change as exact orbits do, if both runs have their own: to few
+        harmonics the modes above all of them seem static.
+        """
+        if cause == "modes" and self.orbit_values is not None:
+            orbit = accepted_orbit(run.result)
+            if orbit is not None:
+                orbit_values = self.values_of(orbit, run)
+                return as_changed(self.numbers.values, self.orbit_values, orbit_values)
+        return self.values_of(run.result, run)
+
+    def _judge_by_more(
+        self,
+        cause: str,
+        shared: Study,
+        scene: Scene,
+        key: str,
+        count: int,
+        max_count: int,
+        formal: float,
+    ) -> Varied:
+        """Return the part of a cause by twice and four times the count of a key (collective)."""
+        counts = sorted({min(factor * count, max_count) for factor in REFINEMENT_FACTORS})
+        name = key.rpartition(".")[2]
+        finer_scenes = [
+            (f"{finer_count} {name}", finer_count, scene.replace({key: finer_count}))
+            for finer_count in counts[1:]
+        ]
+        return self._judge_by(cause, finer_scenes, count, formal, shared=shared)
+
+    def mesh(self) -> Varied:
+        """Judge by finer meshes (collective)."""
+        scene = self.whole.scene
+        if scene.structure is not None:
+            return "[structure] has matrices, and not the mesh that they are of"
+        factors = (1.5, 2.0) if is_even(scene) else (2.0, 3.0)
+        finer_scenes = [
+            (f"a mesh {factor:g} times finer", None, finer_scene)
+            for factor in factors
+            if (finer_scene := finer_mesh(scene, factor)) is not None
+        ]
+        if not finer_scenes:
+            return (
+                "mesh.file is one mesh; solve states its part by mesh.coarser, and "
+                "fc.grid_convergence compares several"
+            )
+        formal = TIP_ORDER if self.whole.structure.n_pairs else CLAMP_ORDER
+        count, highest = n_elements(self.study.structure), 2.0 * scene.mesh.order
+        return self._judge_by("mesh", finer_scenes, count, formal, highest=highest)
+
+    def shift(self, errors: Verification) -> Varied:
+        """Judge by the change of each number due to the mesh's shift of the resonance (collective).
+
+        It is the largest change at any shift within the resonance's uncertainty, as peaks may lie
+        there, and at its extrapolated value.
+        """
+        if "mesh" not in errors.parts:
+            return ""
+        counts, resonance = errors.counts["mesh"], errors.parts["mesh"][self.numbers.resonance]
+        frequency = self.numbers.values[self.numbers.resonance]
+        relative_error = resonance.uncertainty(-1) / frequency
+        is_extrapolated = math.isfinite(resonance.extrapolated)
+        rises = is_extrapolated and resonance.extrapolated > frequency
+        exponent = -1.0 if rises else 1.0
+        factors = [(1.0 + relative_error * fraction) ** exponent for fraction in (0.5, 1.0)]
+        if is_extrapolated:
+            factors.append(frequency / resonance.extrapolated)
+        solution, shifted_values = self.answer, []
+        for factor in factors:  # each is sought from the one before
+            omega = self.answer.omega * factor
+            solution = solve_again(self.study, omega, self.answer.harmonics, solution)
+            shifted_values.append(self.values_of(solution))
+        parts = {}
+        for name, value in self.numbers.values.items():
+            values = [numbers.get(name, 0.0) for numbers in shifted_values]
+            farthest_value = max(values, key=lambda shifted: abs(shifted - value))
+            parts[name] = replace(
+                resonance,
+                sizes=(resonance.sizes[0], resonance.sizes[-1]),
+                factor=1.0,
+                values=(farthest_value, value),
+                behaviour="carried",
+                extrapolated=values[-1] if is_extrapolated else math.nan,
+            )
+        return counts[:: len(counts) - 1], parts
+
+    def modes(self) -> Varied:
+        """Judge by more modes (collective)."""
+        whole, kept_modes = self.whole, _kept_modes(self.whole)
+        if isinstance(kept_modes, str):
+            return kept_modes
+        return self._judge_by_more(
+            "modes", whole, whole.scene, whole.scene.modes_key, *kept_modes, TIP_ORDER
+        )
+
+    def harmonics(self) -> Varied:
+        """Judge by the exact orbit, or by more harmonics (collective)."""
+        scene = self.whole.scene
+        table = scene.harmonic_balance
+        if self.study.contact is None:
+            return CAUSE_WITHOUT_CONTACT
+        if table.samples is not None:  # enough for all of them
+            min_samples = 4 * REFINEMENT_FACTORS[-1] * table.harmonics + 1
+            samples = max(table.samples, min_samples)
+            scene = scene.replace({"harmonic_balance.samples": samples})
+        elif self.orbit_values is not None:
+            return self.distance_to_orbit(self.orbit_values)
+        key = "harmonic_balance.harmonics"
+        return self._judge_by_more(
+            "harmonics", self.study, scene, key, table.harmonics, MAX_SAMPLES, TIP_ORDER
+        )
+
+    def samples(self) -> Varied:
+        """Judge by more samples of the contact force (collective)."""
+        scene, law = self.whole.scene, self.study.contact
+        table, key = scene.harmonic_balance, "harmonic_balance.samples"
+        if law is None:
+            return "without contact there are none"
+        if table.samples is None and is_unilateral(law):
+            return "contact is integrated exactly"
+        count = table.samples or default_samples(table.harmonics)
+        return self._judge_by_more(
+            "samples", self.study, scene, key, count, MAX_SAMPLES, SAMPLES_ORDER
+        )

@@ -1,0 +1,108 @@
+"""Results of commands, read from their files with scene, structure and law."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors.verification import verification_of
+from fenics_crack.files.results import Result, type_of, unpack
+from fenics_crack.files.store import Stored, read
+from fenics_crack.model.contact import friction_of
+from fenics_crack.model.modes import Modes
+from fenics_crack.model.structure import Structure
+from fenics_crack.runs.curve import studies_of_curve
+from fenics_crack.runs.run import Run
+from fenics_crack.study.prepare import Study, prepare
+from fenics_crack.time.march import TimeHistory
+
+
+def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
+    """Read the result of a command with its scene, structure and law (collective).
+
+    The structure is built anew from the scene in the file; the result is only read. Files of the
+    mesh or of matrices that the scene names are opened if they are still those of the result, by
+    their SHA-256. With a structure at hand, :func:`fenics_crack.load` reads the same files; sweeps
+    are read by ``SweepResult.load``.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and result.
+
+    Raises
+    ------
+    InputError
+        The file is not a result with a scene, is a sweep, damaged or of an older version; or a file
+        that its scene names has changed.
+
+    Examples
+    --------
+    >>> fc.solve(scene).save("solution.h5")
+    >>> run = fc.load_run("solution.h5")
+    """
+    return run_of(read(path, comm), comm)
+
+
+def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = True) -> Run[Result]:
+    """Return the run of a file that has been read (collective).
+
+    A reduction has its reference if ``judged``. Raises as :func:`load_run`.
+    """
+    kind, scene = type_of(stored), stored.scene()
+    if scene is None:
+        raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
+    on_root(comm, lambda: stored.check_files(scene))
+    if issubclass(kind, ResponseCurve) and scene.curve is not None:
+        study = next(studies_of_curve(scene, comm))
+    else:
+        study = prepare(scene, comm, whole=kind is Modes, judged=judged)
+    if kind is TimeHistory and scene.integration is not None and scene.integration.free:
+        study = free_study(study)
+    try:
+        result = unpack(stored, study.structure, study.contact)
+    except InputError as error:
+        if error.key == "path":
+            raise
+        difference = f"{error.key} {error.allowed}"
+        allowed = f"a result of this version's structure ({difference}); compute it again"
+        raise InputError("path", str(stored.path), allowed) from None
+    law = getattr(result, "contact", None)
+    if friction_of(law) is not None:
+        study = replace(study, contact=law)  # along the lines of the file
+    return Run(**vars(study), result=result, stated=verification_of(stored))
+
+
+def read_run(stored: Stored) -> Run[Result]:
+    """Return the run of a file that one rank has read.
+
+    The errors of a solution are in the file: it needs no reference.
+    """
+    return run_of(stored, MPI.COMM_SELF, judged=stored.kind != PeriodicSolution.KIND)
+
+
+def free_study(study: Study) -> Study:
+    """Return a study whose mean load acts alone."""
+    structure = structure_under_static_load(study.structure, 0.0)
+    return replace(study, structure=structure.watching(study.watched[0].dof))
+
+
+def structure_under_static_load(structure: Structure, fraction: float) -> Structure:
+    """Return a structure under its mean load and a fraction of the first harmonic's amplitude."""
+    weights = np.zeros((len(structure.force),) * 2)
+    weights[0, :3] = 1.0, fraction, fraction
+    return structure.varied(load=weights)

@@ -1,0 +1,104 @@
+"""Forces and moments of the clamp over a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.observables import Place, read_at
+from fenics_crack.basics.tables import Tabular, quantity
+from fenics_crack.model.nodes import AXES
+from fenics_crack.runs.run import Run, check_motion
+from fenics_crack.scene.scene import check_known, without_clamp
+from fenics_crack.study.observer import held, inertia_rows
+from fenics_crack.time.march import TimeHistory
+
+
+@dataclass(frozen=True, repr=False)
+class Reaction(Tabular):
+    """Forces and moments of the clamp on a plate or a solid over a motion.
+
+    Attributes
+    ----------
+    time : (n,) [s]
+        Over one period of a solution, or the record of a motion in time.
+    center : (d,) [m]
+        Of the clamp: the moments are about it.
+    force : (n, d) [N]
+        Of the clamp on what it holds; of a plate through its whole thickness.
+    moment : (n, 1) or (n, 3) [N m]
+        Likewise: about z of a plate; about x, y and z of a solid.
+    """
+
+    time: np.ndarray
+    center: np.ndarray
+    force: np.ndarray
+    moment: np.ndarray
+
+    @property
+    def numbers(self) -> Mapping[str, float]:
+        """Largest size of the force [N], ``reaction_force``, and of the moment [N m],
+        ``reaction_moment``."""
+        return read_at(Place.CLAMP, self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every instant."""
+        found = {"time": self.time.tolist()}
+        axes, about = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
+        names = [f"force_{axis}" for axis in axes] + [f"moment_{axis}" for axis in about]
+        columns = np.hstack([self.force, self.moment]).T.tolist()
+        return found | dict(zip(names, columns, strict=True))
+
+    def _units(self) -> Mapping[str, str]:
+        units = {"time": "s", "force": "N", "moment": "N m"}
+        return {name: units[name.partition("_")[0]] for name in self.to_dict()}
+
+    def _title(self) -> str:
+        force, moment = self.numbers.values()
+        place = ", ".join(f"{x:.4g}" for x in self.center)
+        return f"up to {quantity(force, 'N')} and {quantity(moment, 'N m')} about ({place}) m"
+
+
+def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
+    r"""Find the forces and moments of the clamp over a motion (collective).
+
+    By Newton's law of all that the clamp holds: with r the translations, and the rotations about
+    its centre,
+
+    .. math:: r \cdot R = r^T M (\ddot u + \alpha \dot u) - r^T f,
+
+    :math:`\alpha` that of Rayleigh's damping, a drag from outside; all other damping acts inside,
+    and adds no force. Contact forces on both faces cancel, and add none either. What modes leave
+    out has no inertia, but its share of the load is in it.
+
+    Parameters
+    ----------
+    run : Run
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a mesh at
+        rest.
+
+    Returns
+    -------
+    Reaction
+        Over a period of a solution (1024 instants or more), or the record of a motion in time,
+        whose acceleration is that of a spline.
+
+    Raises
+    ------
+    InputError
+        It is neither of them, or of matrices, which have no clamp, or of a structure that rotates.
+
+    Examples
+    --------
+    >>> held = fc.reaction(fc.solve(scene))
+    >>> held.force.mean(axis=0), held.numbers["reaction_moment"]
+    """
+    check_motion(run)
+    check_known(without_clamp(run.scene), "run", repr(run))
+    structure = run.result.structure
+    [record] = run.result.records(structure.compute_once(inertia_rows))
+    return Reaction(record.time, structure.whole.clamp.center, *held(record))

@@ -1,0 +1,233 @@
+"""Result of a command with its study: scene, structure, contact law and watched points."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.ranks import on_root
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.peak import Peak
+from fenics_crack.errors.stated import errors_of
+from fenics_crack.errors.verification import Verification
+from fenics_crack.files.results import Result, save
+from fenics_crack.model.modes import Modes
+from fenics_crack.motion.motions import ObservedMotion
+from fenics_crack.runs.conclusion import Answer, said_of
+from fenics_crack.time.march import TimeHistory
+
+Found = TypeVar("Found", bound=Result, covariant=True)
+
+
+class ResultAttribute:
+    """Attribute of a run's result, read through the run."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, run: Any, owner: type | None = None) -> Any:
+        return self if run is None else getattr(run.result, self.name)
+
+
+@dataclass(frozen=True, repr=False)
+class Run(Answer, Generic[Found]):
+    """A study with its result, whose attributes are also its own: ``run.peak()``.
+
+    Attributes
+    ----------
+    scene, structure, contact, watched
+        As :class:`Study` has them.
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
+        Result of the computation.
+    stated : Verification or None
+        Its :attr:`errors`, where they were computed with it.
+    """
+
+    result: Found
+    stated: Verification | None = None
+
+    @cached_property
+    def errors(self) -> Verification | None:
+        """Return the stated errors of each number; None for motions in time.
+
+        A curve has those of its largest response. They are computed when first requested
+        (collective).
+        """
+        return self.stated or errors_of(self, self.result)
+
+    def __str__(self) -> str:
+        return f"{self.result!r}: {said_of(self).closing()}"
+
+    def __repr__(self) -> str:
+        return f"Run({self.result!r}, {self.scene!r})"
+
+    def _repr_html_(self) -> str:
+        return self.result.table().html(str(self))
+
+    def peak(self, dof: int | None = None) -> Peak:
+        """Return the largest response of a curve (:meth:`ResponseCurve.peak`; collective).
+
+        The watched dof's peak has the stated :attr:`errors`.
+        """
+        if not isinstance(self.result, ResponseCurve):
+            raise AttributeError("'Run' object has no attribute 'peak'")
+        peak, errors = self.result.peak(dof), self.errors
+        if errors is None or not errors.parts or dof not in (None, self.watched_dof):
+            return peak
+        names = self.watched[0].column("amplitude"), errors.resonance
+        amplitude_error, omega_error = (errors.stated(name)[0] for name in names)
+        return replace(
+            peak,
+            error=amplitude_error,
+            omega_error=math.nan if peak.at_end else omega_error,
+            without=errors.without,
+        )
+
+    def motion(self) -> dict[str, np.ndarray]:
+        """Return the motion of what is watched [m], by its words (collective).
+
+        A solution has coefficients (2H+1,), a curve (n, 2H+1), a motion in time displacements (n,),
+        and modes have none.
+        """
+        result, dofs = self.result, [watched.dof for watched in self.watched]
+        columns: list[np.ndarray] = []
+        if isinstance(result, TimeHistory):
+            columns = list(result.displacement(dofs).T)
+        elif isinstance(result, ObservedMotion):
+            columns = [displacement.coefficients for displacement in result.observe(dofs)[0]]
+        return dict(zip((watched.words for watched in self.watched), columns, strict=False))
+
+    def save(self, path: str | Path) -> None:
+        """Write the result with its scene, stated errors and watched motion (collective).
+
+        :func:`load_run` reads it, and so do programs without the structure
+        (:func:`fenics_crack.save`).
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        errors = None if self.stated is None else self.stated.text()
+        write = partial(save, self.result, path, self.scene, watched=self.motion(), errors=errors)
+        is_shared = isinstance(self.result, PeriodicSolution | Modes)  # spread over ranks
+        if self.structure.comm.size > 1 and is_shared:
+            write()
+        else:
+            on_root(self.structure.whole.comm, write)
+
+    # --- attributes of the result, in alphabetical order ---
+
+    KIND = ResultAttribute()
+    amplitude = ResultAttribute()
+    assessment = ResultAttribute()
+    assessments = ResultAttribute()
+    at_bifurcations = ResultAttribute()
+    at_phase = ResultAttribute()
+    base_omega = ResultAttribute()
+    bifurcation = ResultAttribute()
+    bifurcations = ResultAttribute()
+    branch = ResultAttribute()
+    breathes = ResultAttribute()
+    by_period = ResultAttribute()
+    change = ResultAttribute()
+    coefficients_at = ResultAttribute()
+    complete = ResultAttribute()
+    contact_force = ResultAttribute()
+    converged = ResultAttribute()
+    coordinates = ResultAttribute()
+    created_energy = ResultAttribute()
+    displacement = ResultAttribute()
+    displacement_coefficients = ResultAttribute()
+    displacement_errors = ResultAttribute()
+    displacement_field = ResultAttribute()
+    distance = ResultAttribute()
+    estimate = ResultAttribute()
+    exact = ResultAttribute()
+    faces = ResultAttribute()
+    final_state = ResultAttribute()
+    force_coefficients = ResultAttribute()
+    force_rows = ResultAttribute()
+    frequency = ResultAttribute()
+    friction = ResultAttribute()
+    function = ResultAttribute()
+    gap = ResultAttribute()
+    gap_coefficients = ResultAttribute()
+    gap_rows = ResultAttribute()
+    gaps_and_forces = ResultAttribute()
+    harmonics = ResultAttribute()
+    indicators = ResultAttribute()
+    instants = ResultAttribute()
+    irregular = ResultAttribute()
+    iterations = ResultAttribute()
+    measure = ResultAttribute()
+    method = ResultAttribute()
+    multipliers = ResultAttribute()
+    nearest = ResultAttribute()
+    observe = ResultAttribute()
+    observe_rows = ResultAttribute()
+    omega = ResultAttribute()
+    orbit = ResultAttribute()
+    others = ResultAttribute()
+    over_period = ResultAttribute()
+    parameter = ResultAttribute()
+    part = ResultAttribute()
+    period = ResultAttribute()
+    periods = ResultAttribute()
+    points = ResultAttribute()
+    problem = ResultAttribute()
+    problem_at = ResultAttribute()
+    problem_of = ResultAttribute()
+    reason = ResultAttribute()
+    recorded = ResultAttribute()
+    recorded_dofs = ResultAttribute()
+    records = ResultAttribute()
+    report = ResultAttribute()
+    reported = ResultAttribute()
+    residual = ResultAttribute()
+    resolution = ResultAttribute()
+    structure_with_row_pairs = ResultAttribute()
+    said = ResultAttribute()
+    samples = ResultAttribute()
+    seconds = ResultAttribute()
+    settled = ResultAttribute()
+    shapes = ResultAttribute()
+    slow_gap_coefficients = ResultAttribute()
+    solution = ResultAttribute()
+    stability = ResultAttribute()
+    stable = ResultAttribute()
+    static_above = ResultAttribute()
+    status = ResultAttribute()
+    steps_per_period = ResultAttribute()
+    sticking_places = ResultAttribute()
+    still = ResultAttribute()
+    subharmonic = ResultAttribute()
+    system = ResultAttribute()
+    table = ResultAttribute()
+    tangential_force = ResultAttribute()
+    tangential_force_coefficients = ResultAttribute()
+    tangential_gap = ResultAttribute()
+    tangential_gap_coefficients = ResultAttribute()
+    time = ResultAttribute()
+    to_csv = ResultAttribute()
+    to_dataframe = ResultAttribute()
+    to_dict = ResultAttribute()
+    tolerance = ResultAttribute()
+    top = ResultAttribute()
+    undecided = ResultAttribute()
+    values = ResultAttribute()
+    verdicts = ResultAttribute()
+
+
+def check_motion(run: object) -> None:
+    """Raise InputError unless it is the run of a solution or of a time integration."""
+    if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
+        allowed = "what fc.solve(scene) or fc.integrate(scene) returns"
+        raise InputError("run", type(getattr(run, "result", run)).__name__, allowed)

@@ -1,0 +1,117 @@
+"""Modes and steady vibration of a scene, as ``fenics-crack modes`` and ``solve`` find them."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+
+from mpi4py import MPI
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.progress import begin
+from fenics_crack.basics.tables import counted
+from fenics_crack.curves.stability import from_rest
+from fenics_crack.model.modes import Modes, solve_modes
+from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
+from fenics_crack.runs.run import Run
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import Study, prepare
+from fenics_crack.study.solve import solve_prepared, whole_study
+
+DEFAULT_MODES = 6
+"""Number of modes that are found by default."""
+
+
+def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
+    """Find the lowest modes of a scene with its crack open, as ``fenics-crack modes`` (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene that vibrates.
+    count : int, optional
+        Number of modes. Default: 6, or all of fewer.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and ``result``: the modes.
+
+    Raises
+    ------
+    InputError
+        A value of the scene cannot be used.
+
+    Examples
+    --------
+    >>> fc.modes(scene, 3).result.omega
+    """
+    study = prepare(scene, comm, whole=True)
+    n_modes = min(DEFAULT_MODES, study.structure.n_modes) if count is None else count
+    return Run(**vars(study), result=solve_modes(study.structure, n_modes))
+
+
+def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
+    """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
+
+    Harmonic balance at the load's frequency (:func:`solve_harmonic_balance`), with its stability
+    (:func:`floquet`) if that is quick. With a tolerance the modes of the reduction are chosen, too,
+    if the scene does not give any.
+
+    Parameters
+    ----------
+    scene : Scene or Study
+        Scene with its load, contact and harmonic balance; or what :func:`load_prepared` returns.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and ``result``: the solution, which may not have converged.
+
+    Raises
+    ------
+    InputError
+        A value of the scene cannot be used.
+
+    Examples
+    --------
+    >>> run = fc.solve(scene)
+    >>> run.result.report.total, run.result.stability.verdict, run.motion()
+    """
+    solved = solve_prepared(whole_study(scene, comm))
+    return _with_motion_from_rest(Run(**vars(solved)))
+
+
+def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
+    """Return a run with the outcome of the motion from rest, if the verdict needs it (collective).
+
+    It does if it is undecided, or no pair opens and closes: the multipliers of such a solution know
+    nothing of the contact that another motion meets.
+    """
+    solution, dof = run.result, run.watched_dof
+    stability = solution.stability
+    if stability is None or solution.still:
+        return run
+    is_decided = stability.verdict != "undecided"
+    if is_decided and solution.breathes:
+        return run
+    begin("the motion from rest")
+    motion = None
+    with suppress(KeyboardInterrupt):  # the solution stays what it is
+        motion = from_rest(solution)
+    if motion is None or not motion.periods:
+        return run
+    rest_amplitude = math.nan
+    outcome = f"has not settled after {counted(motion.periods, 'period')} of the load"
+    if motion.orbit is not None:
+        outcome, rest_amplitude = motion.description, motion.orbit.amplitude(dof)
+        amplitude = solution.amplitude(dof)
+        if is_decided and abs(rest_amplitude - amplitude) <= MAX_SETTLED_CHANGE * amplitude:
+            return run  # the same motion
+    stability = replace(stability, from_rest=outcome, rest_amplitude=rest_amplitude)
+    return replace(run, result=replace(solution, stability=stability))

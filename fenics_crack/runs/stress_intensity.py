@@ -1,0 +1,200 @@
+"""Stress intensity at crack tips and fronts over a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.tables import Tabular
+from fenics_crack.errors.stated import errors_of
+from fenics_crack.errors.verification import Verification
+from fenics_crack.runs.run import Run, check_motion
+from fenics_crack.scene.scene import check_known, without_tips
+from fenics_crack.study.observer import AtTip, at_tips, leading, stations_of_fronts, tip_rows
+from fenics_crack.time.march import TimeHistory
+
+
+@dataclass(frozen=True, repr=False)
+class StressIntensity(Tabular):
+    """K_I and K_II at the tips of a plate's cracks over a motion; K_III, too, at stations along the
+    fronts of a solid's, in turn.
+
+    Attributes
+    ----------
+    time : (n,) [s]
+        Over one period of a solution, or the record of a motion in time.
+    tips : tuple of str
+        Names: "the crack tip", "the left crack tip", "the crack tip of crack 2", "the crack front
+        at 3.2 mm", from where that front begins.
+    positions : (n_tips,) [m]
+        Distances along the crack; of a solid along the front, from where it begins.
+    points, ahead : (n_tips, d) [m], (n_tips, d)
+        Where they are, and where the cracks run straight on.
+    one, two : (n, n_tips) [Pa m^1/2]
+        K_I, positive where the crack faces part, and K_II, positive where the face on the left of
+        who looks ahead moves ahead. At a front without clearance K_I is exactly zero while all
+        patches of the contact that touch it near a station are closed, and never negative.
+    three : (n, n_tips) [Pa m^1/2] or None
+        K_III, positive where the upper face moves along the front, in the direction e_3 = e_1 x e_2
+        with e_1 ahead and e_2 from the lower to the upper face; of a plate None.
+    closed : (n_tips,) [Pa m^1/2]
+        Largest size of K_I of a solid as it is computed where it is zero by contact, while the
+        front is closed, or below zero while it is closed in part: its error.
+    """
+
+    time: np.ndarray
+    tips: tuple[str, ...]
+    positions: np.ndarray
+    points: np.ndarray
+    ahead: np.ndarray
+    one: np.ndarray
+    two: np.ndarray
+    three: np.ndarray | None
+    closed: np.ndarray
+    _run: Run[Any] = field(compare=False)
+    _seen: list[AtTip] = field(compare=False)
+
+    @cached_property
+    def numbers(self) -> Mapping[str, np.ndarray]:
+        """Each tip's K_max, K_min, delta_K, delta_K_effective, K_II_max, and K_III_max in a solid:
+        (n_tips,) [Pa m^1/2].
+
+        The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a
+        table ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the
+        load, makes the crack grow as much as all cycles of K_I do, counted by rain flow.
+        """
+        numbers = [tip.numbers() for tip in self._seen]
+        return {name: np.array([one[name] for one in numbers]) for name in numbers[0]}
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest K_I of each tip: (n_tips,) [Pa m^1/2]."""
+        return self.numbers["K_max"]
+
+    @property
+    def smallest(self) -> np.ndarray:
+        """Smallest K_I of each tip: (n_tips,) [Pa m^1/2]."""
+        return self.numbers["K_min"]
+
+    @property
+    def effective(self) -> np.ndarray:
+        """Range of K_I of each tip while it is open: (n_tips,) [Pa m^1/2]."""
+        return self.numbers["delta_K_effective"]
+
+    @property
+    def leading(self) -> int:
+        """The tip whose effective range is the largest."""
+        return leading(self._seen)
+
+    @property
+    def comm(self) -> MPI.Comm:
+        """Communicator."""
+        return self._run.structure.comm
+
+    @property
+    def fronts(self) -> dict[str, list[int]]:
+        """The tips, of a solid the stations, of each front by its name."""
+        return stations_of_fronts(self.tips)
+
+    @property
+    def turn(self) -> np.ndarray:
+        """Angle by which each crack would turn at its largest K_I, to the left, where the hoop
+        stress is largest: (n_tips,) [rad].
+
+        K_I sin(theta) + K_II (3 cos(theta) - 1) = 0 (Erdogan, Sih, Journal of Basic Engineering 85,
+        1963, 519); nan where K_I is never positive.
+        """
+        place = self.one.argmax(axis=0)[None]
+        one = np.take_along_axis(self.one, place, axis=0)[0]
+        two = np.take_along_axis(self.two, place, axis=0)[0]
+        found = -2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
+        return np.where(one > 0.0, found, np.nan)
+
+    @cached_property
+    def errors(self) -> Verification | None:
+        """Return the stated errors of the leading crack tip's numbers; None for motions in time.
+
+        They are computed when first requested (collective).
+        """
+        scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
+        return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every instant: K_I and K_II of each tip."""
+        found = {"time": self.time.tolist()}
+        kinds = {"K_I": self.one, "K_II": self.two} | (
+            {} if self.three is None else {"K_III": self.three}
+        )
+        for number, tip in enumerate(self.tips):
+            found |= {f"{name}, {tip}": rows[:, number].tolist() for name, rows in kinds.items()}
+        return found
+
+    def _units(self) -> Mapping[str, str]:
+        return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
+
+    def _title(self) -> str:
+        tip = self.leading
+        parts = [f"{name} = {values[tip]:.4g}" for name, values in self.numbers.items()]
+        return f"{', '.join(parts)} Pa m^0.5 at {self.tips[tip]}"
+
+
+def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:
+    r"""Find stress intensities at the tips of a plate's cracks over a motion (collective).
+
+    K_I and K_II of the displacement at each instant, by the interaction integral over a domain
+    around the tip or front, with the inertia in it and the contact on the crack faces. Along a
+    front K_III comes to them; each station has the mean over its neighbourhood, and those at the
+    surface are on the line through the two next to it (docs/solids.md). The error of K_I of a mesh
+    is of first order in its size; that of a closed front is stated (``closed``). Where a structure
+    is reduced the modes' statics are not summed up but solved for: with q_r the amplitudes of the
+    modes,
+
+    .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
+
+    Parameters
+    ----------
+    run : Run
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a plate or a
+        solid with a crack.
+
+    Returns
+    -------
+    StressIntensity
+        Over a period of a solution (1024 instants or more), or the record of a motion in time.
+
+    Raises
+    ------
+    InputError
+        It is neither of them, of matrices, a disk, with friction or a preload by its clearance, or
+        without a crack; or the elements at a crack tip or front are too long.
+
+    Examples
+    --------
+    >>> found = fc.stress_intensity(fc.solve(scene))
+    >>> found.largest, found.effective, found.turn
+    """
+    check_motion(run)
+    check_known(without_tips(run.scene), "run", repr(run))
+    tips, rows, of_forces = tip_rows(run)
+    [record] = run.result.records(rows)
+    seen = at_tips(record, tips, of_forces, run.scene.growth)
+    three = [one.three for one in seen if one.three is not None]
+    return StressIntensity(
+        record.time,
+        tuple(tip.name for tip in tips),
+        np.array([tip.arc_length for tip in tips]),
+        np.array([tip.point for tip in tips]),
+        np.array([tip.growth_direction for tip in tips]),
+        np.column_stack([one.one for one in seen]),
+        np.column_stack([one.two for one in seen]),
+        np.column_stack(three) if three else None,
+        np.array([one.closed for one in seen]),
+        run,
+        seen,
+    )
