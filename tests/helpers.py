@@ -172,13 +172,13 @@ def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
     compliance.destroy()
     with BlockSystem(problem, linear) as block:
         at, value = block.matrix.createVecs()
-        size, stiffness = linear.size, block.force / block.length
+        size, stiffness = linear.size, block.force_unit / block.length_unit
 
         def residual(displacement: np.ndarray) -> np.ndarray:
             at.array_w[:] = block.vector_of(displacement)
             block.evaluate(at, value)
             assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * at.norm())
-            return block.force * value.array_r[:size].reshape(linear.shape)
+            return block.force_unit * value.array_r[:size].reshape(linear.shape)
 
         def jacobian(displacement: np.ndarray) -> np.ndarray:
             at.array_w[:] = block.vector_of(displacement)

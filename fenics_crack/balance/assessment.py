@@ -159,7 +159,7 @@ class Assessment:
     @property
     def predicted_error(self) -> float:
         """Return the predicted relative error of the gaps over the period; inf if unknown."""
-        return np.inf if self.prediction is None else self.prediction.error
+        return np.inf if self.prediction is None else self.prediction.gap_error
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
@@ -250,7 +250,7 @@ class Assessment:
             assert self.flow is not None
             change = (step.states - self.states)[:, : self.flow.n_modes] @ self.flow.modes.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
-            errors = step.error, _change_at_load(wave, change, wave.coordinates(time))
+            errors = step.gap_error, _change_at_load(wave, change, wave.coordinates(time))
             errors = (stated_error(errors[0]), stated_error(errors[1])) if search else errors
         return min(errors[0], UNKNOWN), min(errors[1], UNKNOWN)
 
@@ -340,5 +340,5 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     samples = orbit.sampled
     if is_still(samples):
         return 0.0
-    gap_motion = samples.gaps + wave.row_structure.clearance
+    gap_motion = samples.gaps + wave.structure_with_row_pairs.clearance
     return relative_to_motion(samples.gaps - wave.over_period(len(gap_motion))[1], gap_motion)

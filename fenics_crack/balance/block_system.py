@@ -82,16 +82,16 @@ class BlockSystem(Snes):
         self._shape, self._load = linear.shape, problem.load
         squares = np.array([np.sum(coefficients**2) for coefficients in (linear, self._load)])
         length, load = np.sqrt(structure.sum_over_ranks(squares))
-        self.length = float(length) or 1.0
+        self.length_unit = float(length) or 1.0
         """Unit of the unknowns [m]."""
-        self.force = float(load) or float(np.max(problem.contact.stiffness))
+        self.force_unit = float(load) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
         self._first_dofs = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
         self._modes = np.zeros((structure.n_local, 0)), np.zeros(0)
         modes = damped_modes(structure)
         if modes is not None:  # scaled: their coordinates are as large as the unknowns
             square = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
-            self._modes = modes.mass_shapes / math.sqrt(square), square * modes.rate
+            self._modes = modes.mass_shapes / math.sqrt(square), square * modes.modal_damping
         linear_part = self._linear_part(problem.base_omega)
         n_pairs, n_rows = structure.n_pairs, len(linear)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
@@ -102,15 +102,15 @@ class BlockSystem(Snes):
         self._constant_gap = structure.gap_of(np.zeros(linear.shape))
         if problem.residual is not None:
             static_response = all_modes(structure).static_displacement(problem.cutoff)
-            force_rows = linear_part.tocsr()[: linear.size] * (self.force / self.length)
+            force_rows = linear_part.tocsr()[: linear.size] * (self.force_unit / self.length_unit)
             self._slow_gap_map -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ force_rows
             )
             self._constant_gap += self._load @ static_response
-        positions = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
+        entry_numbers = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
         self._gap_tangent_indices = (
-            np.repeat(positions, n_rows, axis=1).ravel(),
-            np.tile(positions, n_rows).ravel(),
+            np.repeat(entry_numbers, n_rows, axis=1).ravel(),
+            np.tile(entry_numbers, n_rows).ravel(),
         )
         if self.integrals.has_coupled_pairs:  # every force depends on every gap
             self._gap_tangent_indices = tuple(np.indices((n_rows * n_pairs,) * 2).reshape(2, -1))
@@ -119,11 +119,11 @@ class BlockSystem(Snes):
             (n_rows * n_pairs,) * 2,
         )
         # Absolute values do not cancel: no entry is missed.
-        contact_entries = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
-        entries = np.append(linear_part.data, 0.0 * contact_entries.data)
+        contact_pattern = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
+        entries = np.append(linear_part.data, 0.0 * contact_pattern.data)
         indices = (
-            np.append(linear_part.row, contact_entries.row),
-            np.append(linear_part.col, contact_entries.col),
+            np.append(linear_part.row, contact_pattern.row),
+            np.append(linear_part.col, contact_pattern.col),
         )
         matrix = distribute_rows(
             sparse.coo_matrix((entries, indices), linear_part.shape), structure.comm
@@ -156,7 +156,11 @@ class BlockSystem(Snes):
         matrix = sparse.kron(np.eye(n_rows), stiffness) - sparse.kron(np.diag(omega**2), mass)
         if structure.damping_matrix is not None:
             matrix += sparse.kron(time_derivative, local_rows(structure.damping_matrix))
-        unit, size, (shapes, rate) = self.length / self.force, matrix.shape[1], self._modes
+        unit, size, (shapes, rate) = (
+            self.length_unit / self.force_unit,
+            matrix.shape[1],
+            self._modes,
+        )
         damping_columns = sparse.kron(time_derivative[:, 1:], unit * rate * shapes)
         parts = sparse.hstack([self._reorder_columns(unit * matrix, size), damping_columns])
         all_shapes = structure.comm.gather(shapes, structure.comm.size - 1)
@@ -202,29 +206,31 @@ class BlockSystem(Snes):
     def displacement(self, unknown: Any) -> np.ndarray:
         """Return the displacement u of a PETSc vector of unknowns: (2H+1, n_local) [m]."""
         n_entries = int(np.prod(self._shape))
-        return self.length * unknown.array_r[:n_entries].reshape(self._shape)
+        return self.length_unit * unknown.array_r[:n_entries].reshape(self._shape)
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
         relative_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
-        return self._constant_gap + self.length * relative_gap.reshape(self._constant_gap.shape)
+        return self._constant_gap + self.length_unit * relative_gap.reshape(
+            self._constant_gap.shape
+        )
 
     def vector_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
-        relative_displacement, comm = displacement / self.length, self.structure.comm
+        relative_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_part = self.structure.sum_over_ranks(relative_displacement[1:] @ self._modes[0])
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
     def evaluate(self, unknown: Any, target: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown.array_r))
         self._linear_matrix.mult(unknown, target)
-        contact_and_load = (self.structure.apply_b(force) - self._load).ravel() / self.force
+        contact_and_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
         target.array_w[: len(contact_and_load)] += contact_and_load
 
     def linearise(self, unknown: Any) -> None:
         forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
         tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
-        contact_part = self._contact_part(self.length / self.force * tangent)
+        contact_part = self._contact_part(self.length_unit / self.force_unit * tangent)
         contact_part.resize(self.matrix.local_size[0], contact_part.shape[1])
         self._linear_matrix.copy(self.matrix, PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
         self.matrix.setValuesCSR(

@@ -93,10 +93,12 @@ class DynamicStiffness:
             squares = self._modes.omega**2
             stiffness = squares - omega**2
             is_near = np.abs(stiffness) < DEFLATION_BAND * squares
-            if np.any(self._modes.omega[is_near & (self._modes.rate == 0.0)] == omega):
+            if np.any(self._modes.omega[is_near & (self._modes.modal_damping == 0.0)] == omega):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
             factored_part = np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=~is_near)
-            self._correction = 1.0 / (stiffness + 1j * omega * self._modes.rate) - factored_part
+            self._correction = (
+                1.0 / (stiffness + 1j * omega * self._modes.modal_damping) - factored_part
+            )
             if is_near.any():
                 border = sparse.csr_matrix(self._modes.mass_shapes[:, is_near])
         self._factor = Factor(system_matrix, symmetric=self._damping is None, border=border)
@@ -180,7 +182,7 @@ class ModalCompliance:
         R_k for each harmonic k, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
         Gap without contact forces, less the clearance.
-    basis : (n_pairs, n) or None
+    gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make; None if these are all gaps.
     gap_without_modes : (2H+1, n_pairs) [m]
         Part of the linear gap by coordinates without mass, less the clearance.
@@ -191,7 +193,7 @@ class ModalCompliance:
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
-        self.basis = (
+        self.gap_basis = (
             structure.compute_once(_gap_basis)
             if len(self._modes.pairs) < structure.n_pairs
             else None
@@ -210,7 +212,9 @@ class ModalCompliance:
     ) -> None:
         self._base_omega, self._damping = base_omega, damping
         has_load = self._unit_load != 0.0
-        self._receptance = self._modes.receptance(base_omega * self._order, damping, has_load)
+        self._receptance = self._modes.modal_receptances(
+            base_omega * self._order, damping, has_load
+        )
         self._modal_load = load * self._unit_load
         self._load = load
         self.gap_without_modes = load * self._static_gap
@@ -243,7 +247,9 @@ class ModalCompliance:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
         order = np.arange(len(self.matrices), max_harmonic + 1)
         has_load: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
-        receptance = self._modes.receptance(self._base_omega * order, self._damping, has_load)
+        receptance = self._modes.modal_receptances(
+            self._base_omega * order, self._damping, has_load
+        )
         return self._pair_compliance(receptance)
 
     def _pair_compliance(self, receptance: np.ndarray) -> np.ndarray:
@@ -275,7 +281,7 @@ class ModalCompliance:
         """
         modes, omega = self._modes, np.multiply.outer(self._order, base_omega)
         has_load = np.repeat(self._unit_load != 0.0, len(base_omega), axis=0)
-        receptance = modes.receptance(omega.ravel(), self._damping, has_load)
+        receptance = modes.modal_receptances(omega.ravel(), self._damping, has_load)
         drive = self._modal_load[:, None] - to_complex(force) @ modes.pairs.T
         response = modes.respond(receptance.reshape(*omega.shape, *receptance.shape[1:]), drive)
         displacement = from_complex(response @ modes.shapes.T)
@@ -403,7 +409,7 @@ class FactoredCompliance:
         Fourier coefficients of the load.
     """
 
-    basis: np.ndarray | None = None
+    gap_basis: np.ndarray | None = None
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load
@@ -423,11 +429,11 @@ class FactoredCompliance:
 
         The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
         """
-        omega, rate, pair_shapes = self.structure.compute_once(_lowest_modes)
-        rate = self.structure.damping_factor * rate
+        omega, modal_damping, pair_shapes = self.structure.compute_once(_lowest_modes)
+        modal_damping = self.structure.damping_factor * modal_damping
         static_rest = self.matrices[0].real - (pair_shapes.T / omega**2) @ pair_shapes
         frequency = self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
-        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
+        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * modal_damping)
         return static_rest + np.matmul(pair_shapes.T * receptance[:, None, :], pair_shapes)
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
@@ -491,6 +497,10 @@ def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndar
         if stored_modes and len(stored_modes.omega) >= n_modes
         else solve_modes(structure, n_modes)
     )
-    rate = np.diag(projected_damping(structure, modes.shapes))
+    modal_damping = np.diag(projected_damping(structure, modes.shapes))
     is_elastic = modes.omega > 0.0  # the lowest may be lost in rounding
-    return modes.omega[is_elastic], rate[is_elastic], structure.apply_bt(modes.shapes.T)[is_elastic]
+    return (
+        modes.omega[is_elastic],
+        modal_damping[is_elastic],
+        structure.apply_bt(modes.shapes.T)[is_elastic],
+    )

@@ -37,11 +37,11 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
-    ActiveSets,
+    ActiveSetSolver,
     ContactLaw,
     is_piecewise_linear,
     is_unilateral,
-    smooth_forces,
+    smooth_forces_and_slopes,
 )
 from fenics_crack.numerics.fourier import (
     count_instants,
@@ -90,7 +90,7 @@ class ContactForces(ABC):
         """Return db by a compliance in series with all pairs: (2H+1, n_pairs) [N]."""
 
     @abstractmethod
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         """Return db by the logarithm of the contact stiffness k: (2H+1, n_pairs) [N]."""
 
 
@@ -124,7 +124,7 @@ class ContactIntegrals(ABC):
         return False
 
     @cached_property
-    def springs(self) -> np.ndarray:
+    def spring_compliance(self) -> np.ndarray:
         """Return 1/k, with the contact stiffness k of each pair or of all [m/N].
 
         A law without penetration has zero.
@@ -137,7 +137,11 @@ class ContactIntegrals(ABC):
 
         It is the diagonal of static compliance plus contact springs, R_inf + I/k.
         """
-        return self.springs if self.residual is None else np.diag(self.residual) + self.springs
+        return (
+            self.spring_compliance
+            if self.residual is None
+            else np.diag(self.residual) + self.spring_compliance
+        )
 
     @cached_property
     def unit(self) -> float:
@@ -245,17 +249,17 @@ class ExactIntegrals(ContactIntegrals):
         return True
 
     @property
-    def stiffness(self) -> np.ndarray:
+    def closed_stiffness(self) -> np.ndarray:
         """Return the slope d lambda / ds of a closed pair's force: (n_pairs,), or one [N/m]."""
         return np.asarray(1.0 / (self.compliance_diagonal + self.softness * self.unit))
 
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
-        return np.asarray(self.stiffness * np.maximum(gap, 0.0))
+        return np.asarray(self.closed_stiffness * np.maximum(gap, 0.0))
 
     def linearise(self, gap: np.ndarray) -> PairForces:
         n_rows, n_pairs = gap.shape
         gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
-        stiffness = np.full(n_pairs, self.stiffness)
+        stiffness = np.full(n_pairs, self.closed_stiffness)
         force, tangent = np.empty((n_rows, n_pairs)), np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
             self.harmonics, n_pairs, pointer(gap), pointer(stiffness),
@@ -291,7 +295,7 @@ class PairForces(ContactForces):
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
 
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         """Return the forces' derivative by ln k.
 
         Forces of uncoupled pairs are proportional to k: the derivative is the forces.
@@ -390,22 +394,24 @@ class CoupledIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    shared_sets : ActiveSets or None
+    shared_sets : ActiveSetSolver or None
         Active sets of other integrals with the same law and R_inf, with their inverses.
     """
 
     samples: int | None = None
-    shared_sets: ActiveSets | None = field(default=None, repr=False, compare=False)
+    shared_sets: ActiveSetSolver | None = field(default=None, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
-    def active_sets(self) -> ActiveSets:
+    def active_sets(self) -> ActiveSetSolver:
         """Return the sets of closed pairs for R_inf + I/k and the softness."""
         if self.shared_sets is not None:
             return self.shared_sets
         assert self.residual is not None
-        softness = self.softness * self.unit + (self.springs if self.is_piecewise else 0.0)
-        return ActiveSets(self.residual + softness * np.eye(len(self.residual)))
+        softness = self.softness * self.unit + (
+            self.spring_compliance if self.is_piecewise else 0.0
+        )
+        return ActiveSetSolver(self.residual + softness * np.eye(len(self.residual)))
 
     @property
     def is_piecewise(self) -> bool:
@@ -430,7 +436,7 @@ class CoupledIntegrals(ContactIntegrals):
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         if self.is_piecewise:
             return self.active_sets.solve(gap)[0]
-        return smooth_forces(self.law, self.active_sets.compliance, gap)[0]
+        return smooth_forces_and_slopes(self.law, self.active_sets.compliance, gap)[0]
 
     def linearise(self, gap: np.ndarray) -> CoupledForces:
         return _ExactForces(self, gap) if self.exact else _SampledForces(self, gap)
@@ -464,7 +470,7 @@ class CoupledForces(ContactForces):
         return matrix
 
 
-class _KernelForces:
+class _KernelEvaluator:
     """C object that computes forces for given numbers of harmonics and pairs.
 
     ``evaluated_forces`` are the forces whose gap it evaluated last.
@@ -476,7 +482,7 @@ class _KernelForces:
         self.evaluated_forces: CoupledForces | None = None
 
 
-_kernel_forces_for = lru_cache(maxsize=16)(_KernelForces)
+_kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
 
 
 class _ExactForces(CoupledForces):
@@ -494,18 +500,18 @@ class _ExactForces(CoupledForces):
 
         Raises ConvergenceError if an instant has no forces.
         """
-        kernel_forces = _kernel_forces_for(self.harmonics, self._gap.shape[1])
+        kernel_evaluator = _kernel_evaluator_for(self.harmonics, self._gap.shape[1])
         active_sets = self._integrals.active_sets
-        if kernel_forces.evaluated_forces is not self:
-            kernel_forces.evaluated_forces = None
+        if kernel_evaluator.evaluated_forces is not self:
+            kernel_evaluator.evaluated_forces = None
             arrays = map(pointer, (active_sets.compliance, self._gap, self.force))
-            outcome = kernel.find_forces(kernel_forces.handle, *arrays)
+            outcome = kernel.find_forces(kernel_evaluator.handle, *arrays)
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
             if outcome != kernel.FOUND:
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            kernel_forces.evaluated_forces = self
-        return kernel_forces.handle
+            kernel_evaluator.evaluated_forces = self
+        return kernel_evaluator.handle
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         change, force_change = require_shape(change, *self._gap.shape), np.empty(self._gap.shape)
@@ -535,9 +541,9 @@ class _ExactForces(CoupledForces):
     def by_softness(self) -> np.ndarray:
         return self._by_diagonal_compliance(np.full(self._gap.shape[1], self._integrals.unit))
 
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         return self._by_diagonal_compliance(
-            np.broadcast_to(-self._integrals.springs, self._gap.shape[1])
+            np.broadcast_to(-self._integrals.spring_compliance, self._gap.shape[1])
         )
 
 
@@ -558,7 +564,7 @@ class _SampledForces(CoupledForces):
             self._force_samples, closed_sets = active_sets.solve(gap_samples)
             self._slope_samples = active_sets.invert_sets(closed_sets)
         else:
-            self._force_samples, self._slope_samples = smooth_forces(
+            self._force_samples, self._slope_samples = smooth_forces_and_slopes(
                 integrals.law, active_sets.compliance, gap_samples
             )
         self._slope_coefficients = fourier_coefficients(self._slope_samples, 2 * self.harmonics)
@@ -589,9 +595,9 @@ class _SampledForces(CoupledForces):
     def by_softness(self) -> np.ndarray:
         return self._force_change(-self._integrals.unit * self._force_samples)
 
-    def by_stiffness(self) -> np.ndarray:
+    def by_log_stiffness(self) -> np.ndarray:
         if self._integrals.is_piecewise:
-            return self._force_change(self._force_samples * self._integrals.springs)
+            return self._force_change(self._force_samples * self._integrals.spring_compliance)
         # d lambda = (I + h' D)^-1 lambda = lambda - S D lambda.
         return self.force - self._force_change(
             self._force_samples @ self._integrals.active_sets.compliance

@@ -122,11 +122,11 @@ class ContactSystem:
         self.residual = integrals.residual
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
-        self.basis = compliance.basis if integrals.has_coupled_pairs else None
+        self.gap_basis = compliance.gap_basis if integrals.has_coupled_pairs else None
         """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
-        n_step_unknowns = n_rows * (n_pairs if self.basis is None else self.basis.shape[1])
+        n_step_unknowns = n_rows * (n_pairs if self.gap_basis is None else self.gap_basis.shape[1])
         self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
-        self.work = min(n_step_unknowns, MATRIX_FREE)
+        self.n_cost_unknowns = min(n_step_unknowns, MATRIX_FREE)
         """Unknowns by which the time of a step grows."""
 
     @cached_property
@@ -165,7 +165,7 @@ class ContactSystem:
         """
         return CompiledEquations(
             self.residual, self._springs(self.integrals.law), linear, compliance,
-            has_coupled_pairs=self.integrals.has_coupled_pairs, basis=self.basis,
+            has_coupled_pairs=self.integrals.has_coupled_pairs, gap_basis=self.gap_basis,
             forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
 
@@ -176,8 +176,8 @@ class ContactSystem:
     @cached_property
     def dynamic_part_in_basis(self) -> np.ndarray:
         """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
-        assert self.basis is not None
-        return self.basis.T @ self.dynamic_part @ self.basis
+        assert self.gap_basis is not None
+        return self.gap_basis.T @ self.dynamic_part @ self.gap_basis
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return the slow gap s = g + R_inf lambda with the system's harmonics.
@@ -212,10 +212,10 @@ class ContactSystem:
         ``parameter`` 1 is the law itself, 0 very soft contact.
         """
         distance = 1.0 - parameter
-        rate = -3.0 * self._softness * distance * abs(distance)
+        compliance_rate = -3.0 * self._softness * distance * abs(distance)
         return ContactPoint(
             self, unknown, self.integrals.with_softness(self._softness * abs(distance) ** 3),
-            lambda point: respond(self.dynamic_part, rate * point.forces.by_softness()),
+            lambda point: respond(self.dynamic_part, compliance_rate * point.forces.by_softness()),
         )  # fmt: skip
 
     def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
@@ -260,7 +260,7 @@ class FrictionPath(ContactSystem):
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return residual and Jacobian with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
-        integrals = replace(self.integrals, friction_factor=max(parameter, 0.0))
+        integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
         return ContactPoint(self, unknown, integrals, by_friction)
 
 
@@ -292,10 +292,10 @@ class ContactPoint(DenseLinearisation):
         """Return J = I + (R - R_inf) T, where T is db/ds."""
         return self.forces.identity_plus(self.system.dynamic_part)
 
-    def condense(self) -> np.ndarray:
+    def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
-        if system.basis is not None:
-            return self.forces.identity_plus(system.dynamic_part_in_basis, system.basis)
+        if system.gap_basis is not None:
+            return self.forces.identity_plus(system.dynamic_part_in_basis, system.gap_basis)
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
@@ -306,9 +306,11 @@ class ContactPoint(DenseLinearisation):
         if system.matrix_free:
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
-        if system.basis is not None:
-            response = respond(system.dynamic_part, self.forces.apply(right_side)) @ system.basis
-            return right_side - solve_factored(factors, response) @ system.basis.T
+        if system.gap_basis is not None:
+            response = (
+                respond(system.dynamic_part, self.forces.apply(right_side)) @ system.gap_basis
+            )
+            return right_side - solve_factored(factors, response) @ system.gap_basis.T
         return solve_factored(factors, right_side)
 
     @property
@@ -376,10 +378,10 @@ class Wave:
         """
         if self.static_above is None:
             return None
-        return all_modes(self.row_structure).static_part(self.static_above)
+        return all_modes(self.structure_with_row_pairs).static_part(self.static_above)
 
     @cached_property
-    def row_structure(self) -> Structure:
+    def structure_with_row_pairs(self) -> Structure:
         """The structure with a pair for each normal gap and, with friction, tangential gap."""
         return add_friction_pairs(self.contact, self.structure)
 
@@ -397,7 +399,7 @@ class Wave:
     def _integrals(self) -> ContactIntegrals:
         """Integrals of contact forces with a residual flexibility, or with friction."""
         assert self.contact is not None
-        residual_or_none, n_rows = self.residual, self.row_structure.n_pairs
+        residual_or_none, n_rows = self.residual, self.structure_with_row_pairs.n_pairs
         residual = np.zeros((n_rows, n_rows)) if residual_or_none is None else residual_or_none
         return coupled_integrals(self.contact, self.harmonics, residual)
 
@@ -442,7 +444,7 @@ class Wave:
             return basis, slow_gap, np.zeros_like(slow_gap)
         if friction_of(contact) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
-            force = self._integrals.forces_at(self.slow_gap_coefficients, phase)[0]
+            force = self._integrals.forces_and_places_at(self.slow_gap_coefficients, phase)[0]
         elif self.residual is not None:
             force = self._integrals.forces_in_time(slow_gap)
         elif not is_rigid(contact):
@@ -492,7 +494,9 @@ class Wave:
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)
-        return self._integrals.forces_at(self.slow_gap_coefficients, self.base_omega * time)[1]
+        return self._integrals.forces_and_places_at(
+            self.slow_gap_coefficients, self.base_omega * time
+        )[1]
 
     def _check_friction(self) -> None:
         if friction_of(self.contact) is None:
@@ -504,7 +508,9 @@ class Wave:
         displacement = basis @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
-            static_response = all_modes(self.row_structure).static_displacement(self.static_above)
+            static_response = all_modes(self.structure_with_row_pairs).static_displacement(
+                self.static_above
+            )
             displacement -= (force - basis @ self.force_rows) @ static_response.T
         return displacement
 
@@ -553,7 +559,7 @@ class CompiledEquations(Equations):
         compliance: np.ndarray | Mapping[str, Any],
         *,
         has_coupled_pairs: bool = False,
-        basis: np.ndarray | None = None,
+        gap_basis: np.ndarray | None = None,
         forms_jacobian: bool = True,
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
@@ -564,13 +570,13 @@ class CompiledEquations(Equations):
         if isinstance(compliance, np.ndarray):
             matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
-        n_columns = n_pairs if basis is None else basis.shape[1]
+        n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
         static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
-        rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+        full_linear_rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         structure = Struct(
             "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,
             linear=require_shape(linear, *self.shape),
-            linear_rate=require_shape(rate, *self.shape), **compliance,
+            linear_rate=require_shape(full_linear_rate, *self.shape), **compliance,
         )  # fmt: skip
         self._kernel_input = Struct(
             "contact_pairs", structure=structure, n_basis_gaps=n_columns,
@@ -579,7 +585,7 @@ class CompiledEquations(Equations):
             spring_compliances=require_shape(springs, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,
-            basis=None if basis is None else require_shape(basis, n_pairs, n_columns),
+            basis=None if gap_basis is None else require_shape(gap_basis, n_pairs, n_columns),
         )  # fmt: skip
         self._point = attach_destructor(
             kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point
@@ -658,4 +664,4 @@ class CompiledPoint(Linearisation):
 def by_friction(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
     assert isinstance(point.forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.forces.by_friction_factor())
+    return respond(point.system.dynamic_part, point.forces.by_friction_scale())

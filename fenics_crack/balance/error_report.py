@@ -162,10 +162,10 @@ def estimate_errors(
     search, has_converged : bool
     """
     structure, wave = problem.structure, assessment.wave
-    expanded_gap = problem.row_structure.gap_of(wave.displacement_coefficients)
+    expanded_gap = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
-        return relative_size(change, point, problem.row_structure.clearance)
+        return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
     residual, penetration = relative(point.residual), relative(_penetration(point, problem))
     if not has_converged:
@@ -289,7 +289,7 @@ def _change_by_better_system(
         return UNKNOWN, UNKNOWN
     better_point, n_rows = better_system.linearise(end_point.unknown), len(base_point.force)
     gap_error = relative_size(
-        better_point.gap - start_point.gap, base_point, wave.row_structure.clearance
+        better_point.gap - start_point.gap, base_point, wave.structure_with_row_pairs.clearance
     )
     force = base_point.force + (better_point.force - start_point.force)[:n_rows]
     load_error = _change_at_load(wave, structure, better_system.compliance.displacement(force))
@@ -309,7 +309,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
     if point.system.integrals.has_coupled_pairs:
         assert residual is not None
         if is_rigid(problem.contact) and not is_regular(
-            all_modes(reference_problem.row_structure).static_part(cutoff)
+            all_modes(reference_problem.structure_with_row_pairs).static_part(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
             max_stiffness = len(residual) / (REGULAR_EIGENVALUE_RATIO * np.trace(residual))
@@ -328,7 +328,7 @@ def _penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
     """Return the root mean square penetration max(g, 0) of each pair: (1, n_pairs) [m]."""
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
-        penetration = (point.force * integrals.springs)[:, : problem.structure.n_pairs]
+        penetration = (point.force * integrals.spring_compliance)[:, : problem.structure.n_pairs]
         return np.sqrt(
             penetration[:1] ** 2 + 0.5 * np.sum(penetration[1:] ** 2, axis=0, keepdims=True)
         )

@@ -64,12 +64,12 @@ class FrictionIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         N, instants per period; None: 32 for each of the H harmonics, at least 128.
-    friction_factor : float
+    friction_scale : float
         Factor of the law's friction coefficient.
     """
 
     samples: int | None = field(default=None, kw_only=True)
-    friction_factor: float = field(default=1.0, kw_only=True)
+    friction_scale: float = field(default=1.0, kw_only=True)
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
@@ -77,7 +77,7 @@ class FrictionIntegrals(ContactIntegrals):
         """Return the sets of closed and sliding pairs for D."""
         friction = friction_of(self.law)
         assert friction is not None
-        coefficient = np.multiply(self.friction_factor, friction.coefficient)
+        coefficient = np.multiply(self.friction_scale, friction.coefficient)
         return FrictionSets(self.compliance, coefficient)
 
     @cached_property
@@ -87,11 +87,11 @@ class FrictionIntegrals(ContactIntegrals):
         Those are contact springs, 1/k on the diagonal, and ``softness``.
         """
         assert self.residual is not None
-        softness = self.springs + self.softness * self.unit
+        softness = self.spring_compliance + self.softness * self.unit
         return np.ascontiguousarray(self.residual + np.diag(softness))
 
     @cached_property
-    def springs(self) -> np.ndarray:
+    def spring_compliance(self) -> np.ndarray:
         """Return the contact springs' compliances, normal then tangential: (2 n_pairs,) [m/N]."""
         assert self.residual is not None
         return spring_compliances(self.law, len(self.residual) // 2)
@@ -123,7 +123,9 @@ class FrictionIntegrals(ContactIntegrals):
     def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
         return self.march(gap)[0]
 
-    def forces_at(self, gap: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def forces_and_places_at(
+        self, gap: np.ndarray, phase: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return forces and sticking places at phases (n,).
 
         Parameters
@@ -141,10 +143,10 @@ class FrictionIntegrals(ContactIntegrals):
         n_instants, turn = self.instants, 2.0 * np.pi
         phases = np.concatenate([turn / n_instants * np.arange(n_instants), np.mod(phase, turn)])
         gap_samples = np.concatenate([sample_period(gap, n_instants), evaluate(gap, 1.0, phase)])
-        _, first_index, position = np.unique(phases, return_index=True, return_inverse=True)
+        _, first_index, phase_index = np.unique(phases, return_index=True, return_inverse=True)
         forces, _, places, _ = self.march(gap_samples[first_index])
-        requested_position = position[n_instants:]
-        return forces[requested_position], places[requested_position]
+        requested_indices = phase_index[n_instants:]
+        return forces[requested_indices], places[requested_indices]
 
     def linearise(self, gap: np.ndarray) -> FrictionForces:
         return FrictionForces(self, gap)
@@ -206,10 +208,10 @@ class FrictionForces(CoupledForces):
     def by_softness(self) -> np.ndarray:
         return self._force_change(-self._integrals.unit * self._force_samples)
 
-    def by_stiffness(self) -> np.ndarray:
-        return self._force_change(self._force_samples * self._integrals.springs)
+    def by_log_stiffness(self) -> np.ndarray:
+        return self._force_change(self._force_samples * self._integrals.spring_compliance)
 
-    def by_friction_factor(self) -> np.ndarray:
+    def by_friction_scale(self) -> np.ndarray:
         """Return the coefficients' derivative by the factor of the friction coefficient.
 
         f is the derivative of slipping pairs' friction forces at fixed normal forces. By the

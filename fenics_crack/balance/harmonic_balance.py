@@ -185,7 +185,7 @@ def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> n
         with DynamicStiffness(structure, omega) as stiffness:
             return stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
     modes = all_modes(structure)
-    receptance = modes.receptance(np.array([omega]))[0]
+    receptance = modes.modal_receptances(np.array([omega]))[0]
     response = modes.respond(receptance, load @ modes.shapes)
     return response @ modes.shapes.T + load @ modes.static_loads
 

@@ -286,7 +286,7 @@ def _orbit_numbers(
     truncation = (
         0.0
         if is_still(samples)
-        else relative_to_motion(gap_error, motion[1] + wave.row_structure.clearance)
+        else relative_to_motion(gap_error, motion[1] + wave.structure_with_row_pairs.clearance)
     )
     multiplier = abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"

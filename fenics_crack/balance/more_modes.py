@@ -178,7 +178,7 @@ class MoreModes:
                 search(states[0]) if start_inverse else None
             )
         if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            if forms_monodromy or step.error <= MAX_PREDICTED_CHANGE:
+            if forms_monodromy or step.gap_error <= MAX_PREDICTED_CHANGE:
                 orbit = search(step.states[0], inverse=step.inverse)
             return orbit or predict_motion(flow, omega, step, periods)
         return orbit
@@ -201,7 +201,7 @@ class MoreModes:
         orbit_samples, motion_samples = self.nearest_orbit.sampled, self.motion.sampled
         gap_error = relative_to_motion(
             motion_samples.gaps - orbit_samples.gaps,
-            orbit_samples.gaps + self.wave.row_structure.clearance,
+            orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
         )
         displacement, reference_displacement = (
             motion_at_load(samples.flow.structure, samples.displacement)

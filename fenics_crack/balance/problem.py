@@ -214,7 +214,7 @@ class Problem:
         return None if self.residual is None else self.cutoff
 
     @cached_property
-    def row_structure(self) -> Structure:
+    def structure_with_row_pairs(self) -> Structure:
         """Return the structure with one pair for each gap row.
 
         Rows are the pairs' normal gaps; with friction, tangential gaps follow.
@@ -241,7 +241,7 @@ class Problem:
         may_project = is_rigid(contact) and contact.weight is not None and not has_light_faces
         if may_project or not is_small(structure):
             return None
-        residual = all_modes(self.row_structure).static_part(self.cutoff)
+        residual = all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
         if not has_light_faces and not has_rigid_law:
             is_requested = self.static_above is not None and np.any(residual)
             # A penalty k is stiff from k R_inf = 100 on.
@@ -264,7 +264,11 @@ class Problem:
         """
         has_few_dofs = is_small(self.structure)
         springs = spring_compliances(self.contact, self.structure.n_pairs)
-        residual = all_modes(self.row_structure).static_part(self.cutoff) if has_few_dofs else None
+        residual = (
+            all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
+            if has_few_dofs
+            else None
+        )
         series_compliance = np.diag(springs) if residual is None else residual + np.diag(springs)
         if not np.all(springs) and not is_regular(series_compliance):
             raise InputError("contact", self.contact, ALLOWED_WITHOUT_COMPLIANCE)
@@ -326,7 +330,7 @@ class Problem:
         if self.residual is not None:
             return coupled_integrals(contact, harmonics, self.residual, self.samples)
         if self.friction:
-            zero_compliance = np.zeros((self.row_structure.n_pairs,) * 2)
+            zero_compliance = np.zeros((self.structure_with_row_pairs.n_pairs,) * 2)
             return coupled_integrals(contact, harmonics, zero_compliance, self.samples)
         if is_rigid(contact):
             assert contact.weight is not None
@@ -340,7 +344,7 @@ class Problem:
         The caller destroys it.
         """
         return dynamic_compliance(
-            self.row_structure, self.base_omega, self.harmonics, self.subharmonic
+            self.structure_with_row_pairs, self.base_omega, self.harmonics, self.subharmonic
         )
 
     def with_harmonics(self, harmonics: int) -> Problem:
@@ -722,7 +726,7 @@ def _iteration_budget(system: ContactSystem) -> float:
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
-        return MAX_FRICTION_WORK / (integrals.instants * system.work)
+        return MAX_FRICTION_WORK / (integrals.instants * system.n_cost_unknowns)
     kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return kernel_limit

@@ -187,10 +187,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         """
         friction, static_response = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            static_response = rows @ all_modes(self.row_structure).static_displacement(
+            static_response = rows @ all_modes(self.structure_with_row_pairs).static_displacement(
                 self.static_above
             )
-        waves = self.structure.sum_over_ranks(self._vibrating_coefficients @ rows.T)
+        waves = self.structure.sum_over_ranks(self._coefficients_mean_if_still @ rows.T)
 
         def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             return with_displacement(*self.at_phase(TURN * fractions))
@@ -216,14 +216,14 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )  # fmt: skip
 
     @property
-    def _vibrating_coefficients(self) -> np.ndarray:
+    def _coefficients_mean_if_still(self) -> np.ndarray:
         """Return the displacement's coefficients; only the mean if nothing vibrates."""
         rows = self.displacement_coefficients
         return resize_harmonics(rows[:1], self.harmonics) if self.still else rows
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Return the displacement's coefficients at dofs: (2H+1, len(dofs)) [m] (collective)."""
-        return self.structure.values_at(self._vibrating_coefficients, dofs)
+        return self.structure.values_at(self._coefficients_mean_if_still, dofs)
 
     @cached_property
     def breathes(self) -> bool:

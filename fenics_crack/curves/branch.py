@@ -20,16 +20,16 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbits import Orbits
-from fenics_crack.curves.waves import Waves
 from fenics_crack.numerics.equations import System
 from fenics_crack.numerics.newton import (
     PathPoint,
     Tangent,
     chord_length,
-    norm_at,
+    norm_weights_at,
     predict_and_correct,
     tangent_of,
 )
@@ -45,7 +45,7 @@ from fenics_crack.numerics.path import (
 )
 
 
-class ParentJunction(Event):
+class ReturnToParent(Event):
     """Junction of a branch with its parent branch, which has half the period.
 
     At the junction the parent branch crosses or the parameter turns back, and the motion repeats
@@ -73,7 +73,7 @@ class ParentJunction(Event):
 
 
 def chord_ends(
-    system: Waves | Orbits, curve: ResponseCurve, first_index: int, last_index: int
+    system: BalanceEquations | Orbits, curve: ResponseCurve, first_index: int, last_index: int
 ) -> tuple[PathPoint, PathPoint]:
     """Convert two curve points to path points.
 
@@ -84,13 +84,13 @@ def chord_ends(
     first_unknown, last_unknown = map(system.unknown, end_states, end_values)
     first_parameter, last_parameter = map(system.parameter, end_values)
     chord_vector = last_unknown - first_unknown, last_parameter - first_parameter
-    chord = Tangent(*chord_vector, *norm_at(system, last_unknown))
+    chord = Tangent(*chord_vector, *norm_weights_at(system, last_unknown))
     first_point = PathPoint(first_unknown, first_parameter, 0, chord)
     return first_point, PathPoint(last_unknown, last_parameter, 0, chord)
 
 
 def branch_start(
-    system: Waves | Orbits,
+    system: BalanceEquations | Orbits,
     bifurcation: Bifurcation,
     longest_step: float,
     curve: ResponseCurve | None = None,
@@ -101,7 +101,7 @@ def branch_start(
 
     Parameters
     ----------
-    system : Waves or Orbits
+    system : BalanceEquations or Orbits
     bifurcation : Bifurcation
     longest_step : float
         Longest step along the branch.
@@ -146,7 +146,7 @@ def branch_start(
 
 
 def _branch_tangent(
-    system: Waves | Orbits,
+    system: BalanceEquations | Orbits,
     unknown: np.ndarray,
     parameter: float,
     is_doubling: bool,

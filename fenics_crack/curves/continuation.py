@@ -1,9 +1,9 @@
 """Response curves: solutions followed over a parameter, through resonances, folds and branches.
 
 Pseudo-arc-length continuation (:mod:`fenics_crack.numerics.path`) follows a system
-(:mod:`curve_system`): the condensed equations of harmonic balance (:mod:`waves`), or exact periodic
-orbits (:mod:`orbits`). A point takes the small or reduced structure alone, in closed form. A curve
-therefore costs the same on any mesh.
+(:mod:`curve_system`): the condensed equations of harmonic balance (:mod:`balance_equations`), or
+exact periodic orbits (:mod:`orbits`). A point takes the small or reduced structure alone, in closed
+form. A curve therefore costs the same on any mesh.
 
 With harmonic balance, root finding locates folds. The sign of det J, the Jacobian determinant,
 shows branch points, and shrinking steps locate them. If J is not formed
@@ -36,7 +36,8 @@ from fenics_crack.basics.errors import (
 )
 from fenics_crack.basics.suggestions import fitting_argument
 from fenics_crack.basics.tables import counted, in_unit
-from fenics_crack.curves.branch import ParentJunction, branch_start
+from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
+from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
     MIN_HARMONICS,
     Bifurcation,
@@ -48,7 +49,6 @@ from fenics_crack.curves.curve import (
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbits import system_along
 from fenics_crack.curves.verdicts import judge_curve
-from fenics_crack.curves.waves import WAVES
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
@@ -250,7 +250,7 @@ class GrowingCurve:
         if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
-                events.insert(0, ParentJunction(system))
+                events.insert(0, ReturnToParent(system))
         options = PathOptions(
             initial_step=0.2 * longest_step,
             max_step=longest_step,
@@ -387,7 +387,7 @@ class Continuation(GrowingCurve):
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_HARMONICS))
         if parameter in ("omega", "speed"):
-            problem = WAVES[parameter].vary(problem, start)
+            problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
         if not is_small(problem.structure):
             reduced_structure = reduce_structure(problem.structure, method="massless")
             problem = replace(problem, structure=reduced_structure)
@@ -397,7 +397,7 @@ class Continuation(GrowingCurve):
         if self._needs_verdicts and is_rigid(problem.contact):
             exact_flow(problem.structure, problem.contact)
 
-        start_problem = WAVES[parameter].vary(problem, start)
+        start_problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
         is_branch = isinstance(initial, Bifurcation)
         if not (exact or is_branch):
             if initial is not None:
@@ -471,19 +471,21 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     flow = flow_of(problem.structure, problem.contact)
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
-    end_frequencies = [WAVES[parameter].vary(problem, value).omega for value in (start, end)]
+    end_frequencies = [
+        BALANCE_EQUATIONS[parameter].vary(problem, value).omega for value in (start, end)
+    ]
     return not any(is_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
     """Raise InputError unless a curve can go from one parameter value to another."""
     structure = problem.structure
-    check_choice("parameter", parameter, WAVES)
+    check_choice("parameter", parameter, BALANCE_EQUATIONS)
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
     names = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for name, value in zip(names, (start, end), strict=True):
-        WAVES[parameter].check_value(structure, name, value)
+        BALANCE_EQUATIONS[parameter].check_value(structure, name, value)
     if start == end:
         raise InputError(names[1], end, f"different from {names[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):

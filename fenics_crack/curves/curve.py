@@ -28,10 +28,14 @@ from fenics_crack.basics.tables import (
     speed_axis,
     with_frequency,
 )
+from fenics_crack.curves.balance_equations import (
+    BALANCE_EQUATIONS,
+    BalanceAtResonance,
+    BalanceEquations,
+)
 from fenics_crack.curves.orbits import Orbits, system_along
 from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_and_damping
 from fenics_crack.curves.stability import floquet
-from fenics_crack.curves.waves import WAVES, ResonanceWaves, Waves
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
@@ -278,7 +282,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         )  # fmt: skip
 
     @cached_property
-    def system(self) -> Waves | Orbits:
+    def system(self) -> BalanceEquations | Orbits:
         """Equations from the first parameter value to the farthest one."""
         farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
         end_values = float(self.values[0]), float(self.values[farthest_index])
@@ -288,7 +292,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
-        return WAVES[self.parameter].vary(self.problem, value)
+        return BALANCE_EQUATIONS[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, with the varied structure."""
@@ -320,11 +324,11 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """Return a point's problem and linearised harmonic-balance equations."""
-        problem, waves = self.problem_of(index), self.system
-        if isinstance(waves, ResonanceWaves) or not isinstance(waves, Waves):
+        problem, equations = self.problem_of(index), self.system
+        if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
             system = problem.system(problem.compliance())
         else:
-            system = waves.system(float(self.values[index]))
+            system = equations.system(float(self.values[index]))
         return problem, system.linearise(self.points[index])
 
     @cached_property
@@ -353,13 +357,16 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         Over the frequency, the motions of many points are computed together.
         """
-        if self._common_flow is None or not isinstance(self.system, Waves):
+        if self._common_flow is None or not isinstance(self.system, BalanceEquations):
             for problem, point in map(self._harmonic_balance_point, places):
                 yield Assessment(problem.wave(point))
             return
-        waves = self.system
-        system, compliance = waves.system(waves.start), waves.compliance(waves.start)
-        points_per_chunk = max(1, waves.points_per_call)
+        equations = self.system
+        system, compliance = (
+            equations.system(equations.start),
+            equations.compliance(equations.start),
+        )
+        points_per_chunk = max(1, equations.points_per_call)
         for chunk_indices in (
             places[first_position : first_position + points_per_chunk]
             for first_position in range(0, len(places), points_per_chunk)
@@ -371,7 +378,7 @@ class ResponseCurve(ObservedMotion, Tabular):
                 force = np.ascontiguousarray(forces[:, index])
                 gap, displacement = system.gap(unknown, force), displacements[:, index]
                 wave = replace(
-                    waves.problem.wave_of(displacement, gap, force), omega=float(omega[index])
+                    equations.problem.wave_of(displacement, gap, force), omega=float(omega[index])
                 )
                 yield Assessment(wave, flow=self._common_flow)
 
@@ -554,8 +561,10 @@ class ResponseCurve(ObservedMotion, Tabular):
             verdict = floquet(solution.structure, solution).verdict
         else:
             verdict = str(self.verdicts[top.index])
-        error = solution.report.displacement
-        return Peak(**vars(top), omega=omega, error=error, verdict=verdict, damping=damping)
+        displacement_error = solution.report.displacement
+        return Peak(
+            **vars(top), omega=omega, error=displacement_error, verdict=verdict, damping=damping
+        )
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:
@@ -590,8 +599,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return the estimated error of the displacement at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
-            wave = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
-            more_modes = wave.assessment.more_modes
+            orbit_solution = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
+            more_modes = orbit_solution.assessment.more_modes
             if more_modes is not None:
                 return UNKNOWN if more_modes.errors is None else more_modes.errors[1]
         return self.solution(index, search=False).report.displacement

@@ -2,8 +2,8 @@
 
     v = v_start + p (v_end - v_start),    or    v_start (v_end / v_start)^p for a logarithmic v.
 
-Harmonic balance (:mod:`waves`), periodic orbits of the exact flow (:mod:`orbits`) and phase
-resonances (:mod:`resonance`) implement it.
+Harmonic balance (:mod:`balance_equations`), periodic orbits of the exact flow (:mod:`orbits`) and
+phase resonances (:mod:`resonance`) implement it.
 """
 
 from __future__ import annotations

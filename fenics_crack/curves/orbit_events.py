@@ -123,9 +123,9 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
     step_indices = np.flatnonzero(count_change[:, 2])
     if not len(step_indices):
         return count_change
-    real_change, pair_change = count_change[step_indices, :2], count_change[step_indices, 2]
+    real_change, complex_pair_change = count_change[step_indices, :2], count_change[step_indices, 2]
     is_merger = (np.abs(real_change).max(axis=1) == 2.0) & (
-        real_change.sum(axis=1) == -2.0 * pair_change
+        real_change.sum(axis=1) == -2.0 * complex_pair_change
     )
     count_change[step_indices[is_merger]] = 0.0
     return count_change
@@ -225,13 +225,17 @@ class NeimarkSacker(Event):
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         assert ends[0].control_values is not None and ends[1].control_values is not None
-        pair_index = int(max(ends[0].control_values[-1].real, ends[1].control_values[-1].real)) - 1
-        end_excesses = [pair_modulus_excess(multipliers_of(end), pair_index) for end in ends]
+        multiplier_pair_index = (
+            int(max(ends[0].control_values[-1].real, ends[1].control_values[-1].real)) - 1
+        )
+        end_excesses = [
+            multiplier_pair_excess(multipliers_of(end), multiplier_pair_index) for end in ends
+        ]
         # A pair within the tolerance of the circle may have been outside all along.
         offset = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
-            excess = pair_modulus_excess(multipliers_of(point), pair_index) - offset
+            excess = multiplier_pair_excess(multipliers_of(point), multiplier_pair_index) - offset
             return excess if abs(excess) > ROOT_TOLERANCE else 0.0
 
         zero_point, residual = find_zero(system, ends, crossing_function, rtol)
@@ -255,10 +259,14 @@ def period_doubling_function(multipliers: np.ndarray) -> float:
     return product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
 
 
-def pair_modulus_excess(multipliers: np.ndarray, pair_index: int) -> float:
+def multiplier_pair_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
     """Return |mu| - 1 for a complex pair of multipliers.
 
     Pairs are numbered from 0 in descending order of |mu|. If there are fewer pairs, return -1.
     """
-    pair_modulus = np.sort(np.abs(multipliers[multipliers.imag > 0.0]))[::-1]
-    return float(pair_modulus[pair_index] - 1.0) if len(pair_modulus) > pair_index else -1.0
+    pair_moduli = np.sort(np.abs(multipliers[multipliers.imag > 0.0]))[::-1]
+    return (
+        float(pair_moduli[multiplier_pair_index] - 1.0)
+        if len(pair_moduli) > multiplier_pair_index
+        else -1.0
+    )

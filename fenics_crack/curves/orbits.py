@@ -3,7 +3,7 @@
     F(x, p) = scale (z(T; x, v) - z(0)) = 0.
 
 z = (q, q') is the state at phase zero of the load, and T = 2 pi m / omega. v is a parameter of
-:mod:`waves`. The unknowns are
+:mod:`balance_equations`. The unknowns are
 
     x = scale z(0) - x_0 - p x_1.
 
@@ -36,6 +36,7 @@ import scipy.linalg
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
 from fenics_crack.curves.curve_system import CurveSystem
 from fenics_crack.curves.orbit_events import (
     MultiplierControl,
@@ -43,7 +44,6 @@ from fenics_crack.curves.orbit_events import (
     PeriodDoubling,
     leading_multipliers,
 )
-from fenics_crack.curves.waves import WAVES, Waves
 from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
@@ -56,7 +56,7 @@ FORWARD_STEP = math.sqrt(MACHINE_EPSILON)
 class Orbits(CurveSystem):
     """Equations F(x, p) = 0 of periodic orbits along a parameter v (see the module).
 
-    An orbit's period is ``subharmonic`` load periods. ``waves_class`` varies the problem: it has
+    An orbit's period is ``subharmonic`` load periods. ``balance_class`` varies the problem: it has
     the equations of harmonic balance along the same parameter.
 
     Raises
@@ -69,18 +69,18 @@ class Orbits(CurveSystem):
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
-        self.waves_class = WAVES[parameter]
-        self.logarithmic, self.subharmonic = self.waves_class.logarithmic, problem.subharmonic
+        self.balance_class = BALANCE_EQUATIONS[parameter]
+        self.logarithmic, self.subharmonic = self.balance_class.logarithmic, problem.subharmonic
         self._start_flow = self._make_flow(start)
         self._last_flow: tuple[float, ContactFlow] = start, self._start_flow
         self.shape = (self._start_flow.size,)
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
-        return self.waves_class.vary(self.problem, value)
+        return self.balance_class.vary(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
-        return self.waves_class.load_frequency(self.problem, value)
+        return self.balance_class.load_frequency(self.problem, value)
 
     def _make_flow(self, value: float) -> ContactFlow:
         """Make the exact flow at a parameter value."""
@@ -105,7 +105,7 @@ class Orbits(CurveSystem):
         return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
 
     @property
-    def records(self) -> int:
+    def n_record_entries(self) -> int:
         """Number of entries in a monodromy matrix M, the record of a point."""
         return self.n_unknowns**2
 
@@ -113,7 +113,7 @@ class Orbits(CurveSystem):
     def points_per_call(self) -> int:
         # Monodromy matrices with 8192 entries together: matrices after a rejected step are lost,
         # and a few large matrices outweigh the time between calls.
-        return 2**13 // self.records
+        return 2**13 // self.n_record_entries
 
     def make_step_control(self, longest_step: float) -> MultiplierControl:
         return MultiplierControl(longest_step)
@@ -272,8 +272,8 @@ class Orbits(CurveSystem):
 
 def system_along(
     exact: bool, problem: Problem, parameter: str, start: float, end: float
-) -> Waves | Orbits:
+) -> BalanceEquations | Orbits:
     """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
     if exact:
         return Orbits(problem, parameter, start, end)
-    return WAVES[parameter](problem, start, end)
+    return BALANCE_EQUATIONS[parameter](problem, start, end)

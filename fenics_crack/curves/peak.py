@@ -133,8 +133,8 @@ def top_and_damping(
     )
     if not first_index < peak_index < last_index:
         return *peak_point, math.nan
-    neighbour_changes = np.diff(values[peak_index - 1 : peak_index + 2])
-    if neighbour_changes[0] * neighbour_changes[1] <= 0.0:
+    value_steps = np.diff(values[peak_index - 1 : peak_index + 2])
+    if value_steps[0] * value_steps[1] <= 0.0:
         return *peak_point, math.nan
     peak_slice = slice(first_index, last_index + 1)
     side_values = values[peak_slice]

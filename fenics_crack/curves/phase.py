@@ -34,8 +34,8 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.curves.balance_equations import BalanceAlongFrequency
 from fenics_crack.curves.curve_system import CurveSystem
-from fenics_crack.curves.waves import FrequencyWaves
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import Linearisation
 
@@ -215,7 +215,7 @@ class ResonanceSystem(CurveSystem):
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
         self.start, self.end = factor_range
-        self.waves = waves = FrequencyWaves(problem, problem.omega, 0.5 * problem.omega)
+        self.waves = waves = BalanceAlongFrequency(problem, problem.omega, 0.5 * problem.omega)
         slow_gap = waves.system(problem.omega).slow_gap(nearby_point.gap, nearby_point.force)
         slow_gap = slow_gap / self.start
         self.size = float(np.linalg.norm(slow_gap[1:]))

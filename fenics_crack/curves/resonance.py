@@ -25,6 +25,11 @@ from fenics_crack.basics.errors import (
     check_number,
 )
 from fenics_crack.basics.tables import Described, counted, with_frequency
+from fenics_crack.curves.balance_equations import (
+    BALANCE_EQUATIONS,
+    BalanceAlongFrequency,
+    require_run_up_structure,
+)
 from fenics_crack.curves.continuation import (
     GrowingCurve,
     StepLimits,
@@ -35,12 +40,11 @@ from fenics_crack.curves.continuation import (
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import run_to_end
 from fenics_crack.curves.phase import Drive, PhasePoint, ResonanceSystem
-from fenics_crack.curves.waves import WAVES, FrequencyWaves, require_run_up_structure
 from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.equations import LOCATION_TOLERANCE
+from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
@@ -131,7 +135,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", requirement)
     start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # a linear phase is then not 0
-    waves = FrequencyWaves(problem, start_omega, 0.5 * start_omega)
+    waves = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(waves.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = waves.linearise(start_unknown, 0.0)
     n_harmonics = len(problem.structure.force) // 2
@@ -140,7 +144,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     ]
     drive = max(drives, key=lambda drive: abs(drive.power(contact_point).imag))
     power = drive.power(contact_point)
-    if not abs(power.imag) > LOCATION_TOLERANCE * abs(power):
+    if not abs(power.imag) > MAX_LOCATION_RESIDUAL * abs(power):
         raise InputError("load", "no damped mode answers to it", requirement)
 
     def in_phase(point: PathPoint) -> float:
@@ -170,7 +174,7 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
     system = ResonanceSystem(problem, resonance_point.drive, resonance_point.contact_point)
-    tolerance = max(LOCATION_TOLERANCE, system.rounding(0.0))
+    tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
     path_point = solve_robustly(system, system.start_unknown, 0.0, tolerance=tolerance)
     if path_point is None:
         return first_resonance(problem, problem.omega)
@@ -360,7 +364,7 @@ def at_small_load(problem: Problem) -> Problem:
 
     Under a small load a crack stays open or closed if the mean load holds it.
     """
-    return WAVES["resonance"].vary(problem, SMALL_LOAD_FACTOR)
+    return BALANCE_EQUATIONS["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(
@@ -405,7 +409,10 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    (problem, near), vary_load = _prepare_search(problem, near, tolerance), WAVES["resonance"].vary
+    (problem, near), vary_load = (
+        _prepare_search(problem, near, tolerance),
+        BALANCE_EQUATIONS["resonance"].vary,
+    )
     if tolerance is not None:
         end_point = _refine_to_tolerance(first_resonance(vary_load(problem, end), near), tolerance)[
             0

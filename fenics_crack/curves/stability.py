@@ -48,7 +48,7 @@ from fenics_crack.model.contact import (
     check_law,
     check_slope,
     is_unilateral,
-    smooth_forces,
+    smooth_forces_and_slopes,
 )
 from fenics_crack.model.modal import CACHE_BLOCK_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -101,22 +101,22 @@ def monodromy(
     modes = all_modes(structure).with_static_modes(static_cutoff)
     gap_samples = sample_period(gap, 4 * len(gap))
     if modes.residual is not None:
-        forces = smooth_forces(contact, modes.residual, gap_samples)[0]
+        forces = smooth_forces_and_slopes(contact, modes.residual, gap_samples)[0]
         gap_samples = gap_samples - forces @ modes.residual
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
     n_steps = 1 << (4 * len(gap)).bit_length()
-    last_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+    coarser_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
     change_size = matrix_size = np.inf
     while n_steps < 2**13 and not change_size <= MULTIPLIER_TOLERANCE * matrix_size < np.inf:
         n_steps *= 2
         product = _multiply_steps(modes, contact, gap, base_omega, n_steps)
-        last_matrix = matrix
-        matrix = product + (product - last_product) / 3.0
-        last_product = product
+        coarser_matrix = matrix
+        matrix = product + (product - coarser_product) / 3.0
+        coarser_product = product
         scaled_matrices = (
             state_scale[:, None] * part_matrix / state_scale
-            for part_matrix in (matrix - last_matrix, matrix)
+            for part_matrix in (matrix - coarser_matrix, matrix)
         )
         change_size, matrix_size = (
             float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_matrices
@@ -144,7 +144,7 @@ def _multiply_steps(
     if modes.residual is None:
         kicks = h * contact.tangent(gap_samples)[:, :, None]
     else:
-        kicks = h * smooth_forces(contact, modes.residual, gap_samples)[1]
+        kicks = h * smooth_forces_and_slopes(contact, modes.residual, gap_samples)[1]
     n_stretches = 1
     while n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < CACHE_BLOCK_SIZE:
         n_stretches *= 2
@@ -154,7 +154,7 @@ def _multiply_steps(
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for kick in stretch_kicks.swapaxes(0, 1):
             states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
-            states = _drift(modes, transition, states)
+            states = _advance_without_contact(modes, transition, states)
         product = states[0]
         for stretch_product in states[1:]:
             product = stretch_product @ product
@@ -176,7 +176,9 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
     return np.asarray(modes.pairs @ impulse)
 
 
-def _drift(modes: AllModes, transition: np.ndarray, states: np.ndarray) -> np.ndarray:
+def _advance_without_contact(
+    modes: AllModes, transition: np.ndarray, states: np.ndarray
+) -> np.ndarray:
     """Return the states after a step without contact forces.
 
     ``transition`` is the first result of :meth:`AllModes.transition`. States are the columns

@@ -29,16 +29,16 @@ import numpy as np
 from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
+from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import chord_ends
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier
 from fenics_crack.curves.orbit_events import (
     count_changes,
     leading_multipliers,
-    pair_modulus_excess,
+    multiplier_pair_excess,
     period_doubling_function,
 )
 from fenics_crack.curves.stability import floquet, monodromy, stability_of
-from fenics_crack.curves.waves import Waves
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
@@ -106,8 +106,10 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
         interpolation; elsewhere nan.
     """
     growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    positions = np.linspace(0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices)))
-    followed_indices = open_indices[positions.astype(int)].tolist()
+    spread_indices = np.linspace(
+        0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices))
+    )
+    followed_indices = open_indices[spread_indices.astype(int)].tolist()
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
@@ -142,10 +144,12 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
     for index, kind_index in np.argwhere(has_crossing).tolist():
         kind = ("period_doubling", "neimark_sacker")[kind_index]
-        pair_counts = multipliers_and_counts[index : index + 2, -1]
-        pair_index = int(pair_counts.real.max()) - 1
-        pair_test_function = partial(pair_modulus_excess, pair_index=pair_index)
-        test_function = pair_test_function if kind_index else period_doubling_function
+        multiplier_pair_counts = multipliers_and_counts[index : index + 2, -1]
+        multiplier_pair_index = int(multiplier_pair_counts.real.max()) - 1
+        multiplier_pair_test = partial(
+            multiplier_pair_excess, multiplier_pair_index=multiplier_pair_index
+        )
+        test_function = multiplier_pair_test if kind_index else period_doubling_function
         bifurcation_location = _locate_bifurcation(curve, index, test_function)
         bifurcations.append(curve.bifurcation(kind, *bifurcation_location))
     bifurcations.sort(key=curve.nearest)
@@ -175,7 +179,7 @@ def _locate_bifurcation(
     unknown : (2H+1, n_pairs) [m]
     """
     system = curve.system
-    assert isinstance(system, Waves)
+    assert isinstance(system, BalanceEquations)
     ends = chord_ends(system, curve, index, index + 1)
     first_end, last_end = (
         point_on_path(system, point.unknown, point.parameter, point.tangent) for point in ends

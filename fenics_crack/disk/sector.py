@@ -86,7 +86,7 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
     angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
     rotations = [Rotation.from_rotvec(angle * axis).as_matrix() for angle in angles]
     matches = [
-        _match_points(
+        _distance_and_partners(
             (spatial_points[left_nodes] - center) @ rotation.T + center, spatial_points[right_nodes]
         )
         for rotation in rotations
@@ -121,7 +121,9 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
             np.setdiff1d(lower_nodes, upper_nodes),
             np.setdiff1d(upper_nodes, lower_nodes),
         )
-        distance, worst_node, partner = _match_points(points[lower_nodes], points[upper_nodes])
+        distance, worst_node, partner = _distance_and_partners(
+            points[lower_nodes], points[upper_nodes]
+        )
         if distance > POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
             place_text = format_point(points[lower_nodes[worst_node]])
             requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
@@ -139,7 +141,9 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     return Sector(structure, n_sectors, center, rotation, sides, crack_nodes, structure.stiffness)
 
 
-def _match_points(points: np.ndarray, candidates: np.ndarray) -> tuple[float, int, np.ndarray]:
+def _distance_and_partners(
+    points: np.ndarray, candidates: np.ndarray
+) -> tuple[float, int, np.ndarray]:
     """Match two point sets one to one.
 
     Returns

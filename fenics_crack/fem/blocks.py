@@ -129,8 +129,8 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
         end_positions = [end for span in spans for end in span]
-        columns = _divide_equally(width, scene.mesh.given("columns"), end_positions)
-        rows = _divide_equally(height, scene.mesh.given("rows"), levels)
+        columns = _equal_intervals(width, scene.mesh.given("columns"), end_positions)
+        rows = _equal_intervals(height, scene.mesh.given("rows"), levels)
     else:
         columns, rows = _graded_plate(scene, spans, levels)
     xs, ys = (
@@ -186,7 +186,7 @@ def count_plate_pairs(scene: Scene) -> int:
     )
 
 
-def _divide_equally(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
+def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
     grid_positions = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
@@ -276,10 +276,12 @@ def _graded_plate(
         crack_sizes.append((level, min(face.tip_size for face in crack_faces)))
         faces += crack_faces
     tip_sizes = [(face.tip, face.tip_size) for face in faces]
-    return _divide_side(width, tip_sizes, faces, size), _divide_side(height, crack_sizes, [], size)
+    return _graded_intervals(width, tip_sizes, faces, size), _graded_intervals(
+        height, crack_sizes, [], size
+    )
 
 
-def _divide_side(
+def _graded_intervals(
     extent: float, tips: list[tuple[float, float]], faces: list[_GradedFace], size: float
 ) -> list[Interval]:
     """Divide a side into intervals with given element lengths.
@@ -373,7 +375,7 @@ def _count_graded_elements(
 # --- a plate --------------------------------------------------------------------------------------
 
 
-def draw_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
+def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill gmsh's current model with the mesh of a scene's plate.
 
     Returns
@@ -560,8 +562,8 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
     points = (start, end) if center is None else (start, center, end)
     curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
     if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
-        n_nodes, ratio = interval.n_elements + 1, interval.length_ratio
-        gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes, "Progression", ratio)
+        n_nodes_on_curve, ratio = interval.n_elements + 1, interval.length_ratio
+        gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes_on_curve, "Progression", ratio)
     return curve
 
 

@@ -118,7 +118,9 @@ def pair_crack_faces(
         nodes = dofs.nodes_on(name, space)
         rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
         faces.append(gather_rows(dofs.comm, rows))
-    lower_rows, upper_rows, crack_index, positions, n_inside = _match_faces(plate.cracks, *faces)
+    lower_rows, upper_rows, crack_index, distances_on_crack, n_inside = _match_faces(
+        plate.cracks, *faces
+    )
     lower_nodes = lower_rows[:, 0].astype(int)
     lower_gap = columns[:, lower_nodes]
     gap = lower_gap + columns[:, upper_rows[:, 0].astype(int)]
@@ -129,7 +131,7 @@ def pair_crack_faces(
             shares = _front_pressure_shares(dofs, space, face_measure, lower_nodes, n_inside)
         else:
             pair_nodes, shares = _patch_shares(
-                points, crack_index, positions, n_inside, max_patches
+                points, crack_index, distances_on_crack, n_inside, max_patches
             )
         nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
         areas[pair_nodes] = shares.T @ areas
@@ -142,14 +144,14 @@ def pair_crack_faces(
             kept_pairs = np.array(
                 [
                     *_watched_pairs(
-                        plate.cracks, crack_index[:n_inside], positions[:n_inside]
+                        plate.cracks, crack_index[:n_inside], distances_on_crack[:n_inside]
                     ).values()
                 ]
             )
             fields = {"nodes": points, "shares": shares[:, kept_pairs]} if fields else {}
         pair_nodes, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
-    points, areas, crack_index, positions = (
-        rows[pair_nodes] for rows in (points, areas, crack_index, positions)
+    points, areas, crack_index, distances_on_crack = (
+        rows[pair_nodes] for rows in (points, areas, crack_index, distances_on_crack)
     )
     if dimension == 3:
         fields["tangents"] = _free_rows(_tangential_gaps(gap, lower_gap, dofs.comm), dofs)
@@ -157,8 +159,8 @@ def pair_crack_faces(
         points,
         areas,
         crack_index,
-        positions,
-        _watched_pairs(plate.cracks, crack_index, positions),
+        distances_on_crack,
+        _watched_pairs(plate.cracks, crack_index, distances_on_crack),
         **fields,
     )
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
@@ -181,8 +183,10 @@ def _front_pressure_shares(
     rows = gather_rows(
         dofs.comm, np.column_stack([entries.row + first_node, entries.col, entries.data])
     )
-    n_nodes = space.dofmap.index_map.size_global
-    overlaps = sparse.csr_matrix((rows[:, 2], rows[:, :2].astype(int).T), (n_nodes, n_nodes))
+    n_global_nodes = space.dofmap.index_map.size_global
+    overlaps = sparse.csr_matrix(
+        (rows[:, 2], rows[:, :2].astype(int).T), (n_global_nodes, n_global_nodes)
+    )
     return distribute_front_pressures(overlaps[node_numbers[n_inside:]][:, node_numbers[:n_inside]])
 
 
@@ -215,7 +219,7 @@ def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_mat
 def _patch_shares(
     points: np.ndarray,
     crack_index: np.ndarray,
-    positions: np.ndarray,
+    distances_on_crack: np.ndarray,
     n_inside: int,
     max_patches: int,
 ) -> tuple[np.ndarray, sparse.csr_matrix]:
@@ -228,8 +232,8 @@ def _patch_shares(
         crack.
     crack_index : (n,) int
         Crack of each node.
-    positions : (n,) [m]
-        Position of each node on its crack.
+    distances_on_crack : (n,) [m]
+        Distance of each node along its path, or from the front.
     n_inside : int
         Number of nodes off tips and fronts.
     max_patches : int
@@ -251,7 +255,7 @@ def _patch_shares(
                 np.arange(n_patches) * (len(crack_nodes) - 1) // max(n_patches - 1, 1)
             ]
             patch_functions = [
-                np.interp(positions, positions[crack_nodes], unit_vector)
+                np.interp(distances_on_crack, distances_on_crack[crack_nodes], unit_vector)
                 for unit_vector in np.eye(n_patches)
             ]
         else:
@@ -361,19 +365,22 @@ def _match_faces(
         share these, their weights are halved.
     crack_index : (n,) int
         Crack of each pair.
-    positions : (n,) [m]
-        Position on the crack.
+    distances_on_crack : (n,) [m]
+        Distance along the path, or from the front.
     n_inside : int
         Number of pairs off tips and fronts.
     """
     size = np.ptp(lower_rows[:, 2:], axis=0).max()
     is_front = np.isin(lower_rows[:, 0], upper_rows[:, 0])
     lower_rows[is_front, 1] *= 0.5
-    crack_index, positions = locate_on_cracks(cracks, lower_rows[:, 2:])
-    # Equal positions, as along a front, are sorted by coordinates.
+    crack_index, distances_on_crack = locate_on_cracks(cracks, lower_rows[:, 2:])
+    # Equal distances, as along a front, are sorted by coordinates.
     sort_positions = np.round(lower_rows[:, 2:] / size, 7).T
-    order = np.lexsort((*sort_positions, np.round(positions / size, 7), crack_index, is_front))
-    lower_rows, crack_index, positions = lower_rows[order], crack_index[order], positions[order]
+    order = np.lexsort(
+        (*sort_positions, np.round(distances_on_crack / size, 7), crack_index, is_front)
+    )
+    lower_rows, crack_index = lower_rows[order], crack_index[order]
+    distances_on_crack = distances_on_crack[order]
     n_front = int(is_front.sum())
     n_inside = len(lower_rows) - n_front
     is_matching = len(lower_rows) == len(upper_rows) and n_inside > 0
@@ -394,23 +401,25 @@ def _match_faces(
         advice = "in a mesh file one curve or surface named 'crack' is split into two that do"
         requirement = "meshed identically, so that nodes of the two faces pair one to one"
         raise InputError("lips", problem, f"{requirement}, but {reason}; {advice}")
-    return lower_rows, upper_rows[partners], crack_index, positions, n_inside
+    return lower_rows, upper_rows[partners], crack_index, distances_on_crack, n_inside
 
 
 def _watched_pairs(
-    cracks: Cracks, crack_index: np.ndarray, positions: np.ndarray
+    cracks: Cracks, crack_index: np.ndarray, distances_on_crack: np.ndarray
 ) -> dict[str, int]:
     """Return the index of each crack's watched pair, by name."""
     pair_by_name: dict[str, int] = {}
     crack: Any
     for index, crack in enumerate(cracks):
         pairs = np.flatnonzero(crack_index == index)
-        name, position = crack.watched_place
+        name, watched_distance = crack.watched_place
         if len(cracks) > 1:
             name += f" of crack {index + 1}"
         if len(pairs):
-            position = min(position, float(positions[pairs].max()))
-            pair_by_name[name] = int(pairs[np.argmin(np.abs(positions[pairs] - position))])
+            watched_distance = min(watched_distance, float(distances_on_crack[pairs].max()))
+            pair_by_name[name] = int(
+                pairs[np.argmin(np.abs(distances_on_crack[pairs] - watched_distance))]
+            )
     return pair_by_name
 
 
@@ -454,10 +463,14 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)
     matrix = compat.assembled_matrix(mass)
-    force, watched_vector = assemble_loads(scene, dofs, matrix)
-    clamp = clamp_of(dofs, matrix, force)
+    load_coefficients, watched_vector = assemble_loads(scene, dofs, matrix)
+    clamp = clamp_of(dofs, matrix, load_coefficients)
     matrix.destroy()
-    return {"force": dofs.restrict_to_free(force), "watched": watched_vector, "clamp": clamp}
+    return {
+        "force": dofs.restrict_to_free(load_coefficients),
+        "watched": watched_vector,
+        "clamp": clamp,
+    }
 
 
 def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
@@ -483,11 +496,11 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, patches = thickness(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(dofs, t, mouth_only=mouth_only, max_patches=patches)
-    force, watched_vector = assemble_loads(scene, dofs, mass)
-    clamp = clamp_of(dofs, mass, force)
+    load_coefficients, watched_vector = assemble_loads(scene, dofs, mass)
+    clamp = clamp_of(dofs, mass, load_coefficients)
     body = Body(
         dofs.restrict_matrix(mass), dofs.restrict_matrix(stiffness), gap,
-        dofs.restrict_to_free(force), clearance_of(scene, pairs),
+        dofs.restrict_to_free(load_coefficients), clearance_of(scene, pairs),
         damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.nodes(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip

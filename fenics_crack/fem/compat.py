@@ -289,5 +289,7 @@ def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
     """
     make_mesh = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
     cells, cell_types, _ = make_mesh(space)
-    n_nodes = int(cells[0]) if len(cells) else 1
-    return cells.reshape(-1, n_nodes + 1)[:, 1:], int(cell_types[0]) if len(cell_types) else 0
+    n_nodes_per_cell = int(cells[0]) if len(cells) else 1
+    return cells.reshape(-1, n_nodes_per_cell + 1)[:, 1:], int(cell_types[0]) if len(
+        cell_types
+    ) else 0

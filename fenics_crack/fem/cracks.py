@@ -64,7 +64,7 @@ class CrackPath:
         return np.stack([self.points[:-1], self.points[1:]], axis=1)
 
     @property
-    def corner_positions(self) -> np.ndarray:
+    def corner_arc_lengths(self) -> np.ndarray:
         """Return each corner's distance from the beginning, along the path: (n,) [m]."""
         edge_lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(edge_lengths)])
@@ -77,7 +77,7 @@ class CrackPath:
         """
         if self.has_mouth:
             return "the mouth", 0.0
-        return "the middle", 0.5 * self.corner_positions[-1]
+        return "the middle", 0.5 * self.corner_arc_lengths[-1]
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project points (n, 2) onto the path.
@@ -90,22 +90,28 @@ class CrackPath:
             Distance from the beginning to the nearest point on the path.
         """
         offsets, edge_fractions = offsets_from_edges(points, self.edges)
-        distances, corner_positions = np.linalg.norm(offsets, axis=2), self.corner_positions
-        nearest_positions = corner_positions[:-1] + edge_fractions * np.diff(corner_positions)
+        distances, corner_arc_lengths = np.linalg.norm(offsets, axis=2), self.corner_arc_lengths
+        nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
         edge_index, rows = distances.argmin(axis=1), np.arange(len(points))
-        return distances[rows, edge_index], nearest_positions[rows, edge_index]
+        return distances[rows, edge_index], nearest_arc_lengths[rows, edge_index]
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return points below and above a point on the crack.
 
         None if the point is off the crack, or at a tip.
         """
-        (distance,), (position,) = self.locate(np.array([point]))
-        length = float(self.corner_positions[-1])
-        tip_distance = length - position if self.has_mouth else min(position, length - position)
-        edge_index = np.searchsorted(self.corner_positions[1:-1], position)
+        (distance_to_crack,), (arc_length,) = self.locate(np.array([point]))
+        length = float(self.corner_arc_lengths[-1])
+        tip_distance = (
+            length - arc_length if self.has_mouth else min(arc_length, length - arc_length)
+        )
+        edge_index = np.searchsorted(self.corner_arc_lengths[1:-1], arc_length)
         return points_on_both_sides(
-            point, distance, tip_distance, _facet_normals(self.edges[[edge_index]])[0], length
+            point,
+            distance_to_crack,
+            tip_distance,
+            _facet_normals(self.edges[[edge_index]])[0],
+            length,
         )
 
 
@@ -173,12 +179,12 @@ class CrackSurface:
         None if the point is off the crack, or at a front.
         """
         position = np.asarray(point, dtype=float)
-        (distance,), (front_distance,) = self.locate(position[None])
+        (distance_to_crack,), (front_distance,) = self.locate(position[None])
         nearest_triangle = np.linalg.norm(
             _offsets_from_triangles(position[None], self.triangles)[0], axis=1
         ).argmin()
         normal = _facet_normals(self.triangles[[nearest_triangle]])[0]
-        return points_on_both_sides(point, distance, front_distance, normal, self.size)
+        return points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
 
 
 def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -241,7 +247,7 @@ def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
 
 def points_on_both_sides(
     point: Sequence[float],
-    distance: float,
+    distance_to_crack: float,
     front_distance: float,
     normal: np.ndarray,
     crack_size: float,
@@ -259,7 +265,7 @@ def points_on_both_sides(
         None for both together if the point is too far from the crack, or too near to the front.
     """
     if (
-        distance > POSITION_TOLERANCE * crack_size
+        distance_to_crack > POSITION_TOLERANCE * crack_size
         or front_distance <= POSITION_TOLERANCE * crack_size
     ):
         return None
@@ -307,9 +313,11 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
     positions : (n,) [m]
         Distance along a path from the beginning, or on a surface from the front.
     """
-    distances, positions = np.array([crack.locate(points) for crack in cracks]).transpose(1, 0, 2)
+    distances, distances_on_crack = np.array([crack.locate(points) for crack in cracks]).transpose(
+        1, 0, 2
+    )
     crack_index = distances.argmin(axis=0)
-    return crack_index, positions[crack_index, np.arange(len(points))]
+    return crack_index, distances_on_crack[crack_index, np.arange(len(points))]
 
 
 def label_connected_rows(rows: np.ndarray) -> np.ndarray:
@@ -319,8 +327,10 @@ def label_connected_rows(rows: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
-    link_ends, n_nodes = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
-    graph = sparse.coo_matrix((np.ones(len(link_ends[0]), bool), link_ends), (n_nodes, n_nodes))
+    link_ends, n_numbered_nodes = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
+    graph = sparse.coo_matrix(
+        (np.ones(len(link_ends[0]), bool), link_ends), (n_numbered_nodes, n_numbered_nodes)
+    )
     row_labels = connected_components(graph, directed=False)[1][rows[:, 0]]
     return np.unique(row_labels, return_inverse=True)[1]
 

@@ -162,7 +162,7 @@ class Front:
             else [station for is_at_surface, station in ends if not is_at_surface]
         )
 
-    def hats(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the stations' hat functions h at curve parameters t.
 
         A hat is 1 at its station and falls linearly in t to 0 at the neighbours.
@@ -189,7 +189,7 @@ class Front:
         length_weights = np.linalg.norm(self.curve(t, 1), axis=1) * np.tile(
             half_spacing * w, len(self.peak_parameters) - 1
         )
-        return np.asarray(length_weights @ self.hats(t)[0])
+        return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
     def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the front's frame and curvature at curve parameters t.
@@ -278,9 +278,9 @@ class Station:
         Index of the crack.
     point, growth_direction : (3,) [m], (3,)
         Position, and direction of straight growth.
-    position : float [m]
+    arc_length : float [m]
         Distance along the front.
-    touching_pairs : (k,) int
+    adjacent_pairs : (k,) int
         Contact pairs whose patches touch the front within the station's hat. While all of them
         are closed, the crack is closed there.
     """
@@ -289,8 +289,8 @@ class Station:
     crack: int
     point: np.ndarray
     growth_direction: np.ndarray
-    position: float
-    touching_pairs: np.ndarray
+    arc_length: float
+    adjacent_pairs: np.ndarray
 
 
 # --- finding fronts -------------------------------------------------------------------------------
@@ -380,8 +380,8 @@ def _front_chains(
             inward_vectors[index] = centres[touching_facets].mean(axis=0) - point
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
         edge_vectors = np.diff(points, axis=0)
-        growth_directions = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
-        if (growth_directions * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
+        edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
+        if (edge_side_vectors * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
             points = points[::-1]
             point_normals = point_normals[::-1]
             edge_vectors = -edge_vectors[::-1]
@@ -519,7 +519,7 @@ def front_functionals(
         _check_resolved(front)
         domain = _Domain(scene, front, points, cells)
         displacement_functional, nodal_fields = (
-            _free_dofs_of_rank(nodes, domain.nodes, rows)
+            _values_at_free_dofs(nodes, domain.nodes, rows)
             for rows in domain.integrate_functionals(comm)
         )
         force_functional = np.zeros((len(displacement_functional), structure.n_pairs))
@@ -544,7 +544,7 @@ def front_functionals(
     return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
 
 
-def _free_dofs_of_rank(
+def _values_at_free_dofs(
     nodes: Nodes, node_numbers: np.ndarray, node_values: np.ndarray
 ) -> np.ndarray:
     """Return values at nodes as values of this rank's free dofs: (n, n_local).
@@ -559,19 +559,21 @@ def _free_dofs_of_rank(
         Values at these nodes.
     """
     local_nodes = node_numbers - nodes.mesh_dofs.first_node
-    is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_nodes)
-    local_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_nodes, 3))
-    local_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
-    return np.asarray(nodes.mesh_dofs.restrict_to_free(local_values.reshape(len(local_values), -1)))
+    is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_own_nodes)
+    own_node_values = np.zeros((node_values.shape[1], nodes.mesh_dofs.n_own_nodes, 3))
+    own_node_values[:, local_nodes[is_owned]] = node_values[is_owned].swapaxes(0, 1)
+    return np.asarray(
+        nodes.mesh_dofs.restrict_to_free(own_node_values.reshape(len(own_node_values), -1))
+    )
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return a front's stations, with positions, directions and touching pairs."""
-    pairs, is_in_hats = structure.pairs, front.hats(front.parameters)[0] > 0.0
-    touching_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
+    pairs, is_in_hats = structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0
+    adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
         nearest_nodes = cKDTree(pairs.nodes).query(front.nodes)[1]
-        touching_pairs = [
+        adjacent_pairs = [
             np.unique(pairs.shares[nearest_nodes[is_in_hat]].nonzero()[1])
             for is_in_hat in is_in_hats.T
         ]
@@ -581,20 +583,20 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     arc_lengths = np.append(
         0.0, np.linalg.norm(np.diff(front.curve(fine_parameters, 0), axis=0), axis=1).cumsum()
     )
-    positions = np.interp(front.station_parameters, fine_parameters, arc_lengths)
+    station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
     points = front.curve(front.station_parameters, 0)
     directions = front.frame(front.station_parameters)[0][:, 0]
     return [
         Station(
-            f"{front.name} at {quantity(float(position), 'm')}",
+            f"{front.name} at {quantity(float(station_arc_length), 'm')}",
             front.crack,
             point,
             direction,
-            float(position),
+            float(station_arc_length),
             station_pairs,
         )
-        for point, direction, position, station_pairs in zip(
-            points, directions, positions, touching_pairs, strict=True
+        for point, direction, station_arc_length, station_pairs in zip(
+            points, directions, station_arc_lengths, adjacent_pairs, strict=True
         )
     ]
 
@@ -627,7 +629,7 @@ def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _weight_function(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the weight q and its derivative with respect to r / R.
 
     ``radius_ratio`` is r / R: distance from the front over the domain's radius. q is 1 at the front
@@ -850,7 +852,7 @@ class _Domain:
         radius = front.radius(kappa)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
-        hat, hat_slope_by_t = front.hats(t)
+        hat, hat_slope_by_t = front.hats_and_slopes(t)
         return frame, xi, y, r, hat, hat_slope_by_t / speed[..., None], kappa, kappa_slope, radius
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
@@ -865,7 +867,7 @@ class _Domain:
         is_at_front = r < 1e-6 * radius
         is_at_front[:, 4:] = is_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
         r = np.where(is_at_front, radius, r)
-        q = np.where(is_at_front, 0.0, _weight_function(r / radius)[0])
+        q = np.where(is_at_front, 0.0, _weight_and_slope(r / radius)[0])
         fields = []
         for mode in range(3):
             _, a_1, _ = self._plane_field(mode, xi, y, r)
@@ -945,7 +947,7 @@ class _Domain:
         )
         if normal is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, q_slope = _weight_function(r / radius)
+        q, q_slope = _weight_and_slope(r / radius)
         q_slope /= radius
         g = 1.0 + kappa * xi
         k = kappa / g
@@ -1084,8 +1086,8 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
         radius = front.radius(front.frame(t)[2])
-        kernel = _weight_function(r / radius)[0] / np.sqrt(r) * area_weights
+        kernel = _weight_and_slope(r / radius)[0] / np.sqrt(r) * area_weights
         node_numbers = node_tree.query(corners[order])[1]
-        factors[:, node_numbers] += front.hats(t)[0].T @ (kernel[:, None] * shape_values)
+        factors[:, node_numbers] += front.hats_and_slopes(t)[0].T @ (kernel[:, None] * shape_values)
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
     return np.asarray((pairs.shares.T @ factors.T).T / pairs.areas)

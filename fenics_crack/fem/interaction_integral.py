@@ -64,11 +64,11 @@ class Tip:
         Index of the crack.
     point, growth_direction : (2,) [m], (2,)
         Position, and direction of straight growth.
-    position : float [m]
+    arc_length : float [m]
         Distance along the crack.
     radius : float [m]
         Radius of the domain.
-    touching_pairs : (0,) int
+    adjacent_pairs : (0,) int
         Contact pairs that touch the tip: none, for a plate has no element on it.
     """
 
@@ -76,9 +76,9 @@ class Tip:
     crack: int
     point: np.ndarray
     growth_direction: np.ndarray
-    position: float
+    arc_length: float
     radius: float
-    touching_pairs: ClassVar[tuple[int, ...]] = ()
+    adjacent_pairs: ClassVar[tuple[int, ...]] = ()
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
@@ -89,11 +89,11 @@ def find_tips(dofs: Dofs) -> list[Tip]:
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)
         crack_note = f" of crack {crack_index + 1}" if len(cracks) > 1 else ""
-        length = float(crack.corner_positions[-1])
+        length = float(crack.corner_arc_lengths[-1])
         tip_ends = [("crack tip" if crack.has_mouth else "right crack tip", crack.points, length)]
         if not crack.has_mouth:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
-        for name, points, position in tip_ends:
+        for name, points, arc_length in tip_ends:
             tip_point = points[-1]
             offsets = tip_point - points[:-1]
             growth_direction = offsets[-1] / np.linalg.norm(offsets[-1])
@@ -119,7 +119,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
                     crack_index,
                     tip_point,
                     growth_direction,
-                    position,
+                    arc_length,
                     MAX_RADIUS_FRACTION * clearance,
                 )
             )
@@ -136,7 +136,7 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
         np.int32
     )
     nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer_facets)
-    return dofs.points[nodes[nodes < dofs.n_nodes]]
+    return dofs.points[nodes[nodes < dofs.n_own_nodes]]
 
 
 def _check_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
@@ -186,11 +186,11 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     dofs: Dofs = structure.nodes.mesh_dofs
     tips, face_normals, points = find_tips(dofs), _face_normals(dofs), dofs.points
     assemble_row, displacement_rows, force_rows = _row_assembler(scene, dofs), [], []
-    is_on_face = np.any(face_normals != 0.0, axis=1)[: dofs.n_nodes]
-    _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_nodes][is_on_face]))
+    is_on_face = np.any(face_normals != 0.0, axis=1)[: dofs.n_own_nodes]
+    _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_own_nodes][is_on_face]))
     for tip in tips:
         for mode in range(2):
-            field = _nodal_field(scene, tip, mode, points, face_normals)
+            field = _weighted_singular_field(scene, tip, mode, points, face_normals)
             displacement_rows.append(assemble_row(tip, mode, field))
             force_rows.append(
                 _pressure_row(scene, structure, tip, mode, dofs.restrict_to_free(field.ravel()))
@@ -250,7 +250,7 @@ def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
     return np.asarray(1.0 - xi**3 * (10.0 - 15.0 * xi + 6.0 * xi**2))
 
 
-def _nodal_field(
+def _weighted_singular_field(
     scene: Scene, tip: Tip, mode: int, points: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
     """Return the field w = q s at nodes: (n, 2).
@@ -337,8 +337,8 @@ def _pressure_row(
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
     forces -= structure.apply_bt(field[None])[0]
     crack_pairs = np.flatnonzero(pairs.cracks == tip.crack)
-    crack_pairs = crack_pairs[np.argsort(np.abs(tip.position - pairs.positions[crack_pairs]))]
-    pair_distances = np.abs(tip.position - pairs.positions[crack_pairs])
+    crack_pairs = crack_pairs[np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pairs]))]
+    pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pairs])
     points, weights = _singular_rule(pair_distances, tip.radius)
     kappa, scale = _material_factors(scene)
     point_weights = 2.0 * (kappa + 1.0) * scale * _weight_function(points, tip.radius) * weights
@@ -355,8 +355,8 @@ def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndar
     The results are points r and weights. f is smooth between ``ends``. Gauss's rule is applied to
     xi in each interval, with xi^2 = r.
     """
-    roots = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
+    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
     gauss_points, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
-    half_widths = 0.5 * np.diff(roots)[:, None]
-    xi = roots[:-1, None] + half_widths * (1.0 + gauss_points)
+    half_widths = 0.5 * np.diff(sqrt_ends)[:, None]
+    xi = sqrt_ends[:-1, None] + half_widths * (1.0 + gauss_points)
     return (xi**2).ravel(), (2.0 * half_widths * weights).ravel()

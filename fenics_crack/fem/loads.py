@@ -68,13 +68,18 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh, where the structure is clamped, or on a crack, where there are
         two faces.
     """
-    force, watched_vector = np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))), None
+    load_coefficients, watched_vector = (
+        np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))),
+        None,
+    )
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
         force_vectors = force_parts(scene)
-        load_force, direction_vector = _point_load(scene, dofs, "excitation", point, force_vectors)
-        force += load_force
+        added_coefficients, direction_vector = _point_load(
+            scene, dofs, "excitation", point, force_vectors
+        )
+        load_coefficients += added_coefficients
         watched_vector = direction_vector if scene.has_other_loads or scene.speed > 0.0 else None
     elif (force_key := excitation.force_given) or not scene.has_other_loads:
         key_note = f" with excitation.{force_key}" if force_key else ""
@@ -83,27 +88,29 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     for load_number, load in enumerate(scene.loads, 1):
         key = f"loads.{load_number}"
         if load.point is not None:
-            load_force, direction_vector = _point_load(
+            added_coefficients, direction_vector = _point_load(
                 scene, dofs, key, load.point, load.parts("force")
             )
             watched_vector = direction_vector if watched_vector is None else watched_vector
         else:
-            load_force = _edge_force(scene, dofs, key, load)
-            if watched_vector is None and np.any(gather_rows(dofs.comm, load_force.ravel())):
-                watched_vector = _watch_edge_middle(dofs, str(load.edge), load_force)
-        force[: len(load_force)] += load_force
+            added_coefficients = _edge_force(scene, dofs, key, load)
+            if watched_vector is None and np.any(
+                gather_rows(dofs.comm, added_coefficients.ravel())
+            ):
+                watched_vector = _watch_edge_middle(dofs, str(load.edge), added_coefficients)
+        load_coefficients[: len(added_coefficients)] += added_coefficients
     if scene.base is not None:
         if watched_vector is None:
             clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
             # Watch the node farthest from the clamp.
-            all_nodes = np.arange(dofs.n_nodes)
+            all_nodes = np.arange(dofs.n_own_nodes)
             watched_vector = _watch_node(dofs, all_nodes, clamp_center, -1, scene.base.direction)
         for row, acceleration in enumerate(scene.base.accelerations, 1):
-            force[row] -= _inertia(mass, np.tile(acceleration, dofs.n_nodes))
+            load_coefficients[row] -= _inertia(mass, np.tile(acceleration, dofs.n_own_nodes))
     if watched_vector is None and point is not None and not any(map(any, force_vectors)):
-        unit_vectors = [np.eye(dofs.dimension)[0].tolist()] * 2
-        _, watched_vector = _point_load(scene, dofs, "excitation", point, unit_vectors)
-    return force, watched_vector
+        watched_direction_parts = [np.eye(dofs.dimension)[0].tolist()] * 2
+        _, watched_vector = _point_load(scene, dofs, "excitation", point, watched_direction_parts)
+    return load_coefficients, watched_vector
 
 
 def _direction(parts: Sequence[Vector]) -> Vector:
@@ -142,7 +149,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
         )
         raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
     positions = gather_rows(dofs.comm, dofs.points)
-    node_numbers = dofs.first_node + np.arange(dofs.n_nodes)
+    node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
     if len(exact_nodes := find_nodes_at(positions, point)):
         return np.where(node_numbers == exact_nodes[0], 1.0, 0.0)
     nodes, basis_values = compat.evaluate_basis(dofs.space, scene.mesh.order, np.array(point))
@@ -163,8 +170,8 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     cell_nodes = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
     cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
     cell_fractions = gather_rows(dofs.comm, basis_values)
-    is_owned = (cell_nodes >= dofs.first_node) & (cell_nodes < dofs.first_node + dofs.n_nodes)
-    fractions = np.zeros(dofs.n_nodes)
+    is_owned = (cell_nodes >= dofs.first_node) & (cell_nodes < dofs.first_node + dofs.n_own_nodes)
+    fractions = np.zeros(dofs.n_own_nodes)
     np.add.at(fractions, cell_nodes[is_owned] - dofs.first_node, cell_fractions[is_owned])
     return fractions
 
@@ -183,24 +190,28 @@ def _point_load(
         None if the load is zero.
     """
     fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
-    force = np.array([_distribute_vector(dofs, fractions, part) for part in parts])
+    load_coefficients = np.array([_distribute_vector(dofs, fractions, part) for part in parts])
     direction_vector = (
         dofs.restrict_to_free(_distribute_vector(dofs, fractions, _direction(parts)))
         if any(map(any, parts))
         else None
     )
-    return _require_free_force(dofs, f"{key}.point", tuple(point), force), direction_vector
+    return _require_free_force(
+        dofs, f"{key}.point", tuple(point), load_coefficients
+    ), direction_vector
 
 
-def _require_free_force(dofs: Dofs, key: str, place: object, force: np.ndarray) -> np.ndarray:
+def _require_free_force(
+    dofs: Dofs, key: str, place: object, load_coefficients: np.ndarray
+) -> np.ndarray:
     """Return forces; raise InputError if all act on clamped dofs."""
-    forces = force, force[:, dofs.free_dofs]
+    all_and_free_coefficients = load_coefficients, load_coefficients[:, dofs.free_dofs]
     has_force, has_free_force = (
-        np.any(gather_rows(dofs.comm, values.ravel())) for values in forces
+        np.any(gather_rows(dofs.comm, values.ravel())) for values in all_and_free_coefficients
     )
     if has_force and not has_free_force:
         raise InputError(key, place, "where the plate is free to move")
-    return force
+    return load_coefficients
 
 
 def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.ndarray:
@@ -223,20 +234,26 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     if not length > 0.0:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
     weights = test_integrals.reshape(-1, dofs.dimension)[:, 0]
-    force = np.array([_distribute_vector(dofs, weights, part) for part in load.parts("traction")])
+    load_coefficients = np.array(
+        [_distribute_vector(dofs, weights, part) for part in load.parts("traction")]
+    )
     normal = ufl.FacetNormal(dofs.space.mesh)
     unit_pressure_force = -compat.assembled_vector(t * ufl.inner(normal, test) * edge_measure)
-    force += np.array([sum(part) * unit_pressure_force for part in load.parts("pressure")])
-    return _require_free_force(dofs, f"{key}.edge", load.edge, force)
+    load_coefficients += np.array(
+        [sum(part) * unit_pressure_force for part in load.parts("pressure")]
+    )
+    return _require_free_force(dofs, f"{key}.edge", load.edge, load_coefficients)
 
 
-def _watch_edge_middle(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
+def _watch_edge_middle(dofs: Dofs, edge: str, load_coefficients: np.ndarray) -> np.ndarray:
     """Return the vector whose product with u is the displacement at an edge's middle: (n_local,).
 
     It is 1 at the node nearest to the middle, in the direction of most of the load.
     """
-    nodal_force = np.where(dofs.numbers < 0, 0.0, force).reshape(len(force), -1, dofs.dimension)
-    component_sums = np.abs(dofs.comm.allgather(nodal_force.sum(axis=1))).sum(axis=(0, 1))
+    nodal_coefficients = np.where(dofs.numbers < 0, 0.0, load_coefficients).reshape(
+        len(load_coefficients), -1, dofs.dimension
+    )
+    component_sums = np.abs(dofs.comm.allgather(nodal_coefficients.sum(axis=1))).sum(axis=(0, 1))
     direction = tuple(np.eye(dofs.dimension)[int(np.argmax(component_sums))].tolist())
     edge_nodes = dofs.nodes_on(edge)
     edge_points = gather_rows(dofs.comm, dofs.points[edge_nodes])
@@ -248,7 +265,7 @@ def _watch_edge_middle(dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
+def clamp_of(dofs: Dofs, mass: Any, load_coefficients: np.ndarray) -> Clamp:
     """Return the data for reactions at a mesh's clamp (collective).
 
     The mass matrix and the load ``force`` (2K+1, n_dofs) include the clamped dofs.
@@ -257,7 +274,7 @@ def clamp_of(dofs: Dofs, mass: Any, force: np.ndarray) -> Clamp:
     center = np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
     motions = rigid_motions(dofs.points - center)
     inertia_rows = dofs.restrict_to_free(np.array([_inertia(mass, motion) for motion in motions]))
-    return Clamp(center, inertia_rows, dofs.comm.allreduce(force @ motions.T))
+    return Clamp(center, inertia_rows, dofs.comm.allreduce(load_coefficients @ motions.T))
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:
@@ -296,6 +313,6 @@ def _watch_node(
     distance = np.linalg.norm(all_points - position, axis=1)
     order = np.lexsort([*all_points.T, np.round(distance / max(distance.max(), 1e-300), 9)])
     matching_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[order_index]], axis=1)]
-    displacement = np.zeros((dofs.n_nodes, dofs.dimension))
+    displacement = np.zeros((dofs.n_own_nodes, dofs.dimension))
     displacement[matching_nodes[:1]] = direction
     return dofs.restrict_to_free(displacement.ravel())

@@ -117,7 +117,7 @@ def _make_structure(
             parts["gap"], pairs = find_pairs(
                 model, node_dofs, parts["stiffness"], has_rotations=has_rotations
             )
-        start, stop = _own_rows(node_starts, comm)
+        start, stop = _own_row_range(node_starts, comm)
         for name in matrices:
             parts[name] = distribute_rows(parts[name][start:stop], comm)
         nodes = _own_nodes(model, node_dofs, start, stop, comm)
@@ -225,7 +225,7 @@ def _order_by_nodes(
     return order, node_dofs, np.append(node_starts, len(labels))
 
 
-def _own_rows(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
+def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
     """Return start and stop of this rank's rows, ordered by nodes.
 
     A rank has whole nodes, and about as many rows as others.
@@ -338,12 +338,14 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         """Write the gathered matrices, on rank 0."""
         full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts.items()}
         if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
-            squares, shapes = eigh(
+            squares, mode_shapes = eigh(
                 full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
             )
             n_damped = check_damped_modes(structure)
-            rate = structure.damping.rate(squares[:n_damped])
-            damping_factors = full_matrices["mass"] @ shapes[:, :n_damped] * np.sqrt(rate)
+            modal_damping = structure.damping.rate(squares[:n_damped])
+            damping_factors = (
+                full_matrices["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)
+            )
             full_matrices["damping"] = sparse.csr_matrix(damping_factors @ damping_factors.T)
         texts = {
             f"{name}.mtx": format_matrix_market(matrix) for name, matrix in full_matrices.items()
@@ -431,21 +433,24 @@ class _TwinNodes:
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
-        n_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
+        n_model_nodes, node_pairs = len(dofs), find_coincident_nodes(model.points)
         self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
-        node_of_row = np.full(self.n_dofs, n_nodes)
+        node_of_row = np.full(self.n_dofs, n_model_nodes)
         node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
         entries = stiffness.tocoo()
         node_links = node_of_row[entries.row].astype(np.int64), node_of_row[entries.col]
         graph = np.ones(len(entries.data), bool), node_links
-        self.connectivity = sparse.csr_matrix(graph, (n_nodes + 1, n_nodes + 1))[:n_nodes, :n_nodes]
+        self.connectivity = sparse.csr_matrix(graph, (n_model_nodes + 1, n_model_nodes + 1))[
+            :n_model_nodes, :n_model_nodes
+        ]
         is_free = np.any(dofs >= 0, axis=1)
         is_pair = is_free[node_pairs].all(axis=1) & ~np.isin(
-            n_nodes * node_pairs[:, 0] + node_pairs[:, 1], n_nodes * node_links[0] + node_links[1]
+            n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
+            n_model_nodes * node_links[0] + node_links[1],
         )
-        self.place_labels = np.arange(n_nodes)
+        self.place_labels = np.arange(n_model_nodes)
         self.place_labels[node_pairs[:, 1]] = node_pairs[:, 0]
-        self.has_held_twin = np.zeros(n_nodes, dtype=bool)
+        self.has_held_twin = np.zeros(n_model_nodes, dtype=bool)
         self.has_held_twin[node_pairs[is_free[node_pairs[:, 0]] != is_free[node_pairs[:, 1]]]] = (
             True
         )
@@ -468,7 +473,7 @@ class _TwinNodes:
             raise InputError(
                 "model", problem, "one with two nodes at each place of a crack's faces"
             )
-        self.pair_index = np.full(n_nodes, -1)
+        self.pair_index = np.full(n_model_nodes, -1)
         self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
             len(self.first_nodes)
         )
@@ -509,24 +514,24 @@ def find_pairs(
         gap, areas, pair_index, front_nodes = _patch_gaps(twins, facets)
     else:
         is_plane = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
-        gap, front_nodes = _nodal_gaps(twins, 2 if is_plane else 1)
+        gap, front_nodes = _gap_matrix_and_front_nodes(twins, 2 if is_plane else 1)
         areas, pair_index = None, np.arange(len(twins.first_nodes))
     points = model.points[twins.first_nodes[pair_index]]
     crack_index = _number_cracks(twins, pair_index)
-    positions = np.zeros(len(pair_index))
+    front_distances = np.zeros(len(pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
 
-        positions = cKDTree(model.points[front_nodes]).query(points)[0]
-    order = np.lexsort((positions, crack_index))
-    crack_index, positions = crack_index[order], positions[order]
+        front_distances = cKDTree(model.points[front_nodes]).query(points)[0]
+    order = np.lexsort((front_distances, crack_index))
+    crack_index, front_distances = crack_index[order], front_distances[order]
     mouth_pairs = np.flatnonzero(np.append(np.diff(crack_index), 1))
     names = [
         f"the mouth of crack {number + 1}" if len(mouth_pairs) > 1 else "the mouth"
         for number in crack_index[mouth_pairs]
     ]
     pairs = Pairs(
-        points[order], None if areas is None else areas[order], crack_index, positions,
+        points[order], None if areas is None else areas[order], crack_index, front_distances,
         dict(zip(names, mouth_pairs.tolist(), strict=True)),
     )  # fmt: skip
     return gap[:, order], pairs
@@ -731,7 +736,9 @@ def _patch_gaps(
 # --- of nodes -------------------------------------------------------------------------------------
 
 
-def _nodal_gaps(twins: _TwinNodes, n_tangents: int) -> tuple[sparse.csr_matrix, np.ndarray]:
+def _gap_matrix_and_front_nodes(
+    twins: _TwinNodes, n_tangents: int
+) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Assemble the normal gaps between coincident nodes, without cells.
 
     ``n_tangents`` is 2 for crack faces that are surfaces, 1 for lines.
@@ -754,8 +761,8 @@ def _nodal_gaps(twins: _TwinNodes, n_tangents: int) -> tuple[sparse.csr_matrix, 
         near_nodes = np.append(near_nodes[twins.pair_index[near_nodes] >= 0], front_nodes[-1])
         if len(np.unique(twins.place_labels[near_nodes])) <= n_tangents:
             near_nodes = twins.first_nodes
-        offsets = points[near_nodes] - points[near_nodes].mean(axis=0)
-        tangents = np.linalg.svd(offsets, full_matrices=False)[2][:n_tangents]
+        centred_points = points[near_nodes] - points[near_nodes].mean(axis=0)
+        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:n_tangents]
         normal = points[neighbours[1]].mean(axis=0) - points[neighbours[0]].mean(axis=0)
         normal -= tangents.T @ (tangents @ normal)
         if np.linalg.norm(normal) <= POSITION_TOLERANCE * size:

@@ -151,7 +151,7 @@ def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read an input file of CalculiX or Abaqus into ``nodes`` and ``cells``."""
-    keyword, n_nodes, cell_labels = "", 0, list[int]()
+    keyword, n_nodes_per_element, cell_labels = "", 0, list[int]()
     for line_number, line in numbered_lines(path, "**"):
         try:
             if line.startswith("*"):
@@ -166,17 +166,17 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                     _read_abaqus(_included_path(path, line), nodes, cells)
                 element_type = parameters.get("TYPE", "").strip() if keyword == "ELEMENT" else ""
                 match, cell_labels = re.match(r"C3D(\d+)", element_type), []
-                n_nodes = int(match[1]) if match is not None else 0
+                n_nodes_per_element = int(match[1]) if match is not None else 0
             elif keyword == "INSTANCE" and any(map(float, line.strip().rstrip(",").split(","))):
                 raise NotImplementedError  # the instance is moved or rotated
             elif keyword == "NODE":
                 label, *coordinates = line.strip().rstrip(",").split(",")
                 position = (*map(float, coordinates), 0.0, 0.0)[:3]  # zeros may be left out
                 _add_node(nodes, line_number, int(label), position)
-            elif keyword == "ELEMENT" and n_nodes in VTK_TYPES:
+            elif keyword == "ELEMENT" and n_nodes_per_element in VTK_TYPES:
                 cell_labels += map(int, line.strip().rstrip(",").split(","))
-                if len(cell_labels) > n_nodes:
-                    cells.setdefault(VTK_TYPES[n_nodes], []).append(cell_labels[1:])
+                if len(cell_labels) > n_nodes_per_element:
+                    cells.setdefault(VTK_TYPES[n_nodes_per_element], []).append(cell_labels[1:])
                     cell_labels = []
         except NotImplementedError:
             requirement = (
@@ -268,7 +268,7 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
     The line below a block's name states number and width of the fields.
     """
-    block, n_nodes, cell_labels = "", 0, list[int]()
+    block, n_nodes_per_element, cell_labels = "", 0, list[int]()
     integer_width, real_width, n_integers = 0, 0, 0
     element_types, is_solid, other_types = dict[int, int](), True, set[int]()
     for line_number, line in numbered_lines(path, "!"):
@@ -314,13 +314,15 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                         or element_types[integers[1]] in SOLID_TYPES
                     )
                     other_types |= set() if is_solid else {element_types[integers[1]]}
-                    n_nodes, integers = integers[8], integers[11:]
+                    n_nodes_per_element, integers = integers[8], integers[11:]
                 cell_labels += integers
-                if len(cell_labels) >= n_nodes:
-                    if is_solid and len(set(cell_labels)) < n_nodes:
+                if len(cell_labels) >= n_nodes_per_element:
+                    if is_solid and len(set(cell_labels)) < n_nodes_per_element:
                         raise ValueError  # a brick with nodes in the same place
                     if is_solid:
-                        cells.setdefault(VTK_TYPES[n_nodes], []).append(cell_labels[:n_nodes])
+                        cells.setdefault(VTK_TYPES[n_nodes_per_element], []).append(
+                            cell_labels[:n_nodes_per_element]
+                        )
                     cell_labels = []
         except (ValueError, KeyError, IndexError) as error:
             requirement = (

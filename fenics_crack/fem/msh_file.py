@@ -57,7 +57,7 @@ RawMesh = tuple[np.ndarray, np.ndarray, list[Group]]
 CRACK_NAME = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Pattern for names of curves and surfaces that are cracks."""
 
-_MESH_HEADER = re.compile(
+_MESH_HEADER_PATTERN = re.compile(
     rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s"
 )
 """First bytes of a mesh file in gmsh's format 2 or 4, text or binary."""
@@ -173,7 +173,7 @@ def _read_raw_mesh(path: Path) -> RawMesh:
     """
     check_file_exists("mesh.file", path)
     with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as file_copy:
-        if not _MESH_HEADER.match(beginning_of(file_copy, 100)):
+        if not _MESH_HEADER_PATTERN.match(beginning_of(file_copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
         contents = run_reader(Path(__file__).with_name("solid_mesher.py"), file_copy, 300)
         if isinstance(contents, str):
@@ -284,8 +284,8 @@ def _select_named_groups(
             is_right_kind = kind == kinds[dimension] and np.isin(nodes, used_numbers).all()
             requirement = "one whose named groups hold facets, and corners, of its cells"
             require(is_right_kind, f"other elements in the group {name!r}", requirement)
-            n_nodes = gmsh.model.mesh.getElementProperties(kind)[3]
-            rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes)
+            n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
+            rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
             rows_by_group.setdefault((dimension, name), []).append(rows)
     merged_rows = {key: np.concatenate(rows) for key, rows in rows_by_group.items()}
     n_load_points = len(merged_rows.get((0, "load"), [0]))
@@ -421,7 +421,7 @@ MIN_DETERMINANT = 1e-9
 
 def _mesh_error(problem: str, position: np.ndarray, requirement: str) -> InputError:
     """Return the error for a mesh with a problem at a position."""
-    coordinates = ", ".join(f"{x:g}" for x in position)
+    coordinates = ", ".join(f"{coordinate:g}" for coordinate in position)
     return InputError("mesh", f"{problem} at ({coordinates})", requirement)
 
 
@@ -670,9 +670,9 @@ def _are_in_cells(
 
 def _reference_nodes(kind: int) -> np.ndarray:
     """Return the nodes of a reference cell, by gmsh's kind: (n_nodes, 3)."""
-    _, dimension, _, n_nodes, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
-    positions = np.zeros((n_nodes, 3))
-    positions[:, :dimension] = np.reshape(coordinates, (n_nodes, dimension))
+    _, dimension, _, n_nodes_per_cell, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
+    positions = np.zeros((n_nodes_per_cell, 3))
+    positions[:, :dimension] = np.reshape(coordinates, (n_nodes_per_cell, dimension))
     return positions
 
 

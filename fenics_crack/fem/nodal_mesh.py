@@ -133,15 +133,15 @@ class NodalMesh:
         cells : (n,) int
             Index of one of these cells.
         """
-        n_nodes = self.cells.shape[1]
-        n_corners = 3 if n_nodes in (3, 6) else 4
+        n_nodes_per_cell = self.cells.shape[1]
+        n_corners = 3 if n_nodes_per_cell in (3, 6) else 4
         corner_index = np.arange(n_corners)
         local_sides = np.column_stack(
             [corner_index, n_corners + corner_index, np.roll(corner_index, -1)]
         )
-        local_sides = local_sides if n_nodes > n_corners else local_sides[:, ::2]
+        local_sides = local_sides if n_nodes_per_cell > n_corners else local_sides[:, ::2]
         if self.dimension == 3:
-            local_sides = FACETS[4 if n_nodes in (4, 10) else 8]
+            local_sides = FACETS[4 if n_nodes_per_cell in (4, 10) else 8]
         sides = self.cells[:, local_sides].reshape(-1, local_sides.shape[1])
         first_sides, _, cell_counts = find_unique_rows(
             sides if self.dimension == 3 else sides[:, [0, -1]]

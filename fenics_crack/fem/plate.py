@@ -26,10 +26,10 @@ from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.fem import compat
-from fenics_crack.fem.blocks import draw_plate
+from fenics_crack.fem.blocks import mesh_plate
 from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.cracks import Cracks, NamedParts
-from fenics_crack.fem.solid import draw_solid
+from fenics_crack.fem.solid import mesh_solid
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.scene.scene import Scene
 
@@ -153,7 +153,7 @@ def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
 
         parts_and_cracks = read_mesh_file(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        parts_and_cracks = draw_plate(scene) if scene.dimension == 2 else draw_solid(scene)
+        parts_and_cracks = mesh_plate(scene) if scene.dimension == 2 else mesh_solid(scene)
     gmsh.model.mesh.renumberNodes()
     return parts_and_cracks
 
@@ -185,10 +185,10 @@ class Dofs:
         """
         self.comm, self.plate, self.space = comm, plate, space
         self.dimension = space.mesh.geometry.dim
-        self.n_nodes = space.dofmap.index_map.size_local
+        self.n_own_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
         if is_constrained is None:
-            is_constrained = np.zeros((self.n_nodes, self.dimension), dtype=bool)
+            is_constrained = np.zeros((self.n_own_nodes, self.dimension), dtype=bool)
             is_constrained[self.nodes_on("clamp")] = True
         self.free_dofs = np.flatnonzero(~is_constrained.ravel())
         """Owned free dofs, as local numbers of the function space."""
@@ -200,7 +200,9 @@ class Dofs:
     @property
     def points(self) -> np.ndarray:
         """Return positions of this rank's nodes: (n_nodes, d) [m]."""
-        return np.asarray(self.space.tabulate_dof_coordinates()[: self.n_nodes, : self.dimension])
+        return np.asarray(
+            self.space.tabulate_dof_coordinates()[: self.n_own_nodes, : self.dimension]
+        )
 
     def nodes_on(self, group: str, space: Any = None) -> np.ndarray:
         """Return this rank's local nodes in a facet group.
@@ -226,9 +228,9 @@ class Dofs:
         rotation : (d, d)
             Matrix that turns the left side to the right one.
         """
-        self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_nodes, 1, 1))
+        self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_own_nodes, 1, 1))
         self.frames[sides[1]] = rotation
-        row_bounds = np.arange(self.n_nodes + 1)
+        row_bounds = np.arange(self.n_own_nodes + 1)
         all_rotations = sparse.bsr_matrix((self.frames, row_bounds[:-1], row_bounds)).tocsr()
         self._rotation = all_rotations[self.free_dofs][:, self.free_dofs]
         self._rotation.eliminate_zeros()

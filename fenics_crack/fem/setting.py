@@ -60,12 +60,12 @@ def force_parts(scene: Scene) -> list[Vector]:
         excitation.require(is_complete, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
-        for row, part in enumerate(expand_wave(excitation, scene.dimension)[0]):
+        for row, part in enumerate(expand_load_table(excitation, scene.dimension)[0]):
             rows[row] = tuple(np.add(rows[row], part).tolist())
     return rows
 
 
-def expand_wave(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
+def expand_load_table(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
     """Return the Fourier coefficients of a load's table of one period.
 
     Returns

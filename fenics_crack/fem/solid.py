@@ -54,7 +54,7 @@ MAX_CELLS = 2e6
 """Maximum number of cells of a part. gmsh makes about 1e4 in a second."""
 
 
-def draw_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
+def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill gmsh's current model with the mesh of a scene's solid.
 
     Returns
@@ -163,9 +163,12 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     determinants = (side_1 * normal).sum(axis=1)
     determinants = np.where(np.abs(determinants) < 1e-300, np.inf, determinants)
     offsets = point - triangles[:, 0]
-    u, offset_normals = (offsets * normal).sum(axis=1) / determinants, np.cross(offsets, side_1)
-    v = offset_normals @ direction / determinants
-    distances = (side_2 * offset_normals).sum(axis=1) / determinants
+    u, offset_cross_side_1 = (
+        (offsets * normal).sum(axis=1) / determinants,
+        np.cross(offsets, side_1),
+    )
+    v = offset_cross_side_1 @ direction / determinants
+    distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
     extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
     is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distances > 1e-6 * extent)
     return float(distances[is_hit].min(initial=extent))
@@ -324,7 +327,9 @@ def _check_cell_number(scene: Scene, unit: float, fronts: list[dict[str, Any]]) 
     ``unit`` [m] is the mesh's unit of length. ``fronts`` are crack fronts of
     :func:`fenics_crack.fem.solid_mesher.insert_cracks`, in this unit.
     """
-    n_bulk, n_front = solid_mesher.estimate_cells(scene.mesh.given("size") / unit, fronts)
+    n_bulk, n_front = solid_mesher.estimate_bulk_and_front_cells(
+        scene.mesh.given("size") / unit, fronts
+    )
     key, size_note = "size", ""
     if n_front > n_bulk:
         shortest_length = unit * min(front["shortest"] for front in fronts)

@@ -107,7 +107,7 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     faces_by_name = _find_named_faces(request["faces"], triangles, owners)
     surfaces, fronts = insert_cracks(solid_tags, request["cracks"], triangles)
     size = request["size"]
-    n_bulk_cells, n_front_cells = estimate_cells(size, fronts)
+    n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
         requirement = f"so that there are at most {request['cells']:.0e} cells: about"
         key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
@@ -179,10 +179,10 @@ def _face_triangles(tag: int) -> np.ndarray:
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))
-    n_nodes = gmsh.model.mesh.getElementProperties(kinds[0])[3]
+    n_nodes_per_element = gmsh.model.mesh.getElementProperties(kinds[0])[3]
     numbers, positions, _ = gmsh.model.mesh.getNodes()
     order = np.argsort(numbers)
-    corner_numbers = nodes[0].reshape(-1, n_nodes)[:, :3]
+    corner_numbers = nodes[0].reshape(-1, n_nodes_per_element)[:, :3]
     node_index = order[np.searchsorted(numbers, corner_numbers, sorter=order)]
     return positions.reshape(-1, 3)[node_index]
 
@@ -371,7 +371,7 @@ def _draw_crack_face(crack: CrackData) -> Tags:
     return face
 
 
-def _curve_points(curve: int) -> np.ndarray:
+def _sample_curve(curve: int) -> np.ndarray:
     """Return points on a curve, including its ends: (n, 3)."""
     (start,), (stop,) = gmsh.model.getParametrizationBounds(1, curve)
     parameters = np.linspace(start, stop, N_CURVE_SAMPLES + 1)
@@ -386,7 +386,7 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
     curves, point_arrays, extent = [], [np.zeros((0, 3))], 0.0
     for curve in rim:
-        points = _curve_points(curve)
+        points = _sample_curve(curve)
         x, y, _ = ((points - crack["middle"]) @ frame.T).T
         if is_straight:
             scaled_radius, extent = 1.0 + x / half_axes[0], max(extent, -float(x.min()))
@@ -439,7 +439,7 @@ def _check_crack_position(
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
 
-def estimate_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
+def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
     """Estimate the number of cells of the current model.
 
     Returns

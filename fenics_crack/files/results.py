@@ -14,8 +14,8 @@ from fenics_crack.balance.error_report import ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
+from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.curves.waves import WAVES
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, check_shapes, read, write
@@ -337,7 +337,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     exact = "states" in parts
     counts = {"": parts["values"].size, "bifurcation_": len(parts["kinds"])}
     missing = exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= parts.keys()
-    if missing or parts["parameter"] not in WAVES or parts["subharmonic"] < 1:
+    if missing or parts["parameter"] not in BALANCE_EQUATIONS or parts["subharmonic"] < 1:
         raise ValueError("its parts do not fit")
     numbers = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
     shapes: Shapes = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}

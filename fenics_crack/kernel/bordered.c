@@ -29,11 +29,11 @@ norm norm_of_solution(const equations *system, const double *x)
 
 double product(const equations *system, norm metric, const double *x, const double *y)
 {
-    if (metric.mean_weight == 1.0) return metric.weight * inner_product(system, 0, x, y);
+    if (metric.time_mean_weight == 1.0) return metric.weight * inner_product(system, 0, x, y);
     double means = 0.0;
     for (int i = 0; i < system->means; i++) means += x[i] * y[i];
     return metric.weight *
-           (inner_product(system, system->means, x, y) + metric.mean_weight * means);
+           (inner_product(system, system->means, x, y) + metric.time_mean_weight * means);
 }
 
 void add_scaled(int n, double *x, double s, const double *y)

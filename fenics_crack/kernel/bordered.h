@@ -13,9 +13,10 @@ typedef struct {
     int max_iterations, max_stalled_steps;
 } correction;
 
-/* Squared norm of a change at a solution: weight (|x_oscillating|^2 + mean_weight |x_means|^2). */
+/* Squared norm of a change at a solution:
+ * weight (|x_oscillating|^2 + time_mean_weight |x_means|^2). */
 typedef struct {
-    double weight, mean_weight;
+    double weight, time_mean_weight;
 } norm;
 
 /* Plane orthogonal to a tangent (t_x, t_p): normal t_x, slope t_p. */

@@ -21,7 +21,7 @@ typedef struct {
 
 /* Relative distance |s - (k w)^2| / (s + (k w)^2) below which an undamped resonance has no
  * solution. A mode without load is moved off the resonance, by the root of rounding
- * (fenics_crack/model/modal.py, AllModes.receptance). */
+ * (fenics_crack/model/modal.py, AllModes.modal_receptances). */
 extern const double SINGULARITY_TOLERANCE;
 
 typedef struct compliance compliance;

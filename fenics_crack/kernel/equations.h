@@ -29,7 +29,7 @@ typedef struct equations {
     void *context;               /* state of equations in Python (numerics/equations.py) */
     /* Set J x, for solutions by products. */
     void (*apply)(struct equations *system, const double *x, double *product_out);
-    int records; /* how many numbers a path may keep of each point */
+    int n_record_entries; /* how many numbers a path may keep of each point */
     /* Set these numbers of a point, once its tangent is known. */
     void (*record)(struct equations *system, double *record_out);
 } equations;

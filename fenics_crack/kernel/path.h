@@ -18,10 +18,10 @@ typedef struct {
  * two of them with tangents. */
 typedef struct {
     int capacity, n_known;
-    double *unknowns, *parameters, *tangents, *slopes, *weights, *mean_weights, *lengths;
+    double *unknowns, *parameters, *tangents, *slopes, *weights, *time_mean_weights, *lengths;
     int *iterations;
     signed char *crossings; /* whether another branch crosses before the point */
-    double *records; /* (capacity, equations.records), or NULL: not kept */
+    double *records; /* (capacity, equations.n_record_entries), or NULL: not kept */
     double step, orientation; /* sign of t_p det J along the path; 0: not asked for yet */
 } path;
 

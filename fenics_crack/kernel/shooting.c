@@ -150,7 +150,7 @@ static void copy_monodromy(equations *system, double *record_out)
 {
     shooting_point *point = (shooting_point *)system;
     compute_monodromy(point);
-    memcpy(record_out, point->monodromy, bytes(system->records));
+    memcpy(record_out, point->monodromy, bytes(system->n_record_entries));
 }
 
 shooting_point *new_shooting_point(const shooting_equations *parameters)
@@ -170,7 +170,7 @@ shooting_point *new_shooting_point(const shooting_equations *parameters)
                                      .solve = solve_dense,
                                      .by_parameter = differentiate_by_parameter,
                                      .sign = sign_of_dense,
-                                     .records = (int)(n * n),
+                                     .n_record_entries = (int)(n * n),
                                      .record = copy_monodromy};
     const int failed = make_dense(&point->common, (int)n, form_jacobian);
     const long load_size = parameters->force ? n_loads * (parameters->modes + n_rows) : 0;

@@ -485,14 +485,17 @@ class FrictionSets:
         """
         n_instants, n_gaps = gap.shape
         gap = require_shape(gap, n_instants, n_gaps)
-        start_positions = np.array(slider_positions, dtype=float)
-        forces, positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
-        states = np.empty(positions.shape, dtype=np.int8)
+        start_slider_positions = np.array(slider_positions, dtype=float)
+        forces, sampled_slider_positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
+        states = np.empty(sampled_slider_positions.shape, dtype=np.int8)
         origins = np.empty(n_gaps // 2, dtype=np.intc)
-        arrays = map(pointer, (gap, start_positions, forces, states, positions, origins))
+        arrays = map(
+            pointer,
+            (gap, start_slider_positions, forces, states, sampled_slider_positions, origins),
+        )
         if kernel.march_friction(self.handle, n_instants, max_periods, *arrays):
             raise ConvergenceError("contact: an instant has no forces, or more than one solution")
-        return forces, states, positions, origins
+        return forces, states, sampled_slider_positions, origins
 
 
 SETS_MEMORY_FRACTION = 1 / 32
@@ -518,7 +521,7 @@ def is_regular(matrix: np.ndarray) -> bool:
     )
 
 
-class ActiveSets:
+class ActiveSetSolver:
     """Solver of contact without friction, by sets of closed pairs.
 
     The inverse of D on each set is kept for later instants.
@@ -618,7 +621,9 @@ def solve_complementarity(
         There is no solution, or none was found.
     """
     guess = None if is_closed is None else np.array(is_closed)[None]
-    return np.asarray(ActiveSets(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0])
+    return np.asarray(
+        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0]
+    )
 
 
 def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
@@ -631,13 +636,15 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     symmetric_part = 0.5 * (matrix + matrix.T)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric_part), np.finfo(float).tiny))
     eigenvalues, eigenvectors = np.linalg.eigh(scale[:, None] * symmetric_part * scale)
-    root = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
+    sqrt_eigenvalues = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
     tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
     for _ in range(MAX_NEWTON_SMOOTH):
-        target = (eigenvectors.T @ (scale * (gap - (matrix - symmetric_part) @ force))) / root
+        target = (
+            eigenvectors.T @ (scale * (gap - (matrix - symmetric_part) @ force))
+        ) / sqrt_eigenvalues
         try:
-            force = scale * scipy.optimize.nnls((eigenvectors * root).T, target)[0]
+            force = scale * scipy.optimize.nnls((eigenvectors * sqrt_eigenvalues).T, target)[0]
         except RuntimeError:
             break
         opening = matrix @ force - gap
@@ -649,7 +656,7 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
 
 
-def smooth_forces(
+def smooth_forces_and_slopes(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the pair forces under a law that is not piecewise linear.
@@ -679,7 +686,7 @@ def smooth_forces(
         As :func:`solve_forces`.
     """
     spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
-    guess = ActiveSets(compliance + np.diag(spring_compliance)).solve(gap)[0]
+    guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
     force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
     slope = law.tangent(gap - force @ compliance)
     jacobian = np.eye(gap.shape[1]) + compliance * slope[:, None, :]

@@ -85,12 +85,12 @@ def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
     entries = sparse.coo_matrix(rows)
     n_local = entries.shape[0]
     diagonal = np.arange(n_local)
-    positions = (
+    rows_and_columns = (
         np.append(entries.row, diagonal),
         np.append(entries.col, (comm.exscan(n_local) or 0) + diagonal),
     )
     completed_rows = sparse.csr_matrix(
-        (np.append(entries.data, 0.0 * diagonal), positions), entries.shape
+        (np.append(entries.data, 0.0 * diagonal), rows_and_columns), entries.shape
     )
     return square_matrix(completed_rows, comm)
 

@@ -58,9 +58,9 @@ DIRECTION_NUMBERS |= {str(number): number for number in range(1, 10)}
 MIN_ENTRY_BYTES = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry with the end of its line."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
-MIRROR_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
+TRANSPOSE_SIGNS = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
-SYMMETRIES = ("general", *MIRROR_SIGNS)
+SYMMETRIES = ("general", *TRANSPOSE_SIGNS)
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
 
@@ -107,8 +107,10 @@ class LabelledMatrix:
             raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
         entries, new_rows = self.matrix.tocoo(), np.array(rows, dtype=int)
         is_kept = (new_rows[entries.row] >= 0) & (new_rows[entries.col] >= 0)
-        positions = new_rows[entries.row[is_kept]], new_rows[entries.col[is_kept]]
-        return sparse.csr_matrix((entries.data[is_kept], positions), (len(labels), len(labels)))
+        rows_and_columns = new_rows[entries.row[is_kept]], new_rows[entries.col[is_kept]]
+        return sparse.csr_matrix(
+            (entries.data[is_kept], rows_and_columns), (len(labels), len(labels))
+        )
 
 
 def read_matrix(
@@ -216,9 +218,12 @@ def _mirror_triangle(
             raise ValueError(
                 f"row {row}, column {column} is there on both sides of the diagonal, others on one"
             )
-    positions = np.append(rows, columns[is_off_diagonal]), np.append(columns, rows[is_off_diagonal])
+    rows_and_columns = (
+        np.append(rows, columns[is_off_diagonal]),
+        np.append(columns, rows[is_off_diagonal]),
+    )
     return sparse.csr_matrix(
-        (np.append(entries, sign * entries[is_off_diagonal]), positions), (n, n)
+        (np.append(entries, sign * entries[is_off_diagonal]), rows_and_columns), (n, n)
     )
 
 
@@ -368,7 +373,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                 raise ValueError
             words_per_number = 2 if type_code in (2, 4) else 1
             entries: list[float] = []
-            positions: list[tuple[int, int]] = []
+            entry_indices: list[tuple[int, int]] = []
             while True:
                 column, first_row, n_words_left = read_integers(3)
                 while n_words_left > 0:
@@ -384,13 +389,13 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                     n_words_left -= length + n_header_words
                     if is_wanted and column <= n_columns:
                         entries += numbers
-                        positions += [
+                        entry_indices += [
                             (row - 1 + offset, column - 1) for offset in range(len(numbers))
                         ]
                 if column > n_columns:
                     break
             if is_wanted:
-                row_and_column = np.array(positions, dtype=np.int64).reshape(-1, 2).T
+                row_and_column = np.array(entry_indices, dtype=np.int64).reshape(-1, 2).T
                 matrix = sparse.csr_matrix(
                     (entries, tuple(row_and_column)), (abs(n_rows), n_columns)
                 )
@@ -423,7 +428,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     """
     with opened_text(path) as (text, max_bytes):
         lines = iter(text)
-        (layout, symmetry), sizes, n_entries = _read_sizes(lines, max_bytes)
+        (layout, symmetry), sizes, n_entries = _read_header_and_sizes(lines, max_bytes)
         shape = sizes[0], sizes[1]
         if n_rows is not None and shape[0] != n_rows:
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
@@ -435,15 +440,15 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         count = "more" if n_found > n_entries else n_found  # reading stops after one too many
         raise ValueError(f"it has {count} entries instead of {n_entries}")
     if layout == "array":
-        entries, positions = table.ravel(), _dense_positions(shape, symmetry)
+        entries, rows_and_columns = table.ravel(), _dense_rows_and_columns(shape, symmetry)
     elif max(shape) > max(len(table), n_rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(table)} entries")
     else:
-        entries, positions = _split_coordinates(table, shape, symmetry)
+        entries, rows_and_columns = _split_coordinates(table, shape, symmetry)
     if symmetry == "general":
-        matrix = sparse.csr_matrix((entries, positions), shape)
+        matrix = sparse.csr_matrix((entries, rows_and_columns), shape)
     else:
-        matrix = _mirror_triangle(entries, *positions, shape[0], MIRROR_SIGNS[symmetry])
+        matrix = _mirror_triangle(entries, *rows_and_columns, shape[0], TRANSPOSE_SIGNS[symmetry])
     if layout == "array":
         matrix.eliminate_zeros()
     return matrix
@@ -475,13 +480,15 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
         As :func:`read_matrix_market`.
     """
     with opened_text(path) as (lines, max_bytes):
-        _, sizes, _ = _read_sizes(iter(lines), max_bytes)
+        _, sizes, _ = _read_header_and_sizes(iter(lines), max_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
 
 
-def _read_sizes(lines: Iterator[str], max_bytes: int) -> tuple[tuple[str, str], list[int], int]:
+def _read_header_and_sizes(
+    lines: Iterator[str], max_bytes: int
+) -> tuple[tuple[str, str], list[int], int]:
     """Read the header of a Matrix Market file and its line with the sizes.
 
     Returns
@@ -501,7 +508,7 @@ def _read_sizes(lines: Iterator[str], max_bytes: int) -> tuple[tuple[str, str], 
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
-    elif sign := MIRROR_SIGNS.get(header[1]):  # from the diagonal down
+    elif sign := TRANSPOSE_SIGNS.get(header[1]):  # from the diagonal down
         n_entries = n_rows * (n_rows + sign) // 2
     else:
         n_entries = n_rows * n_columns
@@ -526,7 +533,7 @@ def _parse_header(line: str) -> tuple[str, str]:
     return layout, symmetry
 
 
-def _dense_positions(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+def _dense_rows_and_columns(shape: tuple[int, int], symmetry: str) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column indices of the entries in a dense Matrix Market file.
 
     Columns follow each other. A symmetric matrix has only the entries from the diagonal down.
@@ -733,7 +740,7 @@ def _check_entries(name: str, entries: np.ndarray) -> None:
 
 
 def check_parts(
-    mass: Any, stiffness: Any, gaps: tuple[Any, Any], forces: Mapping[str, Any], clearance: Any,
+    mass: Any, stiffness: Any, gaps: tuple[Any, Any], load_parts: Mapping[str, Any], clearance: Any,
     comm: MPI.Comm,
 ) -> dict[str, Any]:  # fmt: skip
     """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
@@ -768,7 +775,7 @@ def check_parts(
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own_rows],
-        "force": _assemble_load(forces, n)[:, own_rows],
+        "force": _assemble_load(load_parts, n)[:, own_rows],
         "clearance": expand_to_pairs("clearance", clearance, gap.shape[1]),
     }
     if tangential is not None:
@@ -780,7 +787,7 @@ def check_parts(
     return parts
 
 
-def _assemble_load(forces: Mapping[str, Any], n: int) -> np.ndarray:
+def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """Return a load (2K+1, n) from mean, cosine and sine parts.
 
     Column k of a part is its k-th harmonic.
@@ -788,12 +795,12 @@ def _assemble_load(forces: Mapping[str, Any], n: int) -> np.ndarray:
     max_columns = {"force_mean": 1}
     parts = [
         _read_load_columns(key, part, n, max_columns.get(key, MOST_HARMONICS))
-        for key, part in forces.items()
+        for key, part in load_parts.items()
     ]
-    force = np.zeros((2 * max(map(len, parts)) + 1, n))
+    load_coefficients = np.zeros((2 * max(map(len, parts)) + 1, n))
     for first_row, part in enumerate(parts):
-        force[first_row::2][: len(part)] = part
-    return force
+        load_coefficients[first_row::2][: len(part)] = part
+    return load_coefficients
 
 
 def _read_load_columns(name: str, data: Any, n: int, max_columns: int = 1) -> np.ndarray:
@@ -811,7 +818,7 @@ def _read_load_columns(name: str, data: Any, n: int, max_columns: int = 1) -> np
 
 
 def add_harmonics(
-    force: np.ndarray, harmonics: Mapping[int, tuple[Any, Any]], mass: Any
+    load_coefficients: np.ndarray, harmonics: Mapping[int, tuple[Any, Any]], mass: Any
 ) -> np.ndarray:
     """Add harmonics to a load, on the rows of this rank.
 
@@ -831,15 +838,17 @@ def add_harmonics(
         raise InputError("harmonics", harmonics, "cosine and sine part by the order")
     for order in harmonics:
         check_count("order in harmonics", order, 1, MOST_HARMONICS)
-    new_force = resize_harmonics(force, max([len(force) // 2, *harmonics]))
+    new_coefficients = resize_harmonics(
+        load_coefficients, max([len(load_coefficients) // 2, *harmonics])
+    )
     for order, cosine_and_sine in harmonics.items():
         name = f"harmonics[{order}]"
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
             raise InputError(name, cosine_and_sine, "(cosine, sine), each (n,) or None")
-        new_force[2 * order - 1 : 2 * order + 1] += [
+        new_coefficients[2 * order - 1 : 2 * order + 1] += [
             _read_load_columns(name, part, n)[0, own_rows] for part in cosine_and_sine
         ]
-    return new_force
+    return new_coefficients
 
 
 def lump_mass(mass: Any) -> Any:

@@ -30,7 +30,7 @@ from fenics_crack.model.modes import (
     damping_on_modes,
     solve_modes,
 )
-from fenics_crack.model.reduced import MasslessInterface
+from fenics_crack.model.reduced import QuasiStaticReduction
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MACHINE_EPSILON
 
@@ -90,7 +90,7 @@ class AllModes:
         """True if rounding of the highest modes may spoil the lowest ones."""
         return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
-    def receptance(
+    def modal_receptances(
         self, omega: np.ndarray, factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
         """Return the receptance H, the modal response to unit modal forces.
@@ -200,11 +200,11 @@ class AllModes:
         is_slow = ~self._is_fast(min_frequency)
         if np.all(is_slow):
             return self
-        squares, shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
-        static_loads = (shapes / squares) @ shapes.T
+        squares, mode_shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
+        static_loads = (mode_shapes / squares) @ mode_shapes.T
         if self.static_loads is not None:
             static_loads = static_loads + self.static_loads
-        rate = (
+        damping = (
             self.damping[is_slow]
             if self.damping.ndim == 1
             else self.damping[np.ix_(is_slow, is_slow)]
@@ -212,7 +212,7 @@ class AllModes:
         return AllModes(
             self.squares[is_slow],
             self.shapes[:, is_slow],
-            rate,
+            damping,
             self.pairs[is_slow],
             self.is_unconstrained,
             self.static_part(min_frequency),
@@ -334,36 +334,39 @@ def all_modes(structure: Structure) -> AllModes:
 
 def _compute_all_modes(structure: Structure) -> AllModes:
     """Compute all modes of a small structure."""
-    if isinstance(structure, MasslessInterface):
-        return _massless_interface_modes(structure)
+    if isinstance(structure, QuasiStaticReduction):
+        return _quasi_static_reduction_modes(structure)
     damping_modes = damped_modes(structure)
     if damping_modes is not None and len(damping_modes.omega) == structure.n_dofs:
-        squares, shapes, damping = damping_modes.omega**2, damping_modes.shapes, damping_modes.rate
+        squares, mode_shapes = damping_modes.omega**2, damping_modes.shapes
+        damping = damping_modes.modal_damping
     else:
         matrices = (
             local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
         )
-        squares, shapes = scipy.linalg.eigh(*matrices)
-        damping = damping_on_modes(structure, shapes, squares)
+        squares, mode_shapes = scipy.linalg.eigh(*matrices)
+        damping = damping_on_modes(structure, mode_shapes, squares)
     # A small square may be LAPACK's rounding of the largest; one mode of K itself decides.
     is_doubtful = squares[0] <= ZERO_TOLERANCE * squares[-1]
     is_unconstrained = bool(is_doubtful and solve_modes(structure, 1).omega[0] == 0.0)
-    return AllModes(squares, shapes, damping, (structure.gap.T @ shapes).T, is_unconstrained)
+    return AllModes(
+        squares, mode_shapes, damping, (structure.gap.T @ mode_shapes).T, is_unconstrained
+    )
 
 
-def _massless_interface_modes(structure: MasslessInterface) -> AllModes:
+def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
-    gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
-    root = structure.static_root
-    pairs = gap.T @ root  # exact even if root root^T is mostly rounding
+    gap, mode_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
+    flexibility_factor = structure.static_root
+    pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding
     return AllModes(
         squares,
-        shapes,
+        mode_shapes,
         structure.rate,
-        shapes.T @ gap,
+        mode_shapes.T @ gap,
         bool(np.any(squares == 0.0)),
-        pairs @ pairs.T,
-        root @ pairs.T,
+        pair_factor @ pair_factor.T,
+        flexibility_factor @ pair_factor.T,
         structure.residual_flexibility,
-        (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
+        (structure.mass.getDiagonal().array_r[:, None] * mode_shapes).T,
     )

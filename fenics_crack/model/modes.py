@@ -525,20 +525,20 @@ def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modes that carry the modal damping C = M Phi diag(rate) Phi^T M.
+    """Modes that carry the modal damping C = M Phi diag(modal_damping) Phi^T M.
 
     Attributes
     ----------
     omega : (m,) [rad/s]
         Natural frequencies of the damped modes.
-    rate : (m,) [1/s]
+    modal_damping : (m,) [1/s]
         2 xi_j omega_j, with the damping ratios xi_j.
     shapes, mass_shapes : (n_local, m)
         Mass-normalised shapes Phi, and M Phi.
     """
 
     omega: np.ndarray
-    rate: np.ndarray
+    modal_damping: np.ndarray
     shapes: np.ndarray
     mass_shapes: np.ndarray
 
@@ -556,15 +556,15 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     if not isinstance(structure.original.damping, ModalDamping):
         return None
     modes, factor = structure.compute_once(_compute_damped_modes), structure.damping_factor
-    return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
+    return modes if factor == 1.0 else replace(modes, modal_damping=factor * modes.modal_damping)
 
 
 def _compute_damped_modes(structure: Structure) -> DampedModes:
     """Compute the modes that carry the modal damping (collective)."""
     modes = solve_modes(structure, check_damped_modes(structure))
     mass_shapes = multiply(structure.mass, modes.shapes)
-    rate = structure.damping.rate(modes.omega**2)
-    return DampedModes(modes.omega, rate, modes.shapes, mass_shapes)
+    modal_damping = structure.damping.rate(modes.omega**2)
+    return DampedModes(modes.omega, modal_damping, modes.shapes, mass_shapes)
 
 
 def check_damped_modes(structure: Structure) -> int:
@@ -610,7 +610,9 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
     damping_modes = damped_modes(structure)
     assert damping_modes is not None
     # A smaller rate is rounding of a projection.
-    damped_indices = np.flatnonzero(damping_modes.rate > 1e-9 * damping_modes.rate.max())
+    damped_indices = np.flatnonzero(
+        damping_modes.modal_damping > 1e-9 * damping_modes.modal_damping.max()
+    )
     if not damped_indices.size:
         return 0, 0.0
     last_index = int(damped_indices[-1])
@@ -638,10 +640,10 @@ def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndar
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squares)
     damping_matrix = projected_damping(structure, columns)
-    rate = np.diag(damping_matrix).copy()
-    coupling = np.abs(damping_matrix - np.diag(rate)).max(initial=0.0)
-    max_rounding = np.sqrt(MACHINE_EPSILON) * np.abs(rate).max(initial=0.0)
-    return rate if coupling <= max_rounding else damping_matrix
+    diagonal_damping = np.diag(damping_matrix).copy()
+    coupling = np.abs(damping_matrix - np.diag(diagonal_damping)).max(initial=0.0)
+    max_rounding = np.sqrt(MACHINE_EPSILON) * np.abs(diagonal_damping).max(initial=0.0)
+    return diagonal_damping if coupling <= max_rounding else damping_matrix
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
@@ -658,7 +660,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     if damping_modes is None:
         return np.zeros((columns.shape[1], columns.shape[1]))
     modal_columns = structure.sum_over_ranks(damping_modes.mass_shapes.T @ columns)
-    return (modal_columns.T * damping_modes.rate) @ modal_columns
+    return (modal_columns.T * damping_modes.modal_damping) @ modal_columns
 
 
 # --- with the crack open and bonded --------------------------------------------------------------
@@ -831,10 +833,10 @@ def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
         for omega in (open_modes.omega, bonded_modes.omega)
     )
-    is_slower = (
+    is_bonded_slower = (
         bonded_modes.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * open_modes.omega[:, None]
     )
-    is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_slower
+    is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_bonded_slower
     rows, columns = np.indices(overlaps.shape)
     # A match needs a weight > 0.
     weights = 1.0 + is_same_shape - MULTIPLE_FREQUENCY_TOLERANCE * (rows - columns) ** 2

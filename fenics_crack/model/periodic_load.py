@@ -87,8 +87,10 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     coefficients = from_complex(np.array(rows))
     variance = float(np.sum(mean_square - mean**2))
     kept_variance = 0.5 * float(np.sum(coefficients[1:] ** 2))
-    error = float(np.sqrt(max(0.0, 1.0 - kept_variance / variance))) if variance > 0.0 else 0.0
-    return coefficients.reshape(2 * harmonics + 1, *samples.shape[1:]), error
+    truncation_error = (
+        float(np.sqrt(max(0.0, 1.0 - kept_variance / variance))) if variance > 0.0 else 0.0
+    )
+    return coefficients.reshape(2 * harmonics + 1, *samples.shape[1:]), truncation_error
 
 
 def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.ndarray, float]:

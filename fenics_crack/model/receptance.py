@@ -210,7 +210,7 @@ def sources_of(structure: Structure) -> sparse.csr_matrix:
     return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
 
 
-def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.ndarray:
+def loaded_parts(structure: Structure, load_coefficients: np.ndarray | None = None) -> np.ndarray:
     """Return True for nonzero parts of a load, by default the structure's (collective).
 
     Returns
@@ -218,8 +218,8 @@ def loaded_parts(structure: Structure, force: np.ndarray | None = None) -> np.nd
     (2K+1,) bool
         For the mean, and the cosine and sine part of each harmonic.
     """
-    force = structure.force if force is None else force
-    return np.asarray(structure.sum_over_ranks((force**2).sum(axis=1)) > 0.0)
+    load_coefficients = structure.force if load_coefficients is None else load_coefficients
+    return np.asarray(structure.sum_over_ranks((load_coefficients**2).sum(axis=1)) > 0.0)
 
 
 def _extend_receptance(
@@ -236,7 +236,9 @@ def _extend_receptance(
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
             shape = flexibility.modal_sources.shape[:1]
             zero_parts = np.zeros(shape * 2), np.zeros(shape)
-            compliance, inertia = zero_parts if has_all_modes else flexibility.compliance(factor)
+            compliance, inertia = (
+                zero_parts if has_all_modes else flexibility.compliance_and_inertia(factor)
+            )
             new_receptance = Receptance(
                 squares,
                 flexibility.modal_sources,
@@ -344,19 +346,20 @@ def _add_rows(
 ) -> None:
     """Add the displacements of some dofs to ``rows`` of a receptance (collective)."""
     local_dofs = dofs - structure.first_dof
-    owned_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
+    owned_entry_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
     shape = structure.n_local, len(dofs)
     unit_forces = sparse.csr_matrix(
-        (np.ones(len(owned_indices)), (local_dofs[owned_indices], owned_indices)), shape
+        (np.ones(len(owned_entry_indices)), (local_dofs[owned_entry_indices], owned_entry_indices)),
+        shape,
     )
     residual_parts = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
         stiffness_factor = factor or Factor(structure.stiffness, definite=True)
         with nullcontext(stiffness_factor) if factor else stiffness_factor as open_factor:
-            residual_parts = flexibility.project(open_factor, unit_forces)[0]
-    shapes = structure.values_at(flexibility.shapes.T, dofs).T
+            residual_parts = flexibility.project_with_inertia(open_factor, unit_forces)[0]
+    mode_shapes = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
-        zip(map(int, dofs), zip(shapes, residual_parts, strict=True), strict=True)
+        zip(map(int, dofs), zip(mode_shapes, residual_parts, strict=True), strict=True)
     )
 
 
@@ -406,13 +409,19 @@ class ResidualFlexibility:
 
         ``factor`` solves with the stiffness K.
         """
-        structure, shapes = self.structure, self.shapes
-        modal_forces = structure.sum_over_ranks(forces @ shapes)
-        displacements = factor.solve(forces - multiply(structure.mass, shapes @ modal_forces.T).T)
+        structure, mode_shapes = self.structure, self.shapes
+        modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
+        displacements = factor.solve(
+            forces - multiply(structure.mass, mode_shapes @ modal_forces.T).T
+        )
         inertia_forces = multiply(structure.mass, displacements.T).T
-        return displacements - structure.sum_over_ranks(inertia_forces @ shapes) @ shapes.T
+        return (
+            displacements - structure.sum_over_ranks(inertia_forces @ mode_shapes) @ mode_shapes.T
+        )
 
-    def project(self, factor: Factor, columns: sparse.spmatrix) -> tuple[np.ndarray, np.ndarray]:
+    def project_with_inertia(
+        self, factor: Factor, columns: sparse.spmatrix
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements along forces Y by the forces X (collective).
 
         Parameters
@@ -446,7 +455,7 @@ class ResidualFlexibility:
             inertias -= np.sum(modal_flexibility**2, axis=1)
         return products, inertias
 
-    def compliance(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
+    def compliance_and_inertia(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
         """Return the compliance of pairs and load, and its inertia (collective).
 
         Returns
@@ -456,5 +465,5 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X, the change of S's diagonal by w^2.
         """
-        products, inertia = self.project(factor, self.sources)
+        products, inertia = self.project_with_inertia(factor, self.sources)
         return 0.5 * (products + products.T), inertia

@@ -168,7 +168,7 @@ class ReducedStructure(Structure):
         return super()._with_changes(**({"nodes": None} | changes))
 
 
-class MasslessInterface(ReducedStructure):
+class QuasiStaticReduction(ReducedStructure):
     """Reduced structure whose modes alone have mass; the truncated part is quasi-static.
 
     Base of :class:`MasslessStructure` and :class:`fenics_crack.model.rotation.RunUpStructure`.
@@ -222,7 +222,7 @@ class MasslessBody(ReducedBody):
     root: np.ndarray
 
 
-class MasslessStructure(MasslessInterface):
+class MasslessStructure(QuasiStaticReduction):
     """Structure reduced to modes with mass and crack faces without mass.
 
         u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T
@@ -276,7 +276,7 @@ class MasslessStructure(MasslessInterface):
         gap, tangents = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangents
         fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        fields |= {"root": _root_of_inverse(compliance), "share": share}
+        fields |= {"root": _factor_of_inverse(compliance), "share": share}
         Structure.__init__(self, MasslessBody(**fields, reference=reference))
 
     @property
@@ -318,18 +318,18 @@ class MasslessStructure(MasslessInterface):
             return super().known_modes(is_bonded=False)
         b, residual = self.gap[: self.n_modes].toarray(), self.residual
         scaled_b = b / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
-        ties = _root_of_inverse(scaled_b.T @ scaled_b + residual)
+        ties = _factor_of_inverse(scaled_b.T @ scaled_b + residual)
         softness, rotation = np.linalg.eigh(ties.T @ residual @ ties)
         ties, is_soft = ties @ rotation, softness > NEGLIGIBLE
         rigid_ties = b @ ties[:, ~is_soft]
         motions = scipy.linalg.null_space(rigid_ties.T) if rigid_ties.size else np.eye(self.n_modes)
-        forces = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
-        squares, shapes = np.linalg.eigh(
-            motions.T @ (np.diag(self.omega**2) + b @ forces) @ motions
+        tie_stiffness = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
+        squares, eigenvectors = np.linalg.eigh(
+            motions.T @ (np.diag(self.omega**2) + b @ tie_stiffness) @ motions
         )
-        modal_shapes = motions @ shapes
+        modal_shapes = motions @ eigenvectors
         static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
-        static_amplitudes[: self.n_pairs] = -forces @ modal_shapes
+        static_amplitudes[: self.n_pairs] = -tie_stiffness @ modal_shapes
         return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
 
     @property
@@ -344,8 +344,8 @@ class MasslessStructure(MasslessInterface):
     @property
     def residual(self) -> np.ndarray:
         """Residual flexibility R_inf = B^T G B of the pairs: (n_pairs, n_pairs) [m/N]."""
-        pairs = self.gap[self.n_modes :].T @ self.root
-        return np.asarray(pairs @ pairs.T)
+        pair_factor = self.gap[self.n_modes :].T @ self.root
+        return np.asarray(pair_factor @ pair_factor.T)
 
     @property
     def _size_description(self) -> str:
@@ -397,7 +397,7 @@ def as_massless_structure(structure: Structure | None) -> MasslessStructure | No
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _root_of_inverse(compliance: np.ndarray) -> np.ndarray:
+def _factor_of_inverse(compliance: np.ndarray) -> np.ndarray:
     """Return a root W of the pseudoinverse W W^T of a compliance C.
 
     It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.

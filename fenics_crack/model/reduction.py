@@ -131,10 +131,10 @@ def reduce_structure(
         with _factor_regular(stiffness_factor, structure, is_held=bool(squares[0] > 0.0)) as factor:
             # Static responses to pair forces and load, without the part of the modes.
             load_parts = structure.force[loaded_parts(structure)]
-            forces = np.vstack([structure.gap.T.toarray(), load_parts])
-            flexibility = ResidualFlexibility(structure, mode_shapes, squares, forces.T)
-            static_shapes = flexibility.solve(factor, forces).T
-            own_compliances = structure.sum_over_ranks((forces.T * static_shapes).sum(axis=0))
+            force_rows = np.vstack([structure.gap.T.toarray(), load_parts])
+            flexibility = ResidualFlexibility(structure, mode_shapes, squares, force_rows.T)
+            static_shapes = flexibility.solve(factor, force_rows).T
+            own_compliances = structure.sum_over_ranks((force_rows.T * static_shapes).sum(axis=0))
             is_rounding = _is_rounding(own_compliances, flexibility.modal_sources.T, squares)
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)

@@ -40,7 +40,7 @@ from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
 from fenics_crack.model.matrices import read_only_array, read_only_rows
 from fenics_crack.model.modes import ZERO_TOLERANCE, Modes, independent_part, multiply, solve_modes
 from fenics_crack.model.nodes import body_property
-from fenics_crack.model.reduced import MasslessInterface, ReducedBody
+from fenics_crack.model.reduced import QuasiStaticReduction, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, shared_property
 
@@ -93,10 +93,12 @@ class Rotation:
         with Factor(static_stiffness, definite=True) as factor:
             rotation_displacement = factor.solve(speed**2 * self.force[None]).T
         static_stiffness.destroy()
-        force = self.at_rest.force.copy()
-        force[0] += multiply(stiffness, rotation_displacement)[:, 0]
+        load_coefficients = self.at_rest.force.copy()
+        load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
-        return self.at_rest._with_changes(stiffness=stiffness, force=force, rotation=rotation)
+        return self.at_rest._with_changes(
+            stiffness=stiffness, force=load_coefficients, rotation=rotation
+        )
 
     def stiffnesses(self, speed: float) -> tuple[Any, Any]:
         """Return the stiffness for the static shape and for motion (collective).
@@ -121,7 +123,7 @@ class Rotation:
 
 
 def static_state(
-    structure: Structure, force: np.ndarray, clearance: np.ndarray
+    structure: Structure, constant_load: np.ndarray, clearance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find displacement and contact forces under a constant load (collective).
 
@@ -132,7 +134,7 @@ def static_state(
 
     Parameters
     ----------
-    force : (n_local,) [N]
+    constant_load : (n_local,) [N]
         f.
     clearance : (n_pairs,) [m]
         g0.
@@ -151,7 +153,7 @@ def static_state(
     """
     contact_forces = np.zeros(structure.n_pairs)
     with Factor(structure.stiffness, definite=True) as factor:
-        displacement = factor.solve(force[None])[0]
+        displacement = factor.solve(constant_load[None])[0]
         gap = structure.apply_bt(displacement[None])[0] - clearance
         if np.any(gap > ZERO_TOLERANCE * np.abs(gap).max(initial=0.0)):
             pair_responses = factor.solve(structure.gap.T.toarray())
@@ -170,9 +172,9 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     """
     subject, problem = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:
-        sides = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        problem += f"; it measures {' x '.join(f'{side:.3g}' for side in sides)} m"
-        if len(sides) == 3:
+        extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
+        problem += f"; it measures {' x '.join(f'{extent:.3g}' for extent in extents)} m"
+        if len(extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"
 
@@ -324,7 +326,7 @@ class Ritz:
             modes,
         )
 
-    def matrices(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    def stiffness_and_load(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """Return stiffness and load at a speed [rad/s].
 
         Returns
@@ -337,15 +339,17 @@ class Ritz:
         term_1, term_2, term_3 = speed**2 * self.stiffness
         stiffness = self.at_rest + term_1 + term_2 + speed**2 * term_3
         rotation_displacement = np.linalg.solve(self.at_rest + term_1, speed**2 * self.centrifugal)
-        force = self.force.copy()
-        force[0] += stiffness @ rotation_displacement
-        return stiffness, force
+        load_coefficients = self.force.copy()
+        load_coefficients[0] += stiffness @ rotation_displacement
+        return stiffness, load_coefficients
 
     def at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
-        stiffness, force = self.matrices(speed)
+        stiffness, load_coefficients = self.stiffness_and_load(speed)
         matrix = distribute_rows(stiffness, MPI.COMM_SELF)
-        return Structure(Body(self.mass, matrix, self.gap, force, self.structure.clearance))
+        return Structure(
+            Body(self.mass, matrix, self.gap, load_coefficients, self.structure.clearance)
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -359,7 +363,7 @@ class RunUpBody(ReducedBody):
     dense_stiffness: np.ndarray
 
 
-class RunUpStructure(MasslessInterface):
+class RunUpStructure(QuasiStaticReduction):
     """A rotating structure at one speed, in coordinates for all speeds.
 
     The lowest modes have mass. The truncated part is quasi-static, as in
@@ -381,7 +385,7 @@ class RunUpStructure(MasslessInterface):
     static_root: np.ndarray = body_property("static_root")
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
-        stiffness, force = ritz.matrices(speed)
+        stiffness, load_coefficients = ritz.stiffness_and_load(speed)
         try:
             inverse_factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
@@ -397,8 +401,8 @@ class RunUpStructure(MasslessInterface):
         damping = ritz.structure.damping
         omega = 1.0 / np.sqrt(squares_inverse)
         body = RunUpBody(
-            ritz.mass, None, ritz.gap, force, ritz.structure.clearance,
-            damping=None if damping is None else damping.for_modes(len(force[0])),
+            ritz.mass, None, ritz.gap, load_coefficients, ritz.structure.clearance,
+            damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
             tangential=ritz.tangential, nodes=ritz.structure.nodes, pairs=ritz.structure.pairs,
             basis=ritz.basis, omega=omega, source=ritz.structure, speed=speed, ritz=ritz,
             shapes=columns[:, : ritz.modes] * omega, static_root=columns[:, ritz.modes :],

@@ -542,8 +542,10 @@ class Structure(Coordinates):
         """
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
-        force = add_harmonics(self.force, harmonics, self.mass)
-        return self._in_setting(replace(self.setting, weights=1.0), force=force, clamp=None)
+        load_coefficients = add_harmonics(self.force, harmonics, self.mass)
+        return self._in_setting(
+            replace(self.setting, weights=1.0), force=load_coefficients, clamp=None
+        )
 
     def with_tangents(self) -> Structure:
         """Return this structure with the tangential gaps of a solid's pairs.
@@ -642,17 +644,19 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        weights, n_rows = numbers(load), len(self.force)
-        if weights.shape not in ((), (n_rows, n_rows)) or not np.all(np.isfinite(weights)):
+        load_weights, n_rows = numbers(load), len(self.force)
+        if load_weights.shape not in ((), (n_rows, n_rows)) or not np.all(
+            np.isfinite(load_weights)
+        ):
             requirement = f"a finite number, or a finite matrix of shape ({n_rows}, {n_rows})"
             raise InputError("load", load, requirement)
-        if self.whole.rotation is not None and not _is_mean_kept(weights):
+        if self.whole.rotation is not None and not _is_mean_kept(load_weights):
             requirement = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, requirement)
         check_number("damping", damping, 0.0)
         added_clearance = expand_to_pairs("clearance", clearance, self.n_pairs)
         return self._in_setting(
-            self.setting.combine_with(Setting(weights, damping, added_clearance))
+            self.setting.combine_with(Setting(load_weights, damping, added_clearance))
         )
 
     def _with_changes(self, **changes: Any) -> Structure:
@@ -706,8 +710,8 @@ class Structure(Coordinates):
             A shape does not fit, an entry is not finite or larger than 1e60, a matrix is not
             symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
-        forces = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
-        parts = check_parts(mass, stiffness, (gap, tangential), forces, clearance, comm)
+        load_parts = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
+        parts = check_parts(mass, stiffness, (gap, tangential), load_parts, clearance, comm)
         if not isinstance(damping, DampingRule | None):
             mass_matrix = parts["mass"]
             damping = make_petsc_matrix(
@@ -716,11 +720,15 @@ class Structure(Coordinates):
         return cls(Body(**parts, damping=damping))
 
 
-def _is_mean_kept(weights: np.ndarray) -> bool:
+def _is_mean_kept(load_weights: np.ndarray) -> bool:
     """Return True if load weights leave the mean load alone."""
-    if weights.ndim == 0:
-        return bool(weights == 1.0)
-    return bool(weights[0, 0] == 1.0 and not weights[0, 1:].any() and not weights[1:, 0].any())
+    if load_weights.ndim == 0:
+        return bool(load_weights == 1.0)
+    return bool(
+        load_weights[0, 0] == 1.0
+        and not load_weights[0, 1:].any()
+        and not load_weights[1:, 0].any()
+    )
 
 
 def _add_tangents(structure: Structure) -> Structure:

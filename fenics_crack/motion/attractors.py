@@ -25,7 +25,7 @@ from fenics_crack.motion.search import (
     follow_periods,
 )
 from fenics_crack.motion.shooting import FlowOrbits
-from fenics_crack.numerics.equations import LOCATION_TOLERANCE
+from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 
 MAX_SETTLED_CHANGE = 1e-3
 """Maximum relative change of a settled motion, from one return to the next."""
@@ -136,7 +136,7 @@ def find_attractor(
             distance = np.linalg.norm(orbits.unknown(orbit.state) - last_state)
             # A state at the distance d from an orbit with the multiplier mu moves by at least
             # (1 - |mu|) d in a period.
-            max_decay = 2.0 * changes[lag_index] + LOCATION_TOLERANCE * size
+            max_decay = 2.0 * changes[lag_index] + MAX_LOCATION_RESIDUAL * size
             if decay > 0.0 and decay * distance <= max_decay:
                 orbit_words = f"an orbit of {n_load_periods} periods of the load"
                 description = f"settles to {orbit_words if lag_index else 'a periodic orbit'}"

@@ -316,8 +316,10 @@ class ContactFlow(Flow):
 
             # D lambda - gap >= 0 and lambda >= 0, complementary, with D = L L^T: the minimum of
             # |L^T lambda - L^-1 gap|.
-            root = np.linalg.cholesky(compliance[:n_pairs] + normals.T @ displacement_by_force)
-            force = nnls(root.T, np.linalg.solve(root, gap))[0]
+            cholesky_factor = np.linalg.cholesky(
+                compliance[:n_pairs] + normals.T @ displacement_by_force
+            )
+            force = nnls(cholesky_factor.T, np.linalg.solve(cholesky_factor, gap))[0]
             displacement = displacement - displacement_by_force @ force
         parts = [displacement, np.zeros_like(displacement)]
         if self.friction:
@@ -326,7 +328,7 @@ class ContactFlow(Flow):
             )
         return np.concatenate(parts)
 
-    def pieces(self, duration: float) -> float:
+    def count_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion without events.
 
         The motion lasts ``duration`` [s].
@@ -407,7 +409,7 @@ class ContactFlow(Flow):
         )
         return Motion(end_state, n_events, n_pieces, track, samples)
 
-    def steps(
+    def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
         """Integrate n motions over n equal parts of a period.

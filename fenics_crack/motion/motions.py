@@ -183,7 +183,10 @@ class Record:
         """Return the record with a selection from the m products."""
         evaluate_all = self.evaluate
         evaluate = evaluate_all and (
-            lambda parts: ((arrays := evaluate_all(parts))[0][:, rows], *arrays[1:])
+            lambda period_fractions: (
+                (arrays := evaluate_all(period_fractions))[0][:, rows],
+                *arrays[1:],
+            )
         )
         return replace(
             self,
@@ -210,14 +213,17 @@ class Record:
         n_pairs, evaluate, is_in_crack = self.n_pairs, self.evaluate, self.pairs_of_cracks
 
         def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-            parts = [motion, -motion]
+            columns = [motion, -motion]
             if n_pairs:
                 gap, force = gap[:, :n_pairs], force[:, :n_pairs]
-                parts += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
-            return np.column_stack(parts)
+                columns += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
+            return np.column_stack(columns)
 
         samples = stack_columns(self.motion, self.gap, self.force)
-        return find_maxima(samples, evaluate and (lambda parts: stack_columns(*evaluate(parts))))
+        return find_maxima(
+            samples,
+            evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
+        )
 
 
 class Harmonics:
@@ -367,7 +373,7 @@ class ExtraRows(NamedTuple):
     read_numbers: Callable[[Record], dict[str, float]]
 
 
-class Displacement(NamedTuple):
+class ObservedDisplacement(NamedTuple):
     """An observed displacement.
 
     Attributes
@@ -427,14 +433,14 @@ class ObservedMotion:
 
     def observe(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
-    ) -> tuple[list[Displacement], dict[str, Any]]:
+    ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe displacements of dofs and numbers at places (collective).
 
         The motion is formed once for everything new.
 
         Returns
         -------
-        displacements : list of Displacement
+        displacements : list of ObservedDisplacement
             One for each dof.
         numbers : dict
             Numbers at all places by name.
@@ -452,7 +458,7 @@ class ObservedMotion:
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
-    ) -> tuple[list[Displacement], dict[str, Any]]:
+    ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe products of rows and numbers at places in one pass (collective).
 
         Parameters
@@ -463,7 +469,7 @@ class ObservedMotion:
 
         Returns
         -------
-        displacements : list of Displacement
+        displacements : list of ObservedDisplacement
             One for each row.
         numbers : dict
             Numbers at all places by name.
@@ -477,7 +483,7 @@ class ObservedMotion:
             if index < len(self._face_numbers):
                 record = replace(record, gap=record.gap[:, :0])
             else:
-                self._face_numbers.append(_read_faces(record))
+                self._face_numbers.append(_read_face_numbers(record))
             shared = {"omega": record.omega} | self._face_numbers[index]
             points = (Point(record, row) for row in range(len(rows)))
             points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
@@ -486,7 +492,7 @@ class ObservedMotion:
             for place, row_range in zip(places, pairwise(row_ends), strict=True):
                 numbers[-1] |= place.read_numbers(full_record.select_rows(slice(*row_range)))
         displacements = [
-            Displacement(
+            ObservedDisplacement(
                 Indicators(**self._gather_numbers(row_numbers)),
                 self._gather(list(row_coefficients)),
             )
@@ -509,7 +515,7 @@ class ObservedMotion:
         return record_value
 
     @cached_property
-    def _observed_displacements(self) -> dict[int, Displacement]:
+    def _observed_displacements(self) -> dict[int, ObservedDisplacement]:
         """Return the displacements observed so far, by dof."""
         return {}
 
@@ -519,7 +525,7 @@ class ObservedMotion:
         return []
 
 
-def _read_faces(record: Record) -> dict[str, float]:
+def _read_face_numbers(record: Record) -> dict[str, float]:
     """Return the numbers of the crack faces in a record by name.
 
     Numbers without pairs, or without friction, are nan.

@@ -48,7 +48,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.numerics.equations import (
-    LOCATION_TOLERANCE,
+    MAX_LOCATION_RESIDUAL,
     ROOT_TOLERANCE,
     factorise,
     solve_factored,
@@ -101,7 +101,7 @@ class Prediction(NamedTuple):
         (I - M)^-1, with the monodromy matrix M along the solution.
     """
 
-    error: float
+    gap_error: float
     states: np.ndarray
     track: Track
     inverse: Inverse
@@ -250,7 +250,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         each piece of the period, the polynomial through Gauss nodes. With a given number of
         ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
         """
-        samples, piece_lengths = self._at_nodes(len(self.flow.modal_load) // 2 * self.omega)
+        samples, piece_lengths = self._gauss_samples_and_lengths(
+            len(self.flow.modal_load) // 2 * self.omega
+        )
         nodes, weights, _ = gauss_nodes()
         columns = samples.products(rows), samples.gaps, samples.forces
         node_values, node_numbers = np.hstack(columns), np.arange(len(nodes))
@@ -258,11 +260,13 @@ class PeriodicOrbit(ObservedMotion, Described):
         barycentric_weights = signs * np.sqrt((1.0 - nodes**2) * weights)
         splits = np.cumsum([part.shape[1] for part in columns])[:2]
 
-        def evaluate(parts: np.ndarray) -> Any:
-            time = self.period * np.mod(parts, 1.0)
+        def evaluate(period_fractions: np.ndarray) -> Any:
+            time = self.period * np.mod(period_fractions, 1.0)
             piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
-            position = 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
-            distances = position[:, None] - nodes
+            piece_coordinate = (
+                1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
+            )
+            distances = piece_coordinate[:, None] - nodes
             distances = np.where(distances == 0.0, sys.float_info.min, distances)
             node_weights = barycentric_weights / distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
@@ -275,13 +279,13 @@ class PeriodicOrbit(ObservedMotion, Described):
             return np.split(interpolation @ node_values, splits, axis=1)
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
-        parts = np.arange(n_instants) / n_instants
-        motion, gap, force = evaluate(parts)
+        period_fractions = np.arange(n_instants) / n_instants
+        motion, gap, force = evaluate(period_fractions)
         if instants is None:
             track, exact_numbers = self.motion.track, dict(self.sliding)
             exact_numbers |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
         yield Record(
-            self.omega, self.subharmonic, self.period * parts,
+            self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(motion, OBSERVED_HARMONICS),
             motion, gap, force,
             structure=self.structure,
@@ -295,7 +299,7 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
-        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
         gaps, forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
         node_values = np.hstack([gaps, forces, samples.states[:, :n_modes]])
         splits = np.cumsum([gaps.shape[1], forces.shape[1]])
@@ -312,13 +316,13 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         ``rows`` (m, n_dofs) are factors of the displacement.
         """
-        samples = self._at_nodes(harmonics * self.omega / self.subharmonic)[0]
+        samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
         return self._integrate_coefficients(samples.products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
         base_omega = self.omega / self.subharmonic
-        samples, piece_lengths = self._at_nodes(harmonics * base_omega)
+        samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
         time_weights = (0.5 * piece_lengths[:, None] * gauss_nodes()[1]).ravel() / self.period
         coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
         basis_buffer = np.empty((len(coefficients), INSTANTS_PER_BLOCK))
@@ -335,7 +339,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             coefficients += weighted_basis @ node_values[block]
         return coefficients
 
-    def _at_nodes(self, omega: float) -> tuple[Samples, np.ndarray]:
+    def _gauss_samples_and_lengths(self, omega: float) -> tuple[Samples, np.ndarray]:
         """Return the motion at Gauss nodes in all pieces of the period.
 
         Within a piece no pair opens, closes, sticks or slips, and waves up to ``omega`` [rad/s]
@@ -372,7 +376,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes.
         """
         flow = self.flow
-        samples, piece_lengths = self._at_nodes(len(flow.modal_load) // 2 * self.omega)
+        samples, piece_lengths = self._gauss_samples_and_lengths(
+            len(flow.modal_load) // 2 * self.omega
+        )
         _, weights, differentiation = gauss_nodes()
 
         def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
@@ -540,7 +546,7 @@ def is_affordable(
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_too_slow(flow, omega, subharmonic)
-    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
+    pieces = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
     return flow.structure.light_lips and periods * pieces <= MAX_SEARCH_PIECES
 
 
@@ -549,7 +555,7 @@ def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
 
     Events are not counted. For a large model the result is False.
     """
-    pieces = flow.pieces(2.0 * np.pi * subharmonic / omega)
+    pieces = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
     return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
 
 
@@ -571,7 +577,7 @@ def predict_orbit(
     weights = flow.weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, interval_counts = flow.steps(states, omega, period)
+        end_states, track, interval_counts = flow.integrate_parts(states, omega, period)
         excess = end_states - np.concatenate([states[1:], states[:1]])
         change = track.carry_changes(np.zeros(flow.size), excess, interval_counts)[-1]
         inverse = _make_inverse(flow, track, weights)
@@ -589,7 +595,7 @@ def predict_motion(
     """Return the motion from a prediction's states; None if integration fails."""
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, _ = flow.steps(prediction.states, omega, period)
+        end_states, track, _ = flow.integrate_parts(prediction.states, omega, period)
         motion = flow.advance(end_states[-1], omega, 0.0)._replace(track=track)
         return MotionInArcs(
             flow, omega, subharmonic, motion, prediction.states[0], 1, prediction.states
@@ -624,7 +630,7 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     inverse: Inverse | None = None,
-    step_tolerance: float = LOCATION_TOLERANCE,
+    step_tolerance: float = MAX_LOCATION_RESIDUAL,
     failure_reasons: list[str] | None = None,
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
@@ -682,7 +688,9 @@ class _Search:
         self._period = 2.0 * np.pi * subharmonic / omega
         max_pieces = MAX_SEARCH_PIECES
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
-            max_pieces = max(max_pieces, math.ceil(MAX_SEARCH_PERIODS * flow.pieces(self._period)))
+            max_pieces = max(
+                max_pieces, math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period))
+            )
         self.budget = self._remaining_pieces = max_pieces
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
@@ -712,15 +720,17 @@ class _Search:
                 inverse = _make_inverse(self._flow, self.motion.track, self._weights)
                 is_current = True
                 steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
-            step = steps[-1]
-            trial_state = self.state + damping * step
+            newton_step = steps[-1]
+            trial_state = self.state + damping * newton_step
             trial_motion = self._follow(trial_state)
             simplified_step = inverse(trial_motion.state - trial_state, COMPARISON_TOLERANCE)
             for earlier_step, later_step in pairwise(steps):
                 fraction = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + fraction * later_step
-            step_size, simplified_size = self.size(step), self.size(simplified_step)
-            nonlinearity = self.size(simplified_step - (1.0 - damping) * step) + sys.float_info.min
+            step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
+            nonlinearity = (
+                self.size(simplified_step - (1.0 - damping) * newton_step) + sys.float_info.min
+            )
             state_size = self.size(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
@@ -737,7 +747,9 @@ class _Search:
                 return True
             # After a good step the inverse serves once more.
             if forms_monodromy and damping == 1.0 and simplified_size <= 0.1 * step_size:
-                steps.append(simplified_step / (1.0 - self._fraction_along(simplified_step, step)))
+                steps.append(
+                    simplified_step / (1.0 - self._fraction_along(simplified_step, newton_step))
+                )
                 continue
             steps = []
             damping = min(1.0, 0.5 * damping**2 * step_size / nonlinearity)

@@ -45,7 +45,7 @@ from fenics_crack.motion.orbit import (
     predict_orbit,
 )
 from fenics_crack.motion.shooting import FlowOrbits, OrbitPoint
-from fenics_crack.numerics.equations import LOCATION_TOLERANCE, DenseLinearisation
+from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL, DenseLinearisation
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_period
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
@@ -297,7 +297,7 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
         closed_point = solve_in_plane(
-            orbits, orbits.start, 1.0, None, tolerance=LOCATION_TOLERANCE, iterations=1
+            orbits, orbits.start, 1.0, None, tolerance=MAX_LOCATION_RESIDUAL, iterations=1
         )
         if closed_point is not None:
             yield orbits.orbit(closed_point)

@@ -39,7 +39,7 @@ ROUNDING: float = kernel.ROUNDING
 """Rounding error of solutions, relative to the largest entry."""
 CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
 """Parameter step for central differences. Truncation and rounding error are then about equal."""
-LOCATION_TOLERANCE = 1e-11
+MAX_LOCATION_RESIDUAL = 1e-11
 """Maximum |F| / |x| at a special point of a path, and maximum relative Newton
 step to an exact orbit."""
 ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
@@ -102,8 +102,8 @@ class System(Protocol):
     - ``compiled``: equations in the kernel.
     - ``counts``: weight of each unknown in angles between tangents.
     - ``means``: number of leading unknowns that are means over time.
-    - ``records``: number of entries in a linearisation's ``record``.
-    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_records).
+    - ``n_record_entries``: number of entries in a linearisation's ``record``.
+    - ``observe(records)``: values (n, ...) for a step control, from records (n, n_record_entries).
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
@@ -122,13 +122,13 @@ class DenseLinearisation(Linearisation):
     def jacobian(self) -> np.ndarray:
         """Return J = dF/dx: (n, n), for the n entries of the residual in C order."""
 
-    def condense(self) -> np.ndarray:
+    def matrix_to_factorise(self) -> np.ndarray:
         """Return the matrix to factorise: J, or a smaller matrix with the same determinant."""
         return self.jacobian
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        return factorise(self.condense())
+        return factorise(self.matrix_to_factorise())
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         return solve_factored(self._factors, right_side)
@@ -239,7 +239,7 @@ class _PythonEquations(Equations):
         self._struct = Struct(
             "equations", unknowns=n_unknowns, means=getattr(system, "means", 0),
             context=self._handle, angle_weights=counts,
-            records=getattr(system, "records", 0), record=kernel.python_record,
+            n_record_entries=getattr(system, "n_record_entries", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
             sign=kernel.python_sign,

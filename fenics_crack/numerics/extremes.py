@@ -1,12 +1,12 @@
 """Maxima of periodic functions, to rounding error, from equally spaced samples.
 
-Around each sample that may be the largest, a function is evaluated at nine positions. The
-polynomial through the nine values predicts position and value of the maximum, and the function is
-evaluated at the predicted position. If the prediction is wrong, as next to a kink, nine closer
-positions around the largest value follow, and so on. No derivative is used. For a smooth maximum
+Around each sample that may be the largest, a function is evaluated at nine instants. The
+polynomial through the nine values predicts instant and value of the maximum, and the function is
+evaluated at the predicted instant. If the prediction is wrong, as next to a kink, nine closer
+instants around the largest value follow, and so on. No derivative is used. For a smooth maximum
 the error is the last distance squared.
 
-Positions are parts of the period, from 0 to 1.
+Instants are fractions of the period, from 0 to 1.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from collections.abc import Callable
 import numpy as np
 
 PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
-"""Callable from positions (n,) in the period to the values (n, m) of m functions."""
+"""Callable from instants (n,) in the period to the values (n, m) of m functions."""
 RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Callable from positions in the period to a motion [m], gaps [m] and contact forces [N] of all
+"""Callable from instants in the period to a motion [m], gaps [m] and contact forces [N] of all
 rows."""
 OFFSETS = np.linspace(-1.0, 1.0, 9)
-"""Positions around a sample, relative to the spacing of the samples."""
+"""Offsets from a sample, relative to the spacing of the samples."""
 N_REFINEMENTS = 10
 """Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
 period. Its square is rounding error, for up to 100 harmonics."""
@@ -52,26 +52,26 @@ def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None)
     sample_indices, columns = np.nonzero(
         (samples > previous_samples) & (samples >= next_samples) & may_be_largest
     )
-    positions, spacing = sample_indices / len(samples), 1.0 / len(samples)
+    period_fractions, spacing = sample_indices / len(samples), 1.0 / len(samples)
     for step in range(N_REFINEMENTS):
-        if functions is None or not len(positions):
+        if functions is None or not len(period_fractions):
             break
-        candidates = np.arange(len(positions))
-        nearby_positions = positions[:, None] + spacing * OFFSETS
-        nearby_values = functions(nearby_positions.ravel())
-        nearby_values = nearby_values.reshape(*nearby_positions.shape, -1)[candidates, :, columns]
+        candidates = np.arange(len(period_fractions))
+        nearby_fractions = period_fractions[:, None] + spacing * OFFSETS
+        nearby_values = functions(nearby_fractions.ravel())
+        nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[candidates, :, columns]
         largest_index = nearby_values.argmax(axis=1)
         np.maximum.at(maxima, columns, nearby_values[candidates, largest_index])
         if step == 0:
             peak_offset, peak_estimate = _maximise_polynomial(nearby_values, OFFSETS[largest_index])
-            peak_value = functions(positions + spacing * peak_offset)[candidates, columns]
+            peak_value = functions(period_fractions + spacing * peak_offset)[candidates, columns]
             np.maximum.at(maxima, columns, peak_value)
             max_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
             is_polynomial = np.abs(peak_value - peak_estimate) <= max_error
             is_largest = nearby_values == nearby_values[candidates, largest_index][:, None]
             is_plateau = is_largest.sum(axis=1) > 2  # a gap closed without penetration
             candidates = np.flatnonzero(~(is_polynomial | is_plateau))
-        positions = nearby_positions[candidates, largest_index[candidates]]
+        period_fractions = nearby_fractions[candidates, largest_index[candidates]]
         columns = columns[candidates]
         spacing *= OFFSETS[1] - OFFSETS[0]
     return maxima
@@ -85,22 +85,22 @@ def _maximise_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndar
     values : (n, 9)
         Values at ``OFFSETS``, equally spaced from -1 to 1.
     start : (n,)
-        First guess of each position, from -1 to 1.
+        First guess of each offset, from -1 to 1.
 
     Returns
     -------
-    position : (n,)
-        Positions of the maxima, from -1 to 1.
+    offset : (n,)
+        Offsets of the maxima, from -1 to 1.
     maximum : (n,)
         Values of the polynomials there.
     """
-    coefficients, position = values @ POLYNOMIAL_FROM_VALUES.T, start
+    coefficients, offset = values @ POLYNOMIAL_FROM_VALUES.T, start
     slope_coefficients = coefficients[:, 1:] * POWERS[1:]
     curvature_coefficients = slope_coefficients[:, 1:] * POWERS[1:-1]
     for _ in range(3):
-        powers = position[:, None] ** POWERS
+        powers = offset[:, None] ** POWERS
         slope = (slope_coefficients * powers[:, :-1]).sum(1)
         curvature = (curvature_coefficients * powers[:, :-2]).sum(1)
-        position = position - slope / np.where(curvature < 0.0, curvature, -np.inf)
-        position = np.minimum(np.maximum(position, -1.0), 1.0)
-    return position, (coefficients * position[:, None] ** POWERS).sum(1)
+        offset = offset - slope / np.where(curvature < 0.0, curvature, -np.inf)
+        offset = np.minimum(np.maximum(offset, -1.0), 1.0)
+    return offset, (coefficients * offset[:, None] ** POWERS).sum(1)

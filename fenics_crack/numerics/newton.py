@@ -9,7 +9,7 @@ the equations, and no SNES option is given, the kernel takes the same steps.
 Bordered by a plane
 -------------------
 A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2 with w = 1 / |x_0|^2
-(:func:`norm_at`). In the plane orthogonal to the tangent, Newton's method solves
+(:func:`norm_weights_at`). In the plane orthogonal to the tangent, Newton's method solves
 
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
@@ -310,14 +310,14 @@ class Tangent:
         t_x and t_p.
     weight : float
         w.
-    mean_weight : float
+    time_mean_weight : float
         Factor of the squares of means over time within |x|^2.
     """
 
     x: np.ndarray
     p: float
     weight: float
-    mean_weight: float = 1.0
+    time_mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
         """Return the opposite tangent."""
@@ -325,12 +325,12 @@ class Tangent:
 
     def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
-        if self.mean_weight == 1.0:
+        if self.time_mean_weight == 1.0:
             return self.weight * float(np.vdot(vector, other_vector))
         x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
         oscillation_product = float(x[n_means:] @ y[n_means:])
         return self.weight * (
-            oscillation_product + self.mean_weight * float(x[:n_means] @ y[:n_means])
+            oscillation_product + self.time_mean_weight * float(x[:n_means] @ y[:n_means])
         )
 
     def cosine_to(self, reference: Tangent, system: System) -> float:
@@ -405,7 +405,7 @@ def relative_to_motion(change: np.ndarray, motion: np.ndarray) -> float:
     return float(np.linalg.norm(change)) / motion_size(motion) if motion.any() else 0.0
 
 
-def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
+def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     """Return the weights of the norm w |x|^2 + p^2 at a solution x.
 
     Means over time contribute at most as much as all else to the size |x|. A clearance or a steady
@@ -417,7 +417,7 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     -------
     weight : float
         w = 1 / |x|^2.
-    mean_weight : float
+    time_mean_weight : float
         Factor of the means' squares within |x|^2.
     """
     mean_unknowns = unknown.ravel()[: means_of(system)]
@@ -426,8 +426,8 @@ def norm_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     # Equations are solved to a fraction of this size: it must exceed the rounding of the means.
     oscillation_square = max(total_square - mean_square, MACHINE_EPSILON**0.5 * total_square)
     size_squared = motion_square(oscillation_square, mean_square)
-    mean_weight = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
-    return 1.0 / size_squared, mean_weight
+    time_mean_weight = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
+    return 1.0 / size_squared, time_mean_weight
 
 
 def tangent_of(
@@ -441,7 +441,7 @@ def tangent_of(
     It points towards growing p, or along ``direction`` if given.
     """
     slope = -linearisation.solve(linearisation.by_parameter)
-    slope_tangent = Tangent(slope, 1.0, *norm_at(system, unknown))
+    slope_tangent = Tangent(slope, 1.0, *norm_weights_at(system, unknown))
     length = float(np.sqrt(slope_tangent.product(system, slope, slope) + 1.0))
     tangent = replace(slope_tangent, x=slope / length, p=1.0 / length)
     points_back = direction is not None and tangent.cosine_to(direction, system) < 0.0
@@ -500,7 +500,7 @@ def solve_in_plane(
     n_iterations, border = np.zeros(1, np.intc), NULL
     if plane is not None:
         normal = require_shape(plane.x, *equations.shape)
-        norm = Struct("norm", weight=plane.weight, mean_weight=plane.mean_weight)
+        norm = Struct("norm", weight=plane.weight, time_mean_weight=plane.time_mean_weight)
         border = Struct("plane", normal=normal, slope=plane.p, metric=norm).address
     min_damping = -1.0 if least_damping is None else least_damping
     options = correction_struct(tolerance, reach, iterations, min_damping, stall)

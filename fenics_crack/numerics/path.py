@@ -44,8 +44,8 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, kernel, pointer
 from fenics_crack.numerics.equations import (
-    LOCATION_TOLERANCE,
     MACHINE_EPSILON,
+    MAX_LOCATION_RESIDUAL,
     ROUNDING,
     Linearisation,
     System,
@@ -124,28 +124,28 @@ class PathSegment(Sequence[PathPoint]):
     ----------
     unknowns, tangents : (n, *shape)
         x, and t_x of the tangent.
-    parameters, slopes, weights, mean_weights, lengths : (n,)
+    parameters, slopes, weights, time_mean_weights, lengths : (n,)
         p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
     crossings : (n,) int
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
         Events between the last two points, each with its point.
-    records, control_values : (n, n_records) and (n, ...), optional
+    records, control_values : (n, n_record_entries) and (n, ...), optional
         For a step control: numbers kept of each point, and the values computed from them.
     """
 
     control_values: np.ndarray
 
     def __init__(
-        self, start_points: Sequence[PathPoint], capacity: int, n_records: int = 0
+        self, start_points: Sequence[PathPoint], capacity: int, n_record_entries: int = 0
     ) -> None:
         shape = start_points[0].unknown.shape
-        if n_records:
-            self.records = np.zeros((capacity, n_records))
+        if n_record_entries:
+            self.records = np.zeros((capacity, n_record_entries))
         self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
         self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
-        self.weights, self.mean_weights = np.zeros((2, capacity))
+        self.weights, self.time_mean_weights = np.zeros((2, capacity))
         self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
         self.located_events: list[tuple[Event, PathPoint]] = []
         for index, point in enumerate(start_points):
@@ -155,9 +155,9 @@ class PathSegment(Sequence[PathPoint]):
         """Overwrite the point at an index."""
         self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
         self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
-        self.weights[index], self.mean_weights[index] = (
+        self.weights[index], self.time_mean_weights[index] = (
             point.tangent.weight,
-            point.tangent.mean_weight,
+            point.tangent.time_mean_weight,
         )
         self.lengths[index] = point.length
         if "records" in vars(self) and point.record is not None:
@@ -193,7 +193,7 @@ class PathSegment(Sequence[PathPoint]):
                 {name: array[index] for name, array in arrays.items()}, located_events=[]
             )
             return segment
-        norm_weights = float(self.weights[index]), float(self.mean_weights[index])
+        norm_weights = float(self.weights[index]), float(self.time_mean_weights[index])
         tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
         return PathPoint(
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
@@ -500,7 +500,7 @@ class Path:
     options : PathOptions
     events : sequence of Event
     control : StepControl, optional
-        Needs ``records`` and ``observe`` of the system.
+        Needs ``n_record_entries`` and ``observe`` of the system.
 
     Attributes
     ----------
@@ -586,7 +586,7 @@ class Path:
         first_index = 1
         for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
             ends = segment[index], segment[index + 1]
-            tolerance = max(LOCATION_TOLERANCE, self._rounding_at(ends[1]))
+            tolerance = max(MAX_LOCATION_RESIDUAL, self._rounding_at(ends[1]))
             part = segment[first_index : index + 2]
             for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
                 location = event.locate(self._system, ends, tolerance) if is_candidate else None
@@ -642,7 +642,7 @@ class Path:
         """Continue from a point with a given step."""
         self._start_points, self._step, self._orientation = [point], step, 0.0
 
-    def _cut_at_halved_step(
+    def _cut_at_rejected_step(
         self, segment: PathSegment, n_known: int, step: float
     ) -> PathSegment | None:
         """Cut a segment at the first rejected step, and halve that step.
@@ -705,8 +705,10 @@ class Path:
         n_points = min(
             n_remaining, self._points_per_call if self._equations.follows_many_points else 1
         )
-        n_records = 0 if self._control is None else int(self._equations.function_table.records)
-        segment = PathSegment(start_points, len(start_points) + n_points, n_records)
+        n_record_entries = (
+            0 if self._control is None else int(self._equations.function_table.n_record_entries)
+        )
+        segment = PathSegment(start_points, len(start_points) + n_points, n_record_entries)
         path_struct = segment.struct(
             len(start_points), step=self._step, orientation=self._orientation
         )
@@ -724,6 +726,6 @@ class Path:
             self._equations.check_outcome(outcome)
         if path_struct.address.n_known == len(start_points) or self._control is None:
             return segment[len(start_points) - 1 : path_struct.address.n_known]
-        return self._cut_at_halved_step(
+        return self._cut_at_rejected_step(
             segment[: path_struct.address.n_known], len(start_points), step
         )

@@ -193,7 +193,7 @@ class Run(Answer, Generic[Found]):
     reported = ResultAttribute()
     residual = ResultAttribute()
     resolution = ResultAttribute()
-    row_structure = ResultAttribute()
+    structure_with_row_pairs = ResultAttribute()
     said = ResultAttribute()
     samples = ResultAttribute()
     seconds = ResultAttribute()

@@ -188,7 +188,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
-        np.array([tip.position for tip in tips]),
+        np.array([tip.arc_length for tip in tips]),
         np.array([tip.point for tip in tips]),
         np.array([tip.growth_direction for tip in tips]),
         np.column_stack([one.one for one in seen]),

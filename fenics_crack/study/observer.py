@@ -191,7 +191,7 @@ def at_tips(
     for tip, (one, two, *three) in zip(
         tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True
     ):
-        stated, touching = one, tip.touching_pairs
+        stated, touching = one, tip.adjacent_pairs
         if exact and len(touching):
             shut = np.all(record.force[:, touching] > 0.0, axis=1)
             stated = np.where(shut, 0.0, one.clip(0.0))
@@ -243,7 +243,7 @@ def _along_fronts(
     [record] = motion.records(rows)
     tips, found = at_tips(record, places, of_forces, study.scene.growth), {}
     for name, its in stations_of_fronts([place.name for place in places]).items():
-        at = np.array([places[number].position for number in its])
+        at = np.array([places[number].arc_length for number in its])
         numbers = [tips[number].numbers() for number in its]
         values = {kind: np.array([one[kind] for one in numbers]) for kind in numbers[0]}
         found[name] = at / (at[-1] or 1.0), values, max(tips[number].closed for number in its)

@@ -45,7 +45,7 @@ from fenics_crack.basics.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import Struct, kernel, pointer
 from fenics_crack.model.contact import (
-    ActiveSets,
+    ActiveSetSolver,
     ContactLaw,
     FrictionSets,
     add_friction_pairs,
@@ -191,7 +191,7 @@ class _ContactEnergy:
 
     def __init__(self, request: March, energy: float) -> None:
         self._request, self._created_energy, self._energy_input = request, 0.0, energy
-        pairs, rows = request.n_rows, len(request.load_rows)
+        pairs, rows = request.n_rows, len(request.loaded_dofs)
         widths = rows, pairs, pairs, rows
         self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
 
@@ -205,12 +205,14 @@ class _ContactEnergy:
         gap, force = gap[:, :n_pairs], force[:, :n_pairs]
         self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         if not self._request.rigid:
-            first_energy, last_energy = (
+            first_spring_energy, last_spring_energy = (
                 potential(self._request.contact, ends) for ends in (gap[:2], gap[-2:])
             )
-            self._created_energy += 0.5 * float(last_energy.sum() - first_energy.sum())
-        work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
-        self._energy_input += abs(float(self._request.structure.sum_over_ranks(work)[0]))
+            self._created_energy += 0.5 * float(
+                last_spring_energy.sum() - first_spring_energy.sum()
+            )
+        load_work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
+        self._energy_input += abs(float(self._request.structure.sum_over_ranks(load_work)[0]))
         return self._created_energy, self._energy_input
 
 
@@ -295,7 +297,7 @@ class _ModalDifferences(Scheme):
         self._kernel_data = Struct(
             "central_differences", vibration=body,
             keep=2.0 * inverse - identity, gain=dt**2 * inverse, push=contiguous(force_step.T),
-            contact=ActiveSets(modes.pairs.T @ force_step).handle if request.rigid else None,
+            contact=ActiveSetSolver(modes.pairs.T @ force_step).handle if request.rigid else None,
             displacements=self._shape, increment=self._increment, closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
@@ -309,9 +311,9 @@ class _ModalDifferences(Scheme):
         q and v are modal displacements and velocities, w natural frequencies, and P lambda modal
         contact forces. Forces of a constraint are left out: they belong to the next step.
         """
-        modes, force = self._modes, self._request.structure.force
+        modes, load_coefficients = self._modes, self._request.structure.force
         acceleration = (
-            force[0] + force[1::2].sum(axis=0)
+            load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._shape
         if not self._request.rigid:
             acceleration -= modes.pairs @ self._forces(self._gap())
@@ -338,7 +340,7 @@ class _ModalDifferences(Scheme):
                     f"contact: no forces of step {first_step + n_made} were found"
                 )
             window.motion[steps] = shape @ modes.shapes[request.recorded_dofs].T
-            window.load_motion[steps] = shape @ modes.shapes[request.load_rows].T
+            window.load_motion[steps] = shape @ modes.shapes[request.loaded_dofs].T
         self.book(*self._energy.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
@@ -369,7 +371,7 @@ class _CentralDifferences(Scheme):
         self.structure, dt = request.structure, request.step_size
         structure = self.structure
         self.contact, self.rigid, self.step_size = request.contact, request.rigid, dt
-        self.load, self.load_rows = request.load, request.load_rows
+        self.load, self.loaded_dofs = request.load, request.loaded_dofs
         self.force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
         contact_structure = add_friction_pairs(request.contact, structure)
@@ -390,10 +392,10 @@ class _CentralDifferences(Scheme):
         damped_mass = () if self._damping is None else (matrix,)
         self.petsc_objects = self._x, self._y, self._inverse, *damped_mass
         if self._modes is not None:
-            mass_factors = 1.0 + 0.5 * dt * self._modes.rate
+            mass_factors = 1.0 + 0.5 * dt * self._modes.modal_damping
             self._correction, self._decay = (
                 1.0 / mass_factors - 1.0,
-                self._modes.rate / mass_factors,
+                self._modes.modal_damping / mass_factors,
             )
         if self.rigid:
             self._push, rest = dt**2 * structure.gap.toarray(), np.zeros(structure.n_local)
@@ -414,7 +416,7 @@ class _CentralDifferences(Scheme):
             displacement = self.displacement
             self.advance(step)
             window.gap[step], window.force[step] = self.gap, self.force
-            window.load_motion[step] = displacement[self.load_rows]
+            window.load_motion[step] = displacement[self.loaded_dofs]
             window.motion[step] = displacement[self._columns]
         self.book(*self._energy.add_period(window))
 
@@ -428,8 +430,8 @@ class _CentralDifferences(Scheme):
     def advance(self, step: int) -> None:
         """Integrate one step, from instant ``step`` of the period."""
         dt = self.step_size
-        pull = dt**2 * self._pull(step)
-        self.increment = self.increment + self._solve(pull, dt * self.increment)
+        squared_step_pull = dt**2 * self._pull(step)
+        self.increment = self.increment + self._solve(squared_step_pull, dt * self.increment)
         if self.rigid:
             next_gap = self.gap + self._gap_motion(self.increment)
             self.force = solve_complementarity(self._compliance, next_gap, self.force > 0.0)
@@ -444,7 +446,7 @@ class _CentralDifferences(Scheme):
         """
         self.gap = self._gap_of(self.displacement)
         pull = -self._apply(self.structure.stiffness.mult, self.displacement)
-        pull[self.load_rows] += self.load[step]
+        pull[self.loaded_dofs] += self.load[step]
         if not self.rigid:
             self.force = self._forces(self.gap)
             pull[self._gap_rows] -= self._gap_block @ self.force
@@ -495,7 +497,7 @@ class _CentralDifferences(Scheme):
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.rate * modal_velocity)
+        return self._modes.mass_shapes @ (self._modes.modal_damping * modal_velocity)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
@@ -506,8 +508,10 @@ class _CentralDifferences(Scheme):
     def _linear_energy(self, velocity: np.ndarray) -> float:
         """Return elastic plus kinetic energy, (u^T K u + v^T M v) / 2 [J]."""
         structure = self.structure
-        parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
-        energy = 0.5 * sum(rows @ multiply(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
+        matrix_and_rows = (structure.stiffness, self.displacement), (structure.mass, velocity)
+        energy = 0.5 * sum(
+            rows @ multiply(matrix, rows[:, None])[:, 0] for matrix, rows in matrix_and_rows
+        )
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, kernel, pointer, require_shape
-from fenics_crack.model.contact import ActiveSets, ContactLaw, FrictionSets, coefficient_of
+from fenics_crack.model.contact import ActiveSetSolver, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow
@@ -149,15 +149,15 @@ def integrate_exponential(
 # --- the schemes ----------------------------------------------------------------------------------
 
 
-def _load_sizes(request: March) -> np.ndarray:
+def _load_motion_weights(request: March) -> np.ndarray:
     """Return factors that make motions of loaded coordinates comparable: (n_loaded,).
 
     Coordinates of a structure with massless crack faces are no displacements. The factor is then
     the load's size on the coordinate, otherwise 1.
     """
     if not request.structure.light_lips:
-        return np.ones(len(request.load_rows))
-    return np.asarray(np.linalg.norm(request.structure.force[:, request.load_rows], axis=0))
+        return np.ones(len(request.loaded_dofs))
+    return np.asarray(np.linalg.norm(request.structure.force[:, request.loaded_dofs], axis=0))
 
 
 def _displacement_and_velocity(
@@ -194,7 +194,9 @@ class _ByEvents(Scheme):
         self._motion = displacement[-1]
         window.gap[:], window.force[:] = samples.gaps[:-1], samples.forces[:-1]
         window.motion[:] = displacement[:-1, request.recorded_dofs]
-        window.load_motion[:] = displacement[:-1, request.load_rows] * _load_sizes(request)
+        window.load_motion[:] = displacement[:-1, request.loaded_dofs] * _load_motion_weights(
+            request
+        )
 
     def state(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._motion, self._state)
@@ -236,8 +238,8 @@ class ExponentialFlow(Flow):
         compliance = self.compliance + gap_response
         set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
-            self._initial_sets = ActiveSets(self.compliance)
-            set_members = {"contact": ActiveSets(compliance).handle}
+            self._initial_sets = ActiveSetSolver(self.compliance)
+            set_members = {"contact": ActiveSetSolver(compliance).handle}
         else:
             self._initial_friction = FrictionSets(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
@@ -353,19 +355,21 @@ class _ByExponentials(Scheme):
         states, forces = steps.states, steps.forces
         window.gap[:], window.force[:] = steps.gaps[:-1], forces[:-1]
         window.motion[:] = flow.coordinates(states[:-1], forces[:-1], request.recorded_dofs)
-        load_motion = flow.coordinates(states, forces, request.load_rows)
-        window.load_motion[:] = load_motion[:-1] * _load_sizes(request)
+        load_motion = flow.coordinates(states, forces, request.loaded_dofs)
+        window.load_motion[:] = load_motion[:-1] * _load_motion_weights(request)
         if number == 0:
             self._energy_input = self._energy(steps, 0)
             self._missing_energy = -self._energy_input
-        rate = states[:, len(flow.modes.squares) :]
-        damping_power = np.einsum("nj,nj->n", flow.modes.damping_force(rate), rate)
-        work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
-        self._energy_input += abs(work)
+        modal_velocity = states[:, len(flow.modes.squares) :]
+        damping_power = np.einsum(
+            "nj,nj->n", flow.modes.damping_force(modal_velocity), modal_velocity
+        )
+        load_work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
+        self._energy_input += abs(load_work)
         self._missing_energy += flow.step_size * float(
             np.sum(0.5 * (damping_power[1:] + damping_power[:-1]))
         )
-        self._missing_energy += steps.friction_loss - work
+        self._missing_energy += steps.friction_loss - load_work
         self.book(self._energy(steps, -1) + self._missing_energy, self._energy_input)
         self._state = steps.end
         self._motion = flow.coordinates(states[-1:], forces[-1:])[0]
@@ -374,10 +378,12 @@ class _ByExponentials(Scheme):
         """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
         motion = flow.coordinates(steps.states[[instant]], steps.forces[[instant]])[0]
-        elastic = motion @ multiply(flow.structure.stiffness, motion[:, None])[:, 0]
-        rate = steps.states[instant, len(flow.modes.squares) :]
-        springs = np.sum(flow.softness * steps.forces[instant] ** 2)
-        return 0.5 * float(elastic + rate @ rate + springs)
+        doubled_elastic_energy = motion @ multiply(flow.structure.stiffness, motion[:, None])[:, 0]
+        modal_velocity = steps.states[instant, len(flow.modes.squares) :]
+        doubled_spring_energy = np.sum(flow.softness * steps.forces[instant] ** 2)
+        return 0.5 * float(
+            doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy
+        )
 
     def state(self) -> tuple[np.ndarray, ...]:
         return _displacement_and_velocity(self._flow, self._motion, self._state)

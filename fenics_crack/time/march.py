@@ -160,7 +160,7 @@ class March:
         return requested_dofs[(requested_dofs >= first_dof) & (requested_dofs < end_dof)]
 
     @cached_property
-    def load_rows(self) -> np.ndarray:
+    def loaded_dofs(self) -> np.ndarray:
         """Local dofs of this rank under load: (n_loaded,)."""
         return np.flatnonzero(np.any(self.structure.force, axis=0))
 
@@ -176,7 +176,7 @@ class March:
     @cached_property
     def load(self) -> np.ndarray:
         """Load on the loaded dofs at the N instants of a period: (N, n_loaded) [N]."""
-        return np.asarray(self.waves @ self.structure.force[:, self.load_rows])
+        return np.asarray(self.waves @ self.structure.force[:, self.loaded_dofs])
 
     @property
     def n_rows(self) -> int:
@@ -337,12 +337,14 @@ class TimeHistory(ObservedMotion, Tabular):
             return self.structure.values_at(self.recorded, dofs)
         dof_numbers = self.structure.check_dofs(dofs)
         selection = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
-        n_records = self.structure.sum_over_ranks(
+        n_recording_ranks = self.structure.sum_over_ranks(
             selection.sum(axis=0)
         )  # a dof may be recorded twice
-        if not n_records.all():
-            raise InputError("dofs", dof_numbers[n_records == 0.0].tolist(), "among those recorded")
-        return self.structure.sum_over_ranks(self.recorded @ (selection / n_records))
+        if not n_recording_ranks.all():
+            raise InputError(
+                "dofs", dof_numbers[n_recording_ranks == 0.0].tolist(), "among those recorded"
+            )
+        return self.structure.sum_over_ranks(self.recorded @ (selection / n_recording_ranks))
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield one record: rows (m, n_local) times the displacement, gaps, forces (collective).
@@ -436,7 +438,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     widths = request.n_rows, request.n_rows, len(request.recorded_dofs)
     records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
     gap, force, motion = records
-    load_motion = np.empty((steps, len(request.load_rows)))
+    load_motion = np.empty((steps, len(request.loaded_dofs)))
     n_periods = 0
     previous: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
@@ -534,12 +536,13 @@ def initial_state(
             state = tuple(numbers(part) for part in initial)
         except TypeError:
             state = ()
-    shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
-    shape_matches = [part.shape == shape for part, shape in zip(state, shapes, strict=False)]
+    array_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
+    shape_matches = [part.shape == shape for part, shape in zip(state, array_shapes, strict=False)]
     has_right_shapes = all(shape_matches) and len(state) in ((2, 3) if has_friction else (2,))
     allowed = (
-        f"a solution of this structure, or finite displacement and velocity of shape {shapes[0]} "
-        f"as two arrays, with friction a third of finite places, of shape {shapes[2]}"
+        "a solution of this structure, or finite displacement and velocity of shape "
+        f"{array_shapes[0]} as two arrays, with friction a third of finite places, of shape "
+        f"{array_shapes[2]}"
     )
     error = InputError("initial", [part.shape for part in state], allowed)
     is_finite = all(np.all(np.isfinite(part)) for part in state)

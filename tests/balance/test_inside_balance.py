@@ -495,7 +495,7 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     soft = [made.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)]
     assert relative((soft[0] - soft[1]) / (2.0 * step), found) < 1e-5
     if kind == "rigid":
-        assert not np.any(forces.by_stiffness())
+        assert not np.any(forces.by_log_stiffness())
         return
     law = made.law
 
@@ -505,7 +505,7 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
         kept = other.with_softness(softness * made.unit / other.unit)
         return kept.linearise(gap).force
 
-    assert relative(difference(scaled, 0.0, step) / step, forces.by_stiffness()) < 1e-5
+    assert relative(difference(scaled, 0.0, step) / step, forces.by_log_stiffness()) < 1e-5
 
 
 def test_widened_keeps_the_forces() -> None:
@@ -635,7 +635,7 @@ def applied(structure: Structure, omega: float, amplitude: np.ndarray) -> np.nda
         found += 1j * omega * product(structure.damping_matrix)
     if (modes := damped_modes(structure)) is not None:
         modal = structure.sum_over_ranks(amplitude @ modes.mass_shapes)
-        found += 1j * omega * (modal * modes.rate) @ modes.mass_shapes.T
+        found += 1j * omega * (modal * modes.modal_damping) @ modes.mass_shapes.T
     return found
 
 

@@ -43,9 +43,9 @@ from fenics_crack.balance.contact_integrals import (
     respond_to_columns,
 )
 from fenics_crack.balance.contact_system import CompiledEquations
-from fenics_crack.curves.waves import WAVES, Waves
+from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS, BalanceEquations
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
-from fenics_crack.model.contact import ActiveSets, solve_complementarity
+from fenics_crack.model.contact import ActiveSetSolver, solve_complementarity
 from fenics_crack.numerics.equations import ROUNDING, Linearisation, System
 from fenics_crack.numerics.fourier import evaluate, sample_period, to_complex
 from fenics_crack.numerics.newton import (
@@ -126,7 +126,7 @@ class Intervals:
         return found / (2.0 * np.pi)
 
 
-def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
+def contact_intervals(gap: np.ndarray, contact: ActiveSetSolver) -> Intervals:
     """The intervals of waves s with coefficients (2H+1, n_pairs).
 
     Raises ConvergenceError where an instant has no forces.
@@ -181,7 +181,7 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
     assert np.abs(force * opening).max() <= 1e-9 * np.abs(gap).max() * max(1.0, force.max())
 
 
-TWO = ActiveSets(np.eye(2))
+TWO = ActiveSetSolver(np.eye(2))
 BEHIND = CoupledIntegrals(fc.UnilateralPenalty(1.0), 1, residual=np.eye(2))
 SYSTEM = CompiledEquations(None, np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
 WRONG = {
@@ -197,7 +197,7 @@ WRONG = {
     "intervals, other pairs": lambda: contact_intervals(np.ones((3, 5)), TWO),
     "coupled forces, other harmonics": lambda: BEHIND.linearise(np.ones((5, 2))),
     "coupled forces, another change": lambda: BEHIND.linearise(np.ones((3, 2))).apply(np.ones(6)),
-    "sets, a compliance not square": lambda: ActiveSets(np.ones((3, 2))),
+    "sets, a compliance not square": lambda: ActiveSetSolver(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
     "inverses, other pairs": lambda: TWO.invert_sets(np.ones((4, 3), bool)),
@@ -245,9 +245,9 @@ def test_shapes_that_fit_are_not_copied() -> None:
 # --- when which pairs are closed ------------------------------------------------------------------
 
 
-def coupled_sets(pairs: int, seed: int = 1) -> ActiveSets:
+def coupled_sets(pairs: int, seed: int = 1) -> ActiveSetSolver:
     """Of a random compliance that couples all pairs."""
-    return ActiveSets(np.linalg.inv(random_stiffness(np.random.default_rng(seed), pairs)))
+    return ActiveSetSolver(np.linalg.inv(random_stiffness(np.random.default_rng(seed), pairs)))
 
 
 def closed_at(intervals: Intervals, theta: np.ndarray) -> np.ndarray:
@@ -298,7 +298,7 @@ def test_stiffness_follows_from_its_changes(pairs: int, harmonics: int, seed: in
     random = np.random.default_rng(seed)
     gap = random.normal(size=(2 * harmonics + 1, pairs))
     compliance = np.linalg.inv(random_stiffness(random, pairs))
-    intervals = contact_intervals(gap, ActiveSets(compliance))
+    intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     found = intervals.stiffness.copy()
     changes = zip(intervals.gains, intervals.vectors, strict=True)
     for closed, change in zip(intervals.closed, [*changes, None], strict=True):
@@ -316,7 +316,7 @@ def test_a_compliance_close_to_singular(stiffness: float) -> None:
     place = np.linspace(0.0, 3.0, 40)
     compliance = np.exp(-((place[:, None] - place) ** 2)) + np.eye(40) / stiffness
     gap = random_gaps(6, 40, 1)
-    intervals = contact_intervals(gap, ActiveSets(compliance))
+    intervals = contact_intervals(gap, ActiveSetSolver(compliance))
     theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 200)
     values = evaluate(gap, 1.0, theta)
     for value, closed in zip(values, closed_at(intervals, theta), strict=True):
@@ -331,7 +331,7 @@ def test_events_of_one_pair_are_its_zeros() -> None:
     """The instants of the search for pairs that nothing couples."""
     for seed in range(5):
         gap = random_gaps(8, 1, seed)
-        intervals = contact_intervals(gap, ActiveSets(np.full((1, 1), 0.3)))
+        intervals = contact_intervals(gap, ActiveSetSolver(np.full((1, 1), 0.3)))
         switching = switching_instants(to_complex(gap))
         expected = np.sort(np.mod(switching.theta, 2.0 * np.pi))
         assert np.allclose(intervals.theta[1:], expected, rtol=0.0, atol=1e-11)
@@ -349,7 +349,7 @@ def test_contact_that_comes_and_goes_in_a_cell(depth: float) -> None:
         width = phase[1] - phase[0]
         bend = (wave[top - 1] - 2.0 * wave[top] + wave[(top + 1) % len(wave)]) / width**2
         long = 2.0 * np.sqrt(2.0 * depth / -bend)
-        contact = ActiveSets(np.eye(1))
+        contact = ActiveSetSolver(np.eye(1))
         found = closed_for(contact_intervals(gap, contact))
         assert found == pytest.approx(long, rel=0.2 if depth > 1e-4 else 0.02)
         missing = contact_intervals(-gap, contact)
@@ -362,11 +362,11 @@ def test_pairs_that_open_and_close_together() -> None:
     """Equal waves on equal pairs, in pairs that differ by rounding: their events coincide."""
     one = random_gaps(6, 1, 3)
     compliance = 2.0 * np.eye(4) + 0.5
-    together = ActiveSets(np.array([[compliance.sum(axis=1)[0]]]))
+    together = ActiveSetSolver(np.array([[compliance.sum(axis=1)[0]]]))
     alone = contact_intervals(one, together)
     for noise in (0.0, 1e-16, 1e-13):
         gap = np.tile(one, 4) * (1.0 + noise * np.arange(4))
-        intervals = contact_intervals(gap, ActiveSets(compliance))
+        intervals = contact_intervals(gap, ActiveSetSolver(compliance))
         for pair in range(4):
             assert closed_for(intervals, pair) == pytest.approx(closed_for(alone), abs=1e-9)
         theta = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 500)
@@ -381,7 +381,7 @@ def test_events_at_the_ends_of_cells(wave: str, harmonics: int) -> None:
     gap = np.zeros((2 * harmonics + 1, 2))
     row = {"sine": [2, 2], "cosine": [1, 1], "both": [1, 2]}[wave]
     gap[row[0], 0], gap[row[1], 1] = 1.0, -1.0
-    contact = ActiveSets(np.diag([1.0, 3.0]))
+    contact = ActiveSetSolver(np.diag([1.0, 3.0]))
     for sign in (1.0, -1.0):
         intervals = contact_intervals(sign * gap, contact)
         assert closed_for(intervals, 0) == pytest.approx(np.pi, abs=1e-12)
@@ -397,7 +397,7 @@ def test_always_open_and_always_closed() -> None:
     for mean, closed in ((-100.0, False), (100.0, True)):
         gap[0] = mean
         compliance = np.eye(3) + 0.1
-        intervals = contact_intervals(gap, ActiveSets(compliance))
+        intervals = contact_intervals(gap, ActiveSetSolver(compliance))
         assert len(intervals.theta) == 1 and np.all(intervals.closed == closed)
         assert np.allclose(means_of(intervals, 8), np.eye(9)[0], rtol=0.0, atol=1e-14)
 
@@ -562,7 +562,7 @@ def test_equations_at_a_point(
     random = np.random.default_rng(seed)
     law = fc.UnilateralPenalty(random.uniform(0.5, 20.0, pairs))
     structure = chain(damping, pairs=pairs, seed=seed % 1000)
-    family = WAVES[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
     kernel = family.compiled
     if damping == "matrix" and name in ("omega", "damping"):
         assert kernel is None  # it couples modes
@@ -586,7 +586,9 @@ def test_equations_at_a_point(
 def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
     """Compiled equations take the steps that those in Python take."""
     law = fc.UnilateralPenalty(stiffness)
-    family = WAVES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3)
+    family = BALANCE_EQUATIONS["omega"](
+        fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3
+    )
     start = fc.solve_harmonic_balance(oscillator(0.02, 0.1), 2.0, law, harmonics=harmonics)
     options = PathOptions(0.01, max_step=0.1, min_step=1e-10, min_cosine=0.85)
     assert_same_path(family, start.gap_coefficients, options, 150)
@@ -596,7 +598,7 @@ def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
 def test_path_of_a_chain(name: str) -> None:
     """With three pairs, in every family, by steps that are too long for some points."""
     structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = WAVES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     first = family.problem_at(family.start)
     start = fc.solve_harmonic_balance(
         first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
@@ -612,7 +614,9 @@ def followed(
     return list(islice(Path(system, point_on_path(system, start, 0.0), options).points(), count))
 
 
-def assert_same_path(family: Waves, start: np.ndarray, options: PathOptions, count: int) -> None:
+def assert_same_path(
+    family: BalanceEquations, start: np.ndarray, options: PathOptions, count: int
+) -> None:
     """Followed both ways."""
     ways = [followed(system, start, options, count) for system in (family, Plain(family))]
     compared = 0
@@ -637,7 +641,7 @@ def assert_same_path(family: Waves, start: np.ndarray, options: PathOptions, cou
 def test_corrections(bordered: bool, least_damping: float | None) -> None:
     """From random guesses, far ones among them: found or not, the same."""
     law = fc.UnilateralPenalty(10.0)
-    family = WAVES["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
     start = fc.solve_harmonic_balance(oscillator(), 0.9, law, harmonics=4).gap_coefficients
     plane = tangent_of(family, start, family.linearise(start, 0.0)) if bordered else None
     random, outcomes = np.random.default_rng(3), []
@@ -662,7 +666,9 @@ def test_corrections(bordered: bool, least_damping: float | None) -> None:
 def test_undamped_resonance() -> None:
     """One error, as from Python."""
     structure = oscillator(None, 0.1)
-    family = WAVES["omega"](fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5)
+    family = BALANCE_EQUATIONS["omega"](
+        fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5
+    )
     with pytest.raises(fc.ConvergenceError, match="singular"):
         solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9)
 
@@ -671,7 +677,7 @@ def test_fold_and_value_between_two_points() -> None:
     """p(s) turns at t_p = 0, and takes the value asked for, on the path; the same from Python."""
     law = fc.UnilateralPenalty(1.0)
     structure = oscillator(0.02, 0.1)
-    family = WAVES["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
     start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=10).gap_coefficients
     points = followed(
         family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 95
@@ -706,7 +712,7 @@ def assert_same_point(one: PathPoint, other: PathPoint) -> None:
 def test_largest_compliance(name: str) -> None:
     """Of random chains, at parameters in and out of the range."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = WAVES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance.matrices
         expected = np.abs(matrices).sum(axis=2).max()
@@ -727,7 +733,7 @@ def test_folds_of_a_stiff_curve() -> None:
     )
     for _ in growing:
         pass
-    family = WAVES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3)
     folds = growing.curve.bifurcations
     assert len(folds) == 16
     for fold in folds:
@@ -745,7 +751,7 @@ def test_path_of_many_unknowns() -> None:
     """144 unknowns, so that solutions take products with J: points and tangents are on the path,
     and each is where equations in Python, whose J is factored at every iteration, have one."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    family = WAVES["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
     start = fc.solve_harmonic_balance(
         structure, 1.4, law, harmonics=24, residual_tolerance=1e-12
     ).gap_coefficients
@@ -773,7 +779,7 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
         damping=0.05 * np.eye(2), clearance=1.0,
     )  # fmt: skip
     law = fc.UnilateralPenalty(1.0)
-    family = WAVES["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
     start = fc.solve_harmonic_balance(
         twins, 0.8, law, harmonics=25, residual_tolerance=1e-12
     ).gap_coefficients
@@ -800,7 +806,7 @@ def test_derivative_by_each_parameter(name: str) -> None:
     """dF/dp against central differences, along the whole range."""
     structure, (start, end) = two_masses(), RANGES[name]
     law = fc.UnilateralPenalty(np.array([3.0]))
-    family = WAVES[name](fc.Problem(structure, 0.9, law, 4), start, end)
+    family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.9, law, 4), start, end)
     gap = np.random.default_rng(2).normal(size=(9, 1))
     for parameter in (0.0, 0.4, 1.0):
         exact = family.linearise(gap, parameter).by_parameter
@@ -816,7 +822,7 @@ def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     law = fc.UnilateralPenalty(0.5)
     alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
     assert alone.converged
-    family = WAVES["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
+    family = BALANCE_EQUATIONS["omega"](fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
     found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
     np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
@@ -829,14 +835,14 @@ LAWS = ("rigid", "penalty", "stiff")
 
 def coupled_family(
     name: str, law: str, damping: str, harmonics: int, pairs: int, modes: int, seed: int
-) -> Waves:
+) -> BalanceEquations:
     """Of a random chain on lips without mass."""
     random = np.random.default_rng(seed)
     stiffness = random.uniform(0.5, 20.0, pairs) * (1e4 if law == "stiff" else 1.0)
     contact = fc.UnilateralConstraint() if law == "rigid" else fc.UnilateralPenalty(stiffness)
     whole = chain(damping, pairs=pairs, seed=seed % 1000)
     structure = fc.reduce_structure(whole, modes=modes, method="massless")
-    return WAVES[name](fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name])
+    return BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name])
 
 
 def assert_same_equations(found: Linearisation, expected: Linearisation, right: np.ndarray) -> None:
@@ -908,7 +914,7 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
-    family = WAVES["omega"](problem, 0.6, 0.45)
+    family = BALANCE_EQUATIONS["omega"](problem, 0.6, 0.45)
     begun = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
     start = begun.slow_gap_coefficients
     ends = []
@@ -935,7 +941,7 @@ def test_equations_are_freed_with_their_points() -> None:
 
 
 def test_an_instant_without_forces_is_no_solution() -> None:
-    """Waves that are not finite: no point, and no crash."""
+    """BalanceEquations that are not finite: no point, and no crash."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
     for wrong in (np.nan, np.inf, 1e300):
         guess = np.full(family.shape, wrong)

@@ -17,7 +17,7 @@ from fenics_crack.basics.observables import SPECIAL
 from fenics_crack.basics.tables import RPM
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.results import curve_points, special_points
-from fenics_crack.curves.waves import SpeedWaves
+from fenics_crack.curves.balance_equations import BalanceAlongSpeed
 
 ORDER = 12
 CURVE = {"parameter": "speed", "start": 560.0, "stop": 640.0}
@@ -103,7 +103,7 @@ def test_derivative_by_the_speed() -> None:
     problem = fc.Problem(spinning, ORDER * 600.0, fc.UnilateralConstraint(), 3)
     found = fc.solve_harmonic_balance(spinning, problem.omega, problem.contact, harmonics=3)
     assert found.indicators(0).closed_share > 0.05
-    family, unknown = SpeedWaves(problem, 560.0, 640.0), found.slow_gap_coefficients
+    family, unknown = BalanceAlongSpeed(problem, 560.0, 640.0), found.slow_gap_coefficients
     rate = family._residual_by_value(600.0, family.system(600.0).linearise(unknown))
     low, high = (family._make_system(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01))
     assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())

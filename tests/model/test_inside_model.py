@@ -25,8 +25,8 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model import contact as contact_module
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model.contact import (
-    ActiveSets,
-    smooth_forces,
+    ActiveSetSolver,
+    smooth_forces_and_slopes,
     solve_by_least_squares,
     solve_complementarity,
     solve_forces,
@@ -75,7 +75,7 @@ def test_forces_against_all_sets(pairs: int, condition: float) -> None:
     rng = np.random.default_rng(pairs)
     compliance = badly_conditioned(rng, pairs, condition)
     gap = rng.normal(size=(60, pairs))
-    force, closed = ActiveSets(compliance).solve(gap)
+    force, closed = ActiveSetSolver(compliance).solve(gap)
     expected = np.array([enumerated(compliance, row) for row in gap])
     assert relative(force, expected) < 1e-12 * condition
     assert np.array_equal(closed, expected > 0.0)
@@ -91,7 +91,7 @@ def test_forces_of_many_pairs_against_least_squares(pairs: int) -> None:
     gap = rng.normal(size=(50, pairs))
     expected = np.array([by_nnls(compliance, row) for row in gap])
     for guess in (None, np.zeros(gap.shape, bool), np.ones(gap.shape, bool)):
-        assert relative(ActiveSets(compliance).solve(gap, guess)[0], expected) < 1e-9
+        assert relative(ActiveSetSolver(compliance).solve(gap, guess)[0], expected) < 1e-9
 
 
 @pytest.mark.parametrize("condition", [1e2, 1e8])
@@ -101,7 +101,7 @@ def test_conditions_of_complementarity(condition: float) -> None:
     for pairs in (4, 12, 20):
         compliance = badly_conditioned(rng, pairs, condition)
         gap = rng.normal(size=(200, pairs))
-        force, closed = ActiveSets(compliance).solve(gap)
+        force, closed = ActiveSetSolver(compliance).solve(gap)
         opening = force @ compliance - gap
         assert force.min() >= 0.0 and np.array_equal(closed, force > 0.0)
         assert opening.min() > -1e-9 * np.abs(gap).max()
@@ -113,7 +113,7 @@ def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.Mon
     rng = np.random.default_rng(10)
     twice = np.repeat(np.arange(3), 2)
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(40, 3))
-    expected = ActiveSets(compliance).solve(gap)[0]
+    expected = ActiveSetSolver(compliance).solve(gap)[0]
     asked = []
 
     def counted(matrix: np.ndarray, row: np.ndarray) -> np.ndarray:
@@ -121,7 +121,7 @@ def test_sets_that_are_not_found_follow_by_least_squares(monkeypatch: pytest.Mon
         return solve_by_least_squares(matrix, row)
 
     monkeypatch.setattr(contact_module, "solve_by_least_squares", counted)
-    force, closed = ActiveSets(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
+    force, closed = ActiveSetSolver(compliance[np.ix_(twice, twice)]).solve(gap[:, twice])
     assert len(asked) > 5 and np.array_equal(closed, force > 0.0)
     assert relative(force[:, ::2] + force[:, 1::2], expected) < 1e-9
 
@@ -130,24 +130,24 @@ def test_pairs_that_nothing_couples() -> None:
     """D = diag(1/k): k max(0, s), the penalty law."""
     rng = np.random.default_rng(3)
     stiffness, gap = rng.uniform(1.0, 1e9, 6), rng.normal(size=(40, 6))
-    force, _ = ActiveSets(np.diag(1.0 / stiffness)).solve(gap)
+    force, _ = ActiveSetSolver(np.diag(1.0 / stiffness)).solve(gap)
     assert relative(force, stiffness * np.maximum(gap, 0.0)) < 1e-14
 
 
 def test_gaps_at_zero_are_open() -> None:
     """s = 0, all of it or at some pairs: no force, and the pairs count as open."""
     compliance = np.linalg.inv(random_stiffness(np.random.default_rng(1), 3))
-    force, closed = ActiveSets(compliance).solve(np.zeros((2, 3)))
+    force, closed = ActiveSetSolver(compliance).solve(np.zeros((2, 3)))
     assert not np.any(force) and not np.any(closed)
     # Here the second pair would just touch: D_21 s_1 / D_11 = s_2.
     gap = np.array([[1.0, compliance[1, 0] / compliance[0, 0], -5.0]])
-    force, _ = ActiveSets(compliance).solve(gap)
+    force, _ = ActiveSetSolver(compliance).solve(gap)
     assert np.allclose(force, [[1.0 / compliance[0, 0], 0.0, 0.0]], rtol=0.0, atol=1e-12)
 
 
 def test_no_instants_and_no_pairs() -> None:
     """Arrays without rows, and laws of pairs that are not there, come back as they are."""
-    sets = ActiveSets(np.eye(2))
+    sets = ActiveSetSolver(np.eye(2))
     assert [part.shape for part in sets.solve(np.zeros((0, 2)))] == [(0, 2), (0, 2)]
     assert sets.invert_sets(np.zeros((0, 2), bool)).shape == (0, 2, 2)
 
@@ -156,7 +156,7 @@ def test_slope_is_that_of_the_set() -> None:
     """d lambda / ds = (D_AA)^-1, by central differences."""
     rng = np.random.default_rng(5)
     compliance = np.linalg.inv(random_stiffness(rng, 4))
-    sets, gap, step = ActiveSets(compliance), rng.normal(size=(20, 4)), 1e-7
+    sets, gap, step = ActiveSetSolver(compliance), rng.normal(size=(20, 4)), 1e-7
     _, closed = sets.solve(gap)
     slopes = sets.invert_sets(closed)
     for pair in range(4):
@@ -169,10 +169,10 @@ def test_softer_pairs_let_the_gap_in() -> None:
     """With D = R + I/k the gap left is lambda / k, and vanishes with 1/k."""
     rng = np.random.default_rng(2)
     residual, gap = np.linalg.inv(random_stiffness(rng, 5)), rng.normal(size=(30, 5))
-    rigid = ActiveSets(residual).solve(gap)[0]
+    rigid = ActiveSetSolver(residual).solve(gap)[0]
     distances = []
     for stiffness in (1e2, 1e4, 1e6):
-        force = ActiveSets(residual + np.eye(5) / stiffness).solve(gap)[0]
+        force = ActiveSetSolver(residual + np.eye(5) / stiffness).solve(gap)[0]
         left = gap - force @ residual
         assert np.abs(np.maximum(left, 0.0) - force / stiffness).max() < 1e-13
         distances.append(relative(force, rigid))
@@ -190,7 +190,7 @@ def test_smoothed_law_against_a_root_finder(stiffness: float, sharpness: float) 
     law = fc.SmoothedPenalty(stiffness, sharpness)
     compliance = np.linalg.inv(random_stiffness(rng, 3))
     gap = rng.normal(size=(25, 3))
-    force, _ = smooth_forces(law, compliance, gap)
+    force, _ = smooth_forces_and_slopes(law, compliance, gap)
     for row, found in zip(gap, force, strict=True):
         result = scipy.optimize.root(
             lambda g, s=row: g + compliance @ law.force(g) - s,
@@ -206,7 +206,7 @@ def test_smoothed_law_alone_against_bisection() -> None:
     """One pair: the only root of g + R h(g) = s, bracketed."""
     law = fc.SmoothedPenalty(200.0, 40.0)
     gap = np.linspace(-2.0, 2.0, 41)[:, None]
-    force, _ = smooth_forces(law, np.full((1, 1), 0.3), gap)
+    force, _ = smooth_forces_and_slopes(law, np.full((1, 1), 0.3), gap)
     for s, found in zip(gap[:, 0], force[:, 0], strict=True):
         root = scipy.optimize.brentq(
             lambda g, s=s: g + 0.3 * float(law.force(np.array(g))) - s, -10.0, 10.0, xtol=1e-15
@@ -220,10 +220,12 @@ def test_slope_of_a_smoothed_law(sharpness: float) -> None:
     rng = np.random.default_rng(8)
     law, step = fc.SmoothedPenalty(50.0, sharpness), 1e-6
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(15, 3))
-    _, slope = smooth_forces(law, compliance, gap)
+    _, slope = smooth_forces_and_slopes(law, compliance, gap)
     for pair in range(3):
         change = step * np.eye(3)[pair]
-        after, before = (smooth_forces(law, compliance, gap + s * change)[0] for s in (1.0, -1.0))
+        after, before = (
+            smooth_forces_and_slopes(law, compliance, gap + s * change)[0] for s in (1.0, -1.0)
+        )
         assert relative((after - before) / (2.0 * step), slope[:, :, pair]) < 1e-5
 
 
@@ -250,7 +252,7 @@ def test_hertz_law_is_solved_at_all_instants_together() -> None:
     counts = []
     for instants in (gap, np.tile(gap, (100, 1))):
         Hertz.calls = 0
-        force, _ = smooth_forces(law, compliance, instants)
+        force, _ = smooth_forces_and_slopes(law, compliance, instants)
         counts.append(Hertz.calls)
         assert relative(law.force(instants - force @ compliance), force) < 1e-9
     assert counts[1] <= 2 * counts[0]
@@ -260,9 +262,9 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
     """The difference falls with 1/s."""
     rng = np.random.default_rng(9)
     compliance, gap = np.linalg.inv(random_stiffness(rng, 3)), rng.normal(size=(20, 3))
-    sharp = ActiveSets(compliance + np.eye(3) / 10.0).solve(gap)[0]
+    sharp = ActiveSetSolver(compliance + np.eye(3) / 10.0).solve(gap)[0]
     one, two = (
-        relative(smooth_forces(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], sharp)
+        relative(smooth_forces_and_slopes(fc.SmoothedPenalty(10.0, s), compliance, gap)[0], sharp)
         for s in (1e3, 1e5)
     )
     assert one < 1e-2 and two < 2e-2 * one
@@ -271,7 +273,7 @@ def test_smoothed_law_tends_to_the_penalty_law() -> None:
 def test_without_compliance_the_law_itself() -> None:
     """D = 0: h(s) and h'(s)."""
     law, gap = fc.SmoothedPenalty(7.0, 3.0), np.linspace(-1.0, 1.0, 20).reshape(10, 2)
-    force, slope = smooth_forces(law, np.zeros((2, 2)), gap)
+    force, slope = smooth_forces_and_slopes(law, np.zeros((2, 2)), gap)
     assert np.allclose(force, law.force(gap), rtol=1e-14)
     assert np.allclose(np.einsum("npp->np", slope), law.tangent(gap), rtol=1e-14)
     assert not np.any(slope[:, 0, 1])
@@ -397,7 +399,9 @@ def test_damped_modes() -> None:
     structure = Structure.from_matrices(mass, stiffness, gap=None, damping=ModalDamping(ratios, 3))
     damped = damped_modes(structure)
     squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
-    np.testing.assert_allclose(damped.rate, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8)
+    np.testing.assert_allclose(
+        damped.modal_damping, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8
+    )
     np.testing.assert_allclose(damped.mass_shapes, mass @ damped.shapes, rtol=1e-12, atol=1e-14)
     assert damped_modes(structure) is damped
     assert damped_modes(structure.damped(None)) is None
@@ -491,7 +495,7 @@ def test_modes_of_varied_copies(damping: str, eigensolutions: list[int]) -> None
         assert (known is None) == (damping in ("rayleigh", "matrix", "none"))
         if known is not None:
             ratio = np.asarray(varied.damping.ratio)
-            np.testing.assert_allclose(known.rate, 2.0 * ratio * known.omega, rtol=1e-14)
+            np.testing.assert_allclose(known.modal_damping, 2.0 * ratio * known.omega, rtol=1e-14)
     assert eigensolutions == []
 
 
@@ -651,7 +655,7 @@ def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
         moved = gap.T @ solved
         return np.array([moved[:, :2] * 0.0, moved[:, :2]]), np.array([moved[:, 2], moved[:, 2]])
     modes = all_modes(structure)
-    receptance = modes.receptance(np.array([omega]))
+    receptance = modes.modal_receptances(np.array([omega]))
     matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
     load = structure.force[1] @ modes.shapes
     shape = modes.respond(receptance[0], load + 0j)

@@ -149,9 +149,9 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     matrix = known.tangent().reshape(gap.size, gap.size)
     product = (matrix @ change.ravel()).reshape(gap.shape)
     assert product == pytest.approx(known.apply(change), abs=1e-12 * np.abs(expected).max())
-    ends = [replace(own, friction_factor=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
+    ends = [replace(own, friction_scale=1.0 + sign * step).force(gap) for sign in (1.0, -1.0)]
     expected = (ends[0] - ends[1]) / (2.0 * step)
-    assert known.by_friction_factor() == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
+    assert known.by_friction_scale() == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("size", "origin"), [(0.15, 0), (0.3, 32)])

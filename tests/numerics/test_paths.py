@@ -13,7 +13,7 @@ import pytest
 from helpers import chain, relative
 
 import fenics_crack as fc
-from fenics_crack.curves.waves import WAVES
+from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
@@ -298,7 +298,7 @@ def test_rounding_does_not_grow_with_the_stiffness() -> None:
     sharp = []
     for law in (fc.UnilateralPenalty(0.1), fc.UnilateralPenalty(1e20), fc.UnilateralConstraint()):
         problem = fc.Problem(structure.varied(damping=1e-4), first, law, 5)  # in resonance
-        family = WAVES["omega"](problem, 0.99 * first, 1.01 * first)
+        family = BALANCE_EQUATIONS["omega"](problem, 0.99 * first, 1.01 * first)
         sharp.append(family.rounding(0.5))
     assert sharp[1:] == pytest.approx(sharp[2] * np.ones(2)) and sharp[0] < sharp[2] < 1e-7
 

@@ -505,7 +505,7 @@ def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
     record = SimpleNamespace(
         motion=motion, force=force, n_pairs=2, structure=structure, periods=1.0
     )
-    station = SimpleNamespace(touching_pairs=np.array([0, 1]))
+    station = SimpleNamespace(adjacent_pairs=np.array([0, 1]))
     (at_station,) = at_tips(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
     assert np.array_equal(at_station.one, [3.0, 0.0, 0.0]) and at_station.closed == 3.0
     record.motion = motion[:, :2]

@@ -405,4 +405,4 @@ def test_domains_at_the_tips_of_a_bent_crack(monkeypatch: pytest.MonkeyPatch) ->
     assert right.growth_direction == pytest.approx(
         [0.6, 0.8]
     ) and left.growth_direction == pytest.approx([-1.0, 0.0])
-    assert (right.position, left.position) == pytest.approx((0.14, 0.0))
+    assert (right.arc_length, left.arc_length) == pytest.approx((0.14, 0.0))

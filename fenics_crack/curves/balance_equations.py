@@ -37,7 +37,7 @@ from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, residual_ro
 from fenics_crack.numerics.fourier import stretch_period
 
 
-class Waves(CurveSystem):
+class BalanceEquations(CurveSystem):
     """Harmonic-balance equations of a structure along a parameter, in the gaps alone.
 
     The structure is small or reduced.
@@ -59,7 +59,9 @@ class Waves(CurveSystem):
             requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, requirement)
         self.problem, self.start, self.end = problem, start, end
-        self._compliance = ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
+        self._compliance = ModalCompliance(
+            problem.structure_with_row_pairs, problem.base_omega, problem.load
+        )
         self._last_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
         self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
@@ -207,7 +209,7 @@ class Waves(CurveSystem):
         )
 
 
-class FrequencyWaves(Waves):
+class BalanceAlongFrequency(BalanceEquations):
     """Equations along v: load frequency [rad/s]."""
 
     name = "omega"
@@ -236,7 +238,7 @@ class FrequencyWaves(Waves):
         return self._compile_with_modes(start_system, (base_omega, base_omega_change), (1.0, 0.0))
 
 
-class _VariedStructureWaves(Waves):
+class _BalanceOfVariedStructure(BalanceEquations):
     """Equations along a parameter of :meth:`Structure.varied`, by its name."""
 
     @classmethod
@@ -259,7 +261,7 @@ class _VariedStructureWaves(Waves):
         )
 
 
-class LoadWaves(_VariedStructureWaves):
+class BalanceAlongLoad(_BalanceOfVariedStructure):
     """Equations along v: factor for the load; a negative factor reverses it."""
 
     name = "load"
@@ -274,7 +276,7 @@ class LoadWaves(_VariedStructureWaves):
             raise InputError("parameter", "load", requirement)
 
 
-class DampingWaves(_VariedStructureWaves):
+class BalanceAlongDamping(_BalanceOfVariedStructure):
     """Equations along v: factor for the damping."""
 
     name = "damping"
@@ -292,13 +294,13 @@ class DampingWaves(_VariedStructureWaves):
         )
 
 
-class ClearanceWaves(_VariedStructureWaves):
+class BalanceAlongClearance(_BalanceOfVariedStructure):
     """Equations along v: clearance [m] added to every pair."""
 
     name = "clearance"
 
 
-class StiffnessWaves(Waves):
+class BalanceAlongStiffness(BalanceEquations):
     """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
     name, logarithmic, has_varying_integrals = "stiffness", True, True
@@ -308,7 +310,7 @@ class StiffnessWaves(Waves):
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return respond(point.system.dynamic_part, point.forces.by_stiffness()) / value
+        return respond(point.system.dynamic_part, point.forces.by_log_stiffness()) / value
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(
@@ -316,7 +318,7 @@ class StiffnessWaves(Waves):
         )
 
 
-class FrictionWaves(Waves):
+class BalanceAlongFriction(BalanceEquations):
     """Equations along v: factor for the coefficient of friction."""
 
     name, has_varying_integrals = "friction", True
@@ -333,7 +335,7 @@ class FrictionWaves(Waves):
         return by_friction(point) / value
 
 
-class SpeedWaves(Waves):
+class BalanceAlongSpeed(BalanceEquations):
     """Equations along v: rotor speed [rad/s], in a constant ratio to the load frequency.
 
     The modes change with the speed. dF/dv is a central difference, since the quasi-static part of
@@ -376,7 +378,7 @@ class SpeedWaves(Waves):
 
     def compliance(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)
-        return ModalCompliance(problem.row_structure, problem.base_omega, problem.load)
+        return ModalCompliance(problem.structure_with_row_pairs, problem.base_omega, problem.load)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         step = CENTRAL_DIFFERENCE_STEP * value
@@ -396,7 +398,7 @@ def require_run_up_structure(structure: Structure) -> RunUpStructure:
     return structure
 
 
-class ResonanceWaves(Waves):
+class BalanceAtResonance(BalanceEquations):
     """Equations along v: factor for the load without its mean, at a resonance (:mod:`resonance`).
 
     The load frequency follows the resonance; these equations hold at one frequency.
@@ -411,17 +413,17 @@ class ResonanceWaves(Waves):
         return replace(problem, structure=problem.structure.varied(load=load_weights))
 
 
-WAVES: dict[str, type[Waves]] = {
+BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
     waves.name: waves
     for waves in (
-        FrequencyWaves,
-        LoadWaves,
-        StiffnessWaves,
-        DampingWaves,
-        ClearanceWaves,
-        FrictionWaves,
-        SpeedWaves,
-        ResonanceWaves,
+        BalanceAlongFrequency,
+        BalanceAlongLoad,
+        BalanceAlongStiffness,
+        BalanceAlongDamping,
+        BalanceAlongClearance,
+        BalanceAlongFriction,
+        BalanceAlongSpeed,
+        BalanceAtResonance,
     )
 }
 """Equations of harmonic balance along each parameter of a curve, by name."""
