@@ -256,7 +256,7 @@ def points_on_both_sides(
 
     Parameters
     ----------
-    distance, front_distance : float [m]
+    distance_to_crack, front_distance : float [m]
         The point's distances from the crack, and from the tip or front.
 
     Returns

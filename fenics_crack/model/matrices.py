@@ -824,7 +824,7 @@ def add_harmonics(
 
     Parameters
     ----------
-    force : (2K+1, n_local) [N]
+    load_coefficients : (2K+1, n_local) [N]
     harmonics : dict of int to (cosine, sine)
         By their orders; each part is (n,) [N] or None.
 
