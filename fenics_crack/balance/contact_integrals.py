@@ -87,11 +87,14 @@ class ContactForces(ABC):
 
     @abstractmethod
     def by_softness(self) -> np.ndarray:
-        """Return db by a compliance in series with all pairs: (2H+1, n_pairs) [N]."""
+        """Return the derivative of the forces b by the softness: (2H+1, n_pairs) [N].
+
+        The softness is a compliance in series with all pairs, over the problem's unit of it.
+        """
 
     @abstractmethod
     def by_log_stiffness(self) -> np.ndarray:
-        """Return db by the logarithm of the contact stiffness k: (2H+1, n_pairs) [N]."""
+        """Return the derivative of b by ln k, k the contact stiffness: (2H+1, n_pairs) [N]."""
 
 
 @dataclass(frozen=True)

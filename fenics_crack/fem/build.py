@@ -553,7 +553,9 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-    """Return the scene with the crack length for ``crack.first_omega``, if given."""
+    """Return the scene with the crack length at which the first open frequency is as asked.
+
+    ``crack.first_omega`` asks for it; without it the scene is returned as it is."""
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
     return _set_crack_length(scene, find_crack_length(scene, comm))

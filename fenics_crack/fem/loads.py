@@ -223,7 +223,10 @@ def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.
 
 
 def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
-    """Assemble tractions and pressures on an edge: (2K+1, n_dofs) [N]."""
+    """Assemble tractions and pressures on an edge: (2K+1, n_dofs) [N].
+
+    ``key`` names the load in errors, as "loads.1".
+    """
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
     edge_measure = dofs.plate.measure_on(edge_name)

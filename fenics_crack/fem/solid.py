@@ -229,7 +229,10 @@ def _scene_value(scene: Scene, key: str) -> object:
 
 
 def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
-    """Return cracks as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them."""
+    """Return cracks as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them.
+
+    ``unit`` is the length [m] of the mesh's unit; lengths of the scene [m] are divided by it.
+    """
     cracks = []
     for key, crack in scene.all_cracks.items():
         if crack.point is None:

@@ -270,7 +270,8 @@ def insert_cracks(
     solid_tags : list of (int, int)
         The solid.
     cracks : list of dict
-        "key" of the scene; "shape", its key for the size; "unit", the mesh's unit of length [m];
+        "key" of the crack in the scene, as "cracks.1"; "shape", its key that a size is refused
+        under, as "radii"; "unit", the mesh's unit of length [m];
         "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half" axes (2,), or None for a
         half-plane that ends at its middle; "is_round", True for an ellipse; "reach", the extent
         behind the front, or None; "elements" along this extent, and "grading", the longest over the

@@ -700,7 +700,7 @@ class BilinearFrequencies(Tabular):
 
     @property
     def omega_bilinear(self) -> np.ndarray:
-        """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (..., n) [rad/s]."""
+        """Bilinear frequencies 2 w_o w_b / (w_o + w_b), crack open and bonded: (..., n) [rad/s]."""
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
 

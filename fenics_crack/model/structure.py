@@ -316,7 +316,7 @@ class Structure(Coordinates):
 
     @cached_property
     def clamp(self) -> Clamp | None:
-        """Clamp of a mesh, under the load of this copy."""
+        """Clamp that gives the reaction to the load; None without a clamped mesh."""
         return self.body.clamp and self.body.clamp.with_weights(self.setting.weights)
 
     @cached_property

@@ -71,7 +71,7 @@ class Attractor:
         """Return half the peak-to-peak displacement in each period: (n,) [m] (collective).
 
         The n periods belong to the orbit. A motion that does not settle gets 100 further periods.
-        Several periods have 512 instants each.
+        Each period is sampled at 512 instants if there are several.
 
         Parameters
         ----------

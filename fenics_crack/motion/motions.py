@@ -180,7 +180,7 @@ class Record:
         return replace(self, **{name: getattr(self, name)[last_instants] for name in names})
 
     def select_rows(self, rows: slice) -> Record:
-        """Return the record with a selection from the m products."""
+        """Return the record with some of its m products of rows with the displacement."""
         evaluate_all = self.evaluate
         evaluate = evaluate_all and (
             lambda period_fractions: (
@@ -422,7 +422,7 @@ class ObservedMotion:
 
     @property
     def faces(self) -> dict[str, Any]:
-        """Return the numbers of the crack faces by name (collective).
+        """Return openings, forces and shares of the crack faces by name (collective).
 
         Names follow :class:`Indicators`. Numbers that are nan everywhere are left out.
         """
@@ -521,7 +521,7 @@ class ObservedMotion:
 
     @cached_property
     def _face_numbers(self) -> list[dict[str, float]]:
-        """Return the numbers of the crack faces for each record, once observed."""
+        """Return what :meth:`faces` has of each record, observed at the first request."""
         return []
 
 

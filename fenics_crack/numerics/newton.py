@@ -165,6 +165,8 @@ class Snes(ABC):
     def run(self, start: np.ndarray, tolerance: float, max_iterations: int) -> tuple[bool, int]:
         """Solve F = 0 from a guess, given by the rows on this rank.
 
+        The solution replaces this object's vector of unknowns.
+
         Returns
         -------
         converged : bool
