@@ -54,7 +54,8 @@ from fenics_crack.numerics.fourier import (
 class ContactForces(ABC):
     """Fourier coefficients b of the contact forces, and derivatives.
 
-    T = db/ds is the derivative by the coefficients of the slow gap s.
+    T = db/ds is the derivative by the coefficients of the slow gap s, the gap less its quasi-static
+    part.
 
     Attributes
     ----------

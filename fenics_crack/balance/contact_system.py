@@ -219,7 +219,9 @@ class ContactSystem:
         )  # fmt: skip
 
     def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
-        """Return residual F and Jacobian at a slow gap, with a given function for dF/dp."""
+        """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
+
+        ``unknown`` has the coefficients of the slow gap s, the gap less its quasi-static part."""
         return ContactPoint(self, unknown, self.integrals, by_parameter)
 
     def steepest_force(self, law: ContactLaw) -> float:
@@ -599,7 +601,8 @@ class CompiledEquations(Equations):
     def evaluate_at(self, point: CompiledPoint) -> Any:
         """Return the C function table, with the equations evaluated at a point.
 
-        Raises ConvergenceError if an instant has no forces.
+        The table is a pointer that functions of the kernel take. ConvergenceError: no contact
+        forces were found at an instant.
         """
         if self._last_linearisation is None or self._last_linearisation() is not point:
             if not self.check_outcome(

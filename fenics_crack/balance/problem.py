@@ -140,8 +140,8 @@ class Problem:
         The response has this many times the load's period.
     static_above : float, optional
         Modes of higher frequencies [rad/s] respond quasi-statically to the harmonics of the contact
-        force above H, as all that a massless reduction truncates does. Default: 2 H times the base
-        frequency, where all pairs have a residual flexibility then; else none.
+        force above H. Default: 2 H times the base frequency if with it all pairs have a residual
+        flexibility; else no mode does.
 
     Raises
     ------

@@ -234,8 +234,8 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
     point : PhasePoint
         Resonance at that speed; the given point without an order.
     resonance_rate : float
-        Derivative of the resonance frequency over the order by the rotor's speed; 0 without an
-        order.
+        Derivative, by the rotor's speed, of the resonance frequency divided by the order; 0
+        without an order.
     """
     if order is None:
         return point, 0.0

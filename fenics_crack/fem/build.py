@@ -458,7 +458,8 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
     Returns
     -------
     dict
-        :class:`Body` fields: "force", "watched" and "clamp".
+        Fields of :class:`Body`: "force", rows of the load; "watched", the dof whose motion is
+        printed; "clamp", which gives the reaction to the load.
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)

@@ -344,7 +344,7 @@ def _add_rows(
     flexibility: ResidualFlexibility,
     factor: Factor | None = None,
 ) -> None:
-    """Add the displacements of some dofs to ``rows`` of a receptance (collective)."""
+    """Store displacements of some dofs under unit loads in ``rows`` (collective)."""
     local_dofs = dofs - structure.first_dof
     owned_entry_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
     shape = structure.n_local, len(dofs)

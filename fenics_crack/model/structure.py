@@ -274,7 +274,10 @@ class Structure(Coordinates):
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
-        """Load with the factor of this copy: (2K+1, n_local) [N]."""
+        """Rows of the load, mean, cosines and sines to harmonic K: (2K+1, n_local) [N].
+
+        They have the factor by which the load was varied.
+        """
         body_force = self.body.force
         return (
             body_force
@@ -284,7 +287,7 @@ class Structure(Coordinates):
 
     @cached_property
     def clearance(self) -> np.ndarray:
-        """Clearance g0 of every pair, with the addition of this copy: (n_pairs,) [m].
+        """Clearance g0 of every pair, with what was added by varying it: (n_pairs,) [m].
 
         Tangential gaps, behind the normal ones, get no addition.
         """
@@ -321,7 +324,7 @@ class Structure(Coordinates):
 
     @cached_property
     def rotation(self) -> Any:
-        """Terms of rotation; their structure at rest is varied as this copy is."""
+        """Terms of rotation; their structure at rest is varied like this one."""
         return self.body.rotation and self.body.rotation.change_rest_structure(self._apply_setting)
 
     @property

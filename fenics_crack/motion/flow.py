@@ -632,7 +632,7 @@ class Samples:
 
     @property
     def whole_states(self) -> np.ndarray:
-        """Return the flow's states q, q' and, with friction, h: (n, size)."""
+        """Return the flow's states q, q' and, with friction, sliding places h: (n, size)."""
         return np.hstack([self.states, self.places])
 
     @property

@@ -781,7 +781,7 @@ def orbit_from(
 
 
 def is_same_orbit(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
-    """Return True if two orbits agree to 1e-6 in the energy norm."""
+    """Return True if two orbits agree to 1e-6 of their size in the energy norm."""
     distance = orbit.energy_norm(orbit.state - other_orbit.state)
     return distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)
 

@@ -568,14 +568,15 @@ class Path:
                     break
 
     def _split_at_events(self, segment: PathSegment) -> Iterator[tuple[PathSegment, int | None]]:
-        """Split a segment behind each point with an event.
+        """Split a segment after each point with an event.
 
         Yields
         ------
         part : PathSegment
-            Points behind the first point, up to an event.
+            Points after the event before, up to the next event and with it.
         retry_index : int or None
-            Index of the point behind which a required event was not located, else None.
+            Index in the segment of the point after which a required event was not located, else
+            None.
         """
         min_parameter, max_parameter = self._options.span
         is_outside = (segment.parameters[1:] < min_parameter) | (
@@ -617,7 +618,7 @@ class Path:
     # --- its steps --------------------------------------------------------------------------------
 
     def _with_control_values(self, point: PathPoint) -> PathPoint:
-        """Return a point with record and values for the step control, if any."""
+        """Return a point with the system's record and the values of the step control, if any."""
         if self._control is None or point.control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
@@ -645,7 +646,7 @@ class Path:
     def _cut_at_rejected_step(
         self, segment: PathSegment, n_known: int, step: float
     ) -> PathSegment | None:
-        """Cut a segment at the first rejected step, and halve that step.
+        """Cut a segment before the first rejected step, and halve the step for the next attempt.
 
         Parameters
         ----------
