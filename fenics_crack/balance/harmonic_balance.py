@@ -59,13 +59,12 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
 from fenics_crack.motion.motions import ObservedMotion
 from fenics_crack.motion.orbit import (
-    INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
     OrbitCoefficients,
     PeriodicOrbit,
     is_affordable,
 )
-from fenics_crack.motion.search import SEGMENTS, OrbitSearch, SearchOptions, search_orbit
+from fenics_crack.motion.search import SEGMENT_STARTS, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -513,7 +512,7 @@ def _search_orbit_from_solutions(
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
-                yield orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+                yield orbit.sampled.whole_states[SEGMENT_STARTS]
             elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
         for count in SearchOptions.harmonics:
@@ -538,7 +537,7 @@ def _states_with_more_modes(
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
-        return more_modes.orbit.sampled.whole_states[:: INSTANTS_PER_PERIOD // SEGMENTS]
+        return more_modes.orbit.sampled.whole_states[SEGMENT_STARTS]
     return MoreModes(flow, assessment.wave, orbit).states
 
 

@@ -27,7 +27,6 @@ from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
-    INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
     Inverse,
@@ -37,18 +36,13 @@ from fenics_crack.motion.orbit import (
     predict_motion,
     predict_orbit,
 )
-from fenics_crack.motion.search import SEGMENTS
+from fenics_crack.motion.search import SEGMENT_STARTS
 from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import relative_to_motion
 
 UNKNOWN = 1.0
 """Relative error that stands for an unknown error."""
-
-
-MAX_PREDICTED_CHANGE = 0.02
-"""Largest relative change of the gap by one Newton step after which an orbit is sought with so many
-modes that M is not formed. After 0.005 one was found, after 0.05 and 0.06 none in 3 to 4 s each."""
 
 Errors = tuple[float, float]
 """Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
@@ -121,9 +115,7 @@ class MoreModes:
         n_modes = self.nearest_orbit.flow.n_modes
         coordinates, speed, places = np.split(samples.whole_states, [n_modes, 2 * n_modes], axis=1)
         if as_massless_structure(self.wave.structure) is None:
-            return self._reference_states(coordinates, speed, places)[
-                :: INSTANTS_PER_PERIOD // SEGMENTS
-            ]
+            return self._reference_states(coordinates, speed, places)[SEGMENT_STARTS]
         n_kept = coordinates.shape[1]
         modal_loads = (
             fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
@@ -134,9 +126,8 @@ class MoreModes:
         static_rates = (
             np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
         ) / (2.0 * samples.time[1])
-        return np.hstack([coordinates, static_coordinates, speed, static_rates, places])[
-            :: INSTANTS_PER_PERIOD // SEGMENTS
-        ]
+        whole_states = [coordinates, static_coordinates, speed, static_rates, places]
+        return np.hstack(whole_states)[SEGMENT_STARTS]
 
     def _reference_states(
         self, coordinates: np.ndarray, speed: np.ndarray, places: np.ndarray
@@ -173,13 +164,12 @@ class MoreModes:
             find_orbit, flow, omega, subharmonic=periods, step_tolerance=ROOT_TOLERANCE
         )
         orbit = None
-        if forms_monodromy := flow.n_modes <= MAX_MODES_FOR_MONODROMY:
+        if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             orbit = search(states[0], inverse=start_inverse) or (
                 search(states[0]) if start_inverse else None
             )
         if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            if forms_monodromy or step.gap_error <= MAX_PREDICTED_CHANGE:
-                orbit = search(step.states[0], inverse=step.inverse)
+            orbit = search(step.states[0], inverse=step.inverse)
             return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 

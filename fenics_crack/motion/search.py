@@ -36,6 +36,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.tables import counted, percent
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
+    INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
     MAX_SEARCH_PERIODS,
     Inverse,
@@ -52,6 +53,8 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
 SEGMENTS = 32
 """Multiple-shooting segments per period."""
+SEGMENT_STARTS = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS)
+"""Samples of an orbit at which its segments begin."""
 PIECES_PER_PERIOD = 200
 """Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
 one."""
