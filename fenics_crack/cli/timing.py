@@ -92,7 +92,7 @@ def _fit_blades(
     with console.stage("vibration"):
         for blade, arrivals in blades.items():
             with within(f"blade {blade}"):
-                fits[blade] = scene_timing.vibration_in(table, arrivals, *of_scene)
+                fits[blade] = scene_timing.fit_vibration(table, arrivals, *of_scene)
     return fits
 
 
@@ -113,7 +113,10 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
             seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
             yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
         return
-    doubts = scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run)
+    doubts = (
+        scene_timing.describe_scene_difference(scene, run),
+        scene_timing.describe_run_up_end(scene, run),
+    )
     yield from filter(None, doubts)
     if scene_timing.curve_of(run) is None:
         found = run.result
