@@ -70,7 +70,7 @@ def test_arrivals_are_roots(rotation: dict[str, Any], orbit: fc.PeriodicSolution
 
 
 def test_arrivals_of_twice_the_loads_period() -> None:
-    """Compare arrivals of every other revolution, and all with roots."""
+    """Compare arrivals with roots, and every other revolution with each other."""
     orbit = period_two_orbit(12)
     arrivals = fc.tip_timing(orbit, 0, probes=PROBES, tip_radius=100.0, order=3, revolutions=6)
     speed = orbit.omega / 3
