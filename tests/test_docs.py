@@ -1,4 +1,4 @@
-"""The code in the documentation runs, and the files and tests that it names exist."""
+"""The documentation's code runs, and its files and tests exist."""
 
 import ast
 import dataclasses
@@ -25,14 +25,14 @@ import fenics_crack as fc
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
-NEWCOMER = ("first_hour", "program", "security", "solids")
-"""Pages whose lines for the shell are run one after the other."""
-SHELL = re.compile(r"```sh\n(.*?)```", re.S)
-COARSE: dict[str, object] = {
+NEWCOMER_PAGES = ("first_hour", "program", "security", "solids")
+"""Pages whose shell lines are run one after the other."""
+SHELL_BLOCK = re.compile(r"```sh\n(.*?)```", re.S)
+COARSE_PLATE: dict[str, object] = {
     "mesh.size": 0.05, "mesh.lip_elements": 3, "reduction.modes": 8,
     "harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 5,
 }  # fmt: skip
-"""Of the plates that those lines are about; as written they are solved in test_whole_path.py."""
+"""Changes of the plates in these lines; test_whole_path.py solves them as written."""
 COARSE_SOLID = {"mesh.size": 0.015, "mesh.lip_elements": 1, "reduction.modes": 6}
 FOLDERS = [ROOT / "docs" / folder for folder in ("", "notebook", "verification", "decisions")]
 PAGES = [
@@ -41,31 +41,34 @@ PAGES = [
 ]  # fmt: skip
 
 
-def programs(page: Path) -> list[str]:
-    """Return the programs of a page: a block that imports the package begins one, and those behind
-    it that do not go on with it, as in a notebook."""
-    found: list[str] = []
+def read_programs(page: Path) -> list[str]:
+    """Return the Python programs of a page.
+
+    A block that imports the package begins a program, and blocks without the import continue it,
+    as in a notebook.
+    """
+    programs: list[str] = []
     for block in re.findall(r"```python\n(.*?)```", page.read_text(), re.S):
         if "import fenics_crack" in block:
-            found.append(block)
+            programs.append(block)
         else:
-            found[-1] += "\n" + block
-    return found
+            programs[-1] += "\n" + block
+    return programs
 
 
-DEAR = ("fc.identify(", "output/pictures/")
-"""Parts of programs that take long: cracks that are found, pictures of the gallery."""
+SLOW_CODE = ("fc.identify(", "output/pictures/")
+"""Code of slow programs: identification of cracks, pictures of the gallery."""
 BLOCKS = [
     pytest.param(
         code, id=f"{page.name} {number}",
-        marks=[pytest.mark.nightly] if any(part in code for part in DEAR) else [],
+        marks=[pytest.mark.nightly] if any(part in code for part in SLOW_CODE) else [],
     )
     for page in PAGES
     if page.name != "short_answers.md"  # in the folder of its scene: tests/test_whole_path.py
-    for number, code in enumerate(programs(page))
+    for number, code in enumerate(read_programs(page))
 ]  # fmt: skip
 
-COARSER = {
+CODE_REPLACEMENTS = {
     "size = 0.005, lip_elements = 4 }\n[identify]\nfiner = 1.5": (
         "size = 0.02, lip_elements = 5 }\n[identify]\nfiner = 1.0"
     ),
@@ -77,9 +80,9 @@ COARSER = {
     "np.linspace(0.0, 4800.0, 7)": "np.linspace(0.0, 4800.0, 3)",
     '((0.006, "orange"), (0.004, "green"))': '((0.006, "orange"),)',
 }
-"""Of the measured beams, of which 150 are solved, on one mesh; of the gallery's 119 cases, 7 speeds
-and 3 cracks; of the plate whose crack is found; and of the record, which is looked through as it is
-written in tests/arrivals/test_records.py."""
+"""Replacements that make programs fast: of the measured beams, of which 150 are solved, on one
+mesh; of the gallery's 119 cases, 7 speeds and 3 cracks; of the plate whose crack is found; and of
+the record, which tests/arrivals/test_records.py looks through as written."""
 
 
 TABLES: dict[str, Any] = {
@@ -92,30 +95,31 @@ TABLES: dict[str, Any] = {
 @pytest.mark.drawn(4)
 @pytest.mark.parametrize("code", BLOCKS)
 def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each program of a page is whole, run in the project's folder; those of measured beams and of
-    the gallery with fewer and coarser ones."""
+    """Run each program of a page, slow programs with fewer cases."""
     monkeypatch.chdir(ROOT)
-    for written, coarse in COARSER.items():
-        code = code.replace(written, coarse)
+    for original, replacement in CODE_REPLACEMENTS.items():
+        code = code.replace(original, replacement)
     exec(compile(code, "documentation", "exec"), {"__name__": "documentation"})
 
 
 def test_gallery_draws_its_pictures() -> None:
-    """Each picture of the gallery stands above the lines that draw it, and is small."""
+    """Check that the gallery draws its pictures in order, and small."""
     text = (ROOT / "docs" / "gallery.md").read_text()
-    shown = re.findall(r"\]\(pictures/(.*?)\)", text)
-    assert shown == re.findall(r'"output/pictures/(.*?)"', text) and len(shown) > 10
-    assert all((ROOT / "docs" / "pictures" / name).stat().st_size < 100_000 for name in shown)
+    picture_names = re.findall(r"\]\(pictures/(.*?)\)", text)
+    assert picture_names == re.findall(r'"output/pictures/(.*?)"', text) and len(picture_names) > 10
+    assert all(
+        (ROOT / "docs" / "pictures" / name).stat().st_size < 100_000 for name in picture_names
+    )
 
 
 @pytest.mark.nightly
 @pytest.mark.mpi
 def test_job_script_runs(tmp_path: Path) -> None:
-    """That of a cluster: a sweep, and again, where it finds nothing left."""
+    """Run a cluster's job script, and its sweep again with nothing left."""
     [script] = re.findall(r"```bash\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
     (tmp_path / "job.sh").write_text(script)
-    over = {"sweep.over": {"excitation.frequency": [700.0, 710.0, 720.0]}}
-    scene = fc.Scene.load(ROOT / "demos" / "blade.toml").replace(over)
+    changes = {"sweep.over": {"excitation.frequency": [700.0, 710.0, 720.0]}}
+    scene = fc.Scene.load(ROOT / "demos" / "blade.toml").replace(changes)
     (tmp_path / "plate.toml").write_text(scene.as_toml())
     activate = tmp_path / "fenics_crack" / ".venv" / "bin" / "activate"
     activate.parent.mkdir(parents=True)
@@ -123,25 +127,25 @@ def test_job_script_runs(tmp_path: Path) -> None:
     program.write_text(f'#!/bin/sh\nexec {sys.executable} -m fenics_crack "$@"\n')
     program.chmod(0o755)
     activate.write_text(f'PATH="{tmp_path}:$PATH"\n')
-    own = {"HOME": str(tmp_path), "SLURM_NTASKS": "2", "PYTHONPATH": str(ROOT)}
-    how: dict[str, Any] = {"capture_output": True, "text": True, "timeout": LIMIT}
-    how |= {"cwd": tmp_path, "env": os.environ | MPI_ENVIRONMENT | own}
-    done = subprocess.run(["bash", "job.sh"], **how)
-    assert done.returncode == 0, done.stderr
-    found = fc.SweepResult.load(tmp_path / "output" / "sweep" / "sweep.h5")
-    assert found.converged.all()
-    again = ["sweep", tmp_path / "plate.toml", "--output", tmp_path / "output" / "sweep"]
-    assert main([*map(str, again), "--quiet"]) == 0
-    assert fc.SweepResult.load(found.path)["seconds"].tolist() == found["seconds"].tolist()
+    variables = {"HOME": str(tmp_path), "SLURM_NTASKS": "2", "PYTHONPATH": str(ROOT)}
+    options: dict[str, Any] = {"capture_output": True, "text": True, "timeout": LIMIT}
+    options |= {"cwd": tmp_path, "env": os.environ | MPI_ENVIRONMENT | variables}
+    process = subprocess.run(["bash", "job.sh"], **options)
+    assert process.returncode == 0, process.stderr
+    sweep = fc.SweepResult.load(tmp_path / "output" / "sweep" / "sweep.h5")
+    assert sweep.converged.all()
+    command = ["sweep", tmp_path / "plate.toml", "--output", tmp_path / "output" / "sweep"]
+    assert main([*map(str, command), "--quiet"]) == 0
+    assert fc.SweepResult.load(sweep.path)["seconds"].tolist() == sweep["seconds"].tolist()
 
 
-def in_a_process(words: list[str]) -> tuple[int, str, str]:
-    """What a line prints that is not for the program alone."""
+def run_in_a_process(words: list[str]) -> tuple[int, str, str]:
+    """Run a command line, and return its exit code and outputs."""
     program = words.index("fenics-crack")
     words[program : program + 1] = [sys.executable, "-m", "fenics_crack"]
     environment = os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=LIMIT)
-    return done.returncode, done.stdout, done.stderr
+    process = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=LIMIT)
+    return process.returncode, process.stdout, process.stderr
 
 
 @pytest.mark.nightly
@@ -150,51 +154,55 @@ def in_a_process(words: list[str]) -> tuple[int, str, str]:
 def test_shell_blocks_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A newcomer's path, line by line in one folder, on coarse meshes and with few harmonics.
+    """Run the newcomer's pages line by line, with coarse meshes.
 
-    Only mpirun starts processes; all else is run in this one.
+    Only lines with mpirun start processes.
     """
 
     def run(line: str) -> tuple[int, str, str]:
         program, *words = shlex.split(line, comments=True)
         if program == "mpirun":
-            return in_a_process([program, *words])
+            return run_in_a_process([program, *words])
         assert program == "fenics-crack"
         return (main(words), *capsys.readouterr())
 
     monkeypatch.chdir(tmp_path)
-    pages = "".join((ROOT / "docs" / f"{name}.md").read_text() for name in NEWCOMER)
-    lines = "".join(SHELL.findall(pages)).splitlines()
+    pages = "".join((ROOT / "docs" / f"{name}.md").read_text() for name in NEWCOMER_PAGES)
+    lines = "".join(SHELL_BLOCK.findall(pages)).splitlines()
     assert any(line.startswith("mpirun") for line in lines)
     for line in lines:
-        code, printed, told = run(line)
-        assert code == 0, (line, told)
+        code, output, messages = run(line)
+        assert code == 0, (line, messages)
         if " new " in line:
             scene = tmp_path / shlex.split(line)[2]
-            coarse = COARSE_SOLID if "--solid" in line else COARSE
-            scene.write_text(fc.Scene.load(scene).replace(coarse).as_toml())
+            changes = COARSE_SOLID if "--solid" in line else COARSE_PLATE
+            scene.write_text(fc.Scene.load(scene).replace(changes).as_toml())
         if not any(word in line for word in (" plot ", " new ", " report ", " clean ", "json")):
-            assert printed.count("\n---") == 1, (line, printed)  # one table, from one rank
+            assert output.count("\n---") == 1, (line, output)  # one table, from one rank
         if " plot " in line:
-            for picture in told.split():
+            for picture in messages.split():
                 assert (tmp_path / picture).stat().st_size > 100, picture
     for name in ("modes", "solution", "curve", "integration", "sweep"):
-        for ending in ("h5", "csv", "json"):
-            assert (tmp_path / "output" / "plate" / f"{name}.{ending}").exists(), name
-    one, two = (tmp_path / "output" / folder / "solution.json" for folder in ("plate", "two"))
-    for here, there in zip(*[json.loads(file.read_text()) for file in (one, two)], strict=True):
-        assert here["quantity"] == there["quantity"]
-        if isinstance(here["value"], float) and "residual" not in here["quantity"]:
-            assert there["value"] == pytest.approx(here["value"], rel=1e-5), here
+        for suffix in ("h5", "csv", "json"):
+            assert (tmp_path / "output" / "plate" / f"{name}.{suffix}").exists(), name
+    serial_file, parallel_file = (
+        tmp_path / "output" / folder / "solution.json" for folder in ("plate", "two")
+    )
+    for serial_row, parallel_row in zip(
+        *[json.loads(file.read_text()) for file in (serial_file, parallel_file)], strict=True
+    ):
+        assert serial_row["quantity"] == parallel_row["quantity"]
+        if isinstance(serial_row["value"], float) and "residual" not in serial_row["quantity"]:
+            assert parallel_row["value"] == pytest.approx(serial_row["value"], rel=1e-5), serial_row
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
-    """Blocks of TOML parse, and their keys are known; what is missing is another matter."""
+    """Parse blocks of TOML as tables of scenes with known keys."""
     for block in re.findall(r"```toml\n(.*?)```", page.read_text(), re.S):
-        for name, found in tomllib.loads(block).items():
+        for name, value in tomllib.loads(block).items():
             kind = TABLES[name]
-            for table in found if isinstance(found, list) else [found]:
+            for table in value if isinstance(value, list) else [value]:
                 assert isinstance(kind.from_mapping(table), kind)
 
 
@@ -202,8 +210,10 @@ def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
 def test_commands_exist(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Commands that are shown without being run: their arguments and their scripts exist. Each is
-    called in an empty folder, where it does not find its files."""
+    """Check that shown commands have valid arguments and existing scripts.
+
+    Each command is called in an empty folder, where its files are missing.
+    """
     text = page.read_text()
     lines = re.findall(r"^    (?:mpirun -n \d+ )?fenics-crack (.*)$", text, re.M)
     for number, line in enumerate(lines):
@@ -215,12 +225,12 @@ def test_commands_exist(
     for script, words in re.findall(r"python ((?:demos|benchmarks)/\w+\.py)(.*)$", text, re.M):
         source = (ROOT / script).read_text()
         for option in re.findall(r"--(\w+)", words):
-            common = script.startswith("benchmarks") and option in ("only", "quick")
-            assert common or option in source, (script, option)
+            is_common_option = script.startswith("benchmarks") and option in ("only", "quick")
+            assert is_common_option or option in source, (script, option)
 
 
 def test_links_lead_somewhere() -> None:
-    """Relative links and the files named in the README exist."""
+    """Check that relative links and files named in README exist."""
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
@@ -229,22 +239,24 @@ def test_links_lead_somewhere() -> None:
 
 
 @pytest.mark.parametrize(
-    "about",
+    "topic",
     ["PDF", "Initial values", "pandas", "cite", "upgrade", "Windows", "Friction", "Mistuning",
      "law of my own", "Which damping"],
 )  # fmt: skip
-def test_questions_are_answered_from_the_first_page(about: str) -> None:
-    """In a row of the short answers, which leads on to a heading that exists."""
+def test_questions_are_answered_from_the_first_page(topic: str) -> None:
+    """Find each topic in the short answers, and its linked heading."""
     page = ROOT / "docs" / "short_answers.md"
     assert "(docs/short_answers.md)" in PAGES[0].read_text()
-    [answer] = re.findall(rf"^\| [^|]*\b{about}\b[^|]* \| ([^|]+) \|$", page.read_text(), re.M)
+    [answer] = re.findall(rf"^\| [^|]*\b{topic}\b[^|]* \| ([^|]+) \|$", page.read_text(), re.M)
     for target, anchor in re.findall(r"\]\(([\w.]+)#([\w-]+)\)", answer):
         headings = re.findall(r"^#+ (.*)$", (page.parent / target).read_text(), re.M)
-        assert anchor in [re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in headings]
+        assert anchor in [
+            re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings
+        ]
 
 
 def test_names_exist() -> None:
-    """Public names and keys of a scene that the pages mention."""
+    """Check that public names and scene keys of the pages exist."""
     keys = {
         name: {field.name for field in dataclasses.fields(kind)}
         for name, kind in (TABLES | {"load": TABLES["loads"]}).items()
@@ -257,46 +269,50 @@ def test_names_exist() -> None:
             assert key in keys.get(table, {key}), f"{page.name}: {table}.{key}"
 
 
-MARK = re.compile(r"<!-- by ([\w/.\s]+) -->")
-"""What prints the numbers of the paragraph or table above: tests and benchmarks, or modules of the
-package in which they are constants."""
-NO_TEXT = re.compile(
+SOURCE_MARK = re.compile(r"<!-- by ([\w/.\s]+) -->")
+"""Tests and benchmarks that print the numbers of the text above, or modules that have them as
+constants."""
+NOT_PARAGRAPHS = re.compile(
     r"<!-- (?!by )[^\n]*?-->|```.*?```|\$\$.*?\$\$|^## Sources\n.*|^(?:    |#+ )[^\n]*", re.S | re.M
 )
-NO_NUMBERS = re.compile(r"`[^`\n]*`|\]\([^)]*\)|\(\d+(?:, \d+)*\)")
+NOT_NUMBERS = re.compile(r"`[^`\n]*`|\]\([^)]*\)|\(\d+(?:, \d+)*\)")
 """Code, links, and numbers of equations."""
 NUMBER = re.compile(r"(?<![\w.,^/+-])\d[\d,]*(?:\.\d+)?(?:e[+-]?\d+)?(?!\w)(?: %)?")
 IN_EQUATIONS = {"0", "1", "2"}
 
 
-def numbers_in(text: str) -> list[str]:
-    """Return the numbers of a paragraph or row that something has to print."""
-    numbers = [number.rstrip(",") for number in NUMBER.findall(NO_NUMBERS.sub("", text))]
+def find_numbers(text: str) -> list[str]:
+    """Return the numbers in a text, without links, code, and 0 to 2."""
+    numbers = [number.rstrip(",") for number in NUMBER.findall(NOT_NUMBERS.sub("", text))]
     return [number for number in numbers if number not in IN_EQUATIONS]
 
 
-def constants_of(module: Path) -> set[str]:
-    """Return the constants of a module as a page has them: as they are, inverse, in per cent, and
-    those of a template in mm."""
+def read_constants(module: Path) -> set[str]:
+    """Return the constants of a module, as a page writes them.
+
+    Plain, inverse and in per cent; of a template in TOML, plain and in mm.
+    """
     if module.suffix == ".toml":
         numbers = [float(text) for text in re.findall(r"\d+\.\d+", module.read_text())]
         return {f"{size:.6g}" for x in numbers for size in (x, 1e3 * x)}
     nodes = ast.walk(ast.parse(module.read_text()))
     values = [node.value for node in nodes if isinstance(node, ast.Constant)]
     numbers = [float(value) for value in values if isinstance(value, int | float) and value]
-    plain = {f"{size:.6g}" for x in numbers for size in (x, 1.0 / x)}
-    return plain | {f"{100.0 * x:.6g} %" for x in numbers}
+    number_texts = {f"{size:.6g}" for x in numbers for size in (x, 1.0 / x)}
+    return number_texts | {f"{100.0 * x:.6g} %" for x in numbers}
 
 
-def marked_texts(page: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield paragraphs and tables with the files in their mark, and rows without a mark with the
-    files in them."""
-    *pieces, end = MARK.split(NO_TEXT.sub("", page.read_text()))
+def iterate_marked_texts(page: Path) -> Iterator[tuple[str, list[str]]]:
+    """Yield texts with the files that have their numbers.
+
+    A paragraph or table has the files in its mark; every other row has the files that it names.
+    """
+    *pieces, end = SOURCE_MARK.split(NOT_PARAGRAPHS.sub("", page.read_text()))
     for piece, mark in zip([*pieces[::2], end], [*pieces[1::2], ""], strict=True):
-        *before, last = re.split(r"\n\s*\n", piece.strip())
+        *paragraphs, paragraph = re.split(r"\n\s*\n", piece.strip())
         if mark:
-            yield last, mark.split()
-        for row in "\n".join(before if mark else [*before, last]).split("\n"):
+            yield paragraph, mark.split()
+        for row in "\n".join(paragraphs if mark else [*paragraphs, paragraph]).split("\n"):
             yield row, re.findall(r"(?:tests|benchmarks)/[\w/]+\.py", row)
 
 
@@ -304,28 +320,27 @@ def marked_texts(page: Path) -> Iterator[tuple[str, list[str]]]:
     "page", ["../README", "first_hour", "theory", "error_report", "short_answers", "the_paper"]
 )
 def test_numbers_name_what_prints_them(page: str) -> None:
-    """A mark below the paragraph or table names it, or the row: files that exist, and of the
-    package those that hold the numbers."""
-    for text, files in marked_texts(ROOT / "docs" / f"{page}.md"):
+    """Check that named files exist, and modules hold the numbers."""
+    for text, files in iterate_marked_texts(ROOT / "docs" / f"{page}.md"):
         assert all((ROOT / name).exists() for name in files), files
         modules = [ROOT / name for name in files if name.startswith("fenics_crack/")]
         if files and len(modules) < len(files):
             continue
-        known = set[str]().union(*map(constants_of, modules))
-        for number in numbers_in(text):
+        constants = set[str]().union(*map(read_constants, modules))
+        for number in find_numbers(text):
             size, space, unit = number.replace(",", "").partition(" ")
-            assert f"{float(size):.6g}{space}{unit}" in known, (number, text)
+            assert f"{float(size):.6g}{space}{unit}" in constants, (number, text)
 
 
 def test_verification_names_its_tests() -> None:
-    """Each line ends with files of tests and parts of names of tests in them, or a benchmark."""
+    """Check that each line names existing tests or a benchmark."""
     text = (ROOT / "docs" / "verification" / "index.md").read_text()
     text = text.split("## Smaller checks")[1]
     lines = text.split("### Random structures")[0].splitlines()
     cells = [line.strip("| ").split(" | ")[-1] for line in lines if line.startswith("| ")]
-    named = [cell for cell in cells if cell not in ("test", "---")]
-    assert len(named) > 60
-    for cell in named:
+    test_cells = [cell for cell in cells if cell not in ("test", "---")]
+    assert len(test_cells) > 60
+    for cell in test_cells:
         for place in cell.split("; "):
             file, _, parts = place.partition(", ")
             if file.startswith("`benchmarks/"):
@@ -338,7 +353,7 @@ def test_verification_names_its_tests() -> None:
 
 
 def test_readme_starts_with_the_two_commands() -> None:
-    """Exactly the two lines that a newcomer needs."""
+    """Compare the first commands with the two that a newcomer needs."""
     commands = re.findall(r"^    (sh install\.sh .*&& .*)$", PAGES[0].read_text(), re.M)
     assert commands == [
         "sh install.sh && .venv/bin/python demos/paper_plate.py",
@@ -351,10 +366,10 @@ def test_readme_starts_with_the_two_commands() -> None:
 
 @pytest.mark.parametrize(("option", "code"), [("--help", 0), ("--test", 2), ("", 2)])
 def test_install_answers_a_wrong_option(option: str, code: int, tmp_path: Path) -> None:
-    """In one line, before it does anything."""
+    """Answer a wrong option in one line, before doing anything."""
     script = shutil.copy(ROOT / "install.sh", tmp_path)
-    done = subprocess.run(["sh", script, option], capture_output=True, text=True, timeout=LIMIT)
-    assert done.returncode == code and len((done.stdout + done.stderr).splitlines()) == 1
+    process = subprocess.run(["sh", script, option], capture_output=True, text=True, timeout=LIMIT)
+    assert process.returncode == code and len((process.stdout + process.stderr).splitlines()) == 1
     assert [*tmp_path.iterdir()] == [Path(script)]
 
 
@@ -364,23 +379,27 @@ def test_citation_is_of_this_version() -> None:
 
 
 RECORDS = sorted((ROOT / "docs" / "pictures").glob("work_precision_*.json"))
-MADE = re.compile(r"commit ([0-9a-f]{8}), (\d{4}-\d{2}-\d{2})")
-"""How a table or a picture of speed says of what it is."""
+COMMIT_AND_DATE = re.compile(r"commit ([0-9a-f]{8}), (\d{4}-\d{2}-\d{2})")
+"""Commit and date of a table or picture of speed."""
 
 
 def assert_is_a_commit(name: str) -> None:
-    """An ancestor of the checkout; nothing is known where its history is missing."""
+    """Assert that a commit is in the checkout's history, if any."""
     if shutil.which("git") is None:  # a fresh Debian has none
         return
     git = ["git", "-C", str(ROOT)]
-    known = subprocess.run([*git, "rev-list", "HEAD"], capture_output=True, text=True, check=False)
+    history = subprocess.run(
+        [*git, "rev-list", "HEAD"], capture_output=True, text=True, check=False
+    )
     if (ROOT / ".git").exists() and not (ROOT / ".git" / "shallow").exists():
-        assert any(line.startswith(name) for line in known.stdout.splitlines()), name
+        assert any(line.startswith(name) for line in history.stdout.splitlines()), name
 
 
 def test_pictures_of_speed_name_what_exists() -> None:
-    """Their methods are in the package or beside the benchmark, their commit is in the history, and
-    each has its picture; so has README's table its commit."""
+    """Check that records of speed have pictures, commits and methods that exist.
+
+    Commits in README and the page of the benchmarks are in the history, too.
+    """
     import work_precision
 
     assert len(RECORDS) >= 4
@@ -397,22 +416,26 @@ def test_pictures_of_speed_name_what_exists() -> None:
                 module, _, name = place.rpartition(".")
                 assert hasattr(importlib.import_module(module), name), place
     for page in (ROOT / "README.md", ROOT / "benchmarks" / "README.md"):
-        made = MADE.findall(page.read_text())
-        assert made
-        for commit, _ in made:
+        commits = COMMIT_AND_DATE.findall(page.read_text())
+        assert commits
+        for commit, _ in commits:
             assert_is_a_commit(commit)
 
 
 def test_tables_of_speed_against_error_are_the_record() -> None:
-    """README's five rows and the ladder of the benchmarks' page are made from the rows kept, each
-    of a commit in the history; README's true errors are .3 to 1.6 times the stated ones. Only what
-    misses 1 % need not be tried to .1 %."""
+    """Compare the tables of README and benchmarks with the rows kept.
+
+    Every row is of a commit in the history. Of README, true errors are 0.3 to 1.6 times the stated
+    errors. A row of 0.1 % may be missing only if the row of 1 % has missed.
+    """
     import speed_against_error as ladder
 
     rows = ladder.kept_rows()
-    kept = {ladder.key_of(row): row for row in rows}
-    missing = {(demo, rung) for demo in ladder.DEMOS for rung in ladder.RUNGS} - kept.keys()
-    assert all(rung == "0.1%" and kept[demo, "1%"]["missed"] for demo, rung in missing)
+    rows_by_key = {ladder.key_of(row): row for row in rows}
+    missing_keys = {
+        (demo, rung) for demo in ladder.DEMOS for rung in ladder.RUNGS
+    } - rows_by_key.keys()
+    assert all(rung == "0.1%" and rows_by_key[demo, "1%"]["missed"] for demo, rung in missing_keys)
     assert ladder.RECORD.with_suffix(".png").stat().st_size > 10_000
     for page, table in ladder.tables(rows).items():
         assert page.read_text() == ladder.page_with_table(page, table), page.name
@@ -427,14 +450,13 @@ def test_tables_of_speed_against_error_are_the_record() -> None:
     "demo", ["paper_plate", "breathing_plate", "blade", "friction", "solid_blade"]
 )
 def test_readme_states_what_a_fresh_run_does(demo: str) -> None:
-    """Amplitudes, stated and true errors of README's row, but where it has no answer; times are
-    another machine's."""
+    """Compare amplitudes and errors of a fresh run with README's row."""
     import speed_against_error as ladder
 
-    kept = {ladder.key_of(row): row for row in ladder.kept_rows()}
+    rows_by_key = {ladder.key_of(row): row for row in ladder.kept_rows()}
     references: dict[Any, float] = {}
-    for rung in (name for name in ("scene", "1%") if kept[demo, name]["amplitude [m]"]):
-        row, fresh = kept[demo, rung], ladder.run_rung(demo, rung, references)
+    for rung in (name for name in ("scene", "1%") if rows_by_key[demo, name]["amplitude [m]"]):
+        row, fresh = rows_by_key[demo, rung], ladder.run_rung(demo, rung, references)
         assert fresh["amplitude [m]"] == pytest.approx(row["amplitude [m]"], rel=1e-3)
         assert (fresh["stated"] is None) == (row["stated"] is None)
         assert bool(fresh["missed"]) == bool(row["missed"])

@@ -1,4 +1,4 @@
-"""The command ``timing``: arrival times of a blade tip, and the vibration found in them."""
+"""The command ``timing``: arrival times of blade tips, and their vibration."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ RECORD_KEYS = (
     "subharmonic", "angle_deviation",
 )  # fmt: skip
 """Keys of [tip_timing] for a record in place of a scene."""
-MEDIANS = (
+PROBES_REQUIREMENT = (
     "given for a record at constant speed: without them a probe stands at its median arrival, "
     "where an engine order of constant amplitude is not seen"
 )
 
 
 def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
-    """Compute arrival times unless they are measured, and fit a vibration to them."""
+    """Fit a vibration to arrival times, computed unless they are measured."""
     if inputs is None:
-        return _record(given, console)
+        return _find_vibration_of_record(given, console)
     scene, folder, source = inputs.scene, inputs.folder, inputs.arrivals
     table, path = scene.given("tip_timing"), folder / "arrivals.csv"
     with console.stage("arrival times"):
@@ -58,8 +58,8 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         console.note(f"arrivals of {counted(len(blades), 'blade')}: {path}")
     fits = _fit_blades(table, blades, console, scene, run)
     if scene.disk is not None and not all(isinstance(fit, TipFit) for fit in fits.values()):
-        allowed = "arrivals at one speed of a bladed disk"
-        raise InputError("arrivals", str(source or "a curve"), allowed)
+        requirement = "arrivals at one speed of a bladed disk"
+        raise InputError("arrivals", str(source or "a curve"), requirement)
     doubts = tuple(_warnings_of(first_blade, scene, run))
     return _report(Timing(scene, blades, fits, doubts), folder, console)
 
@@ -67,7 +67,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
 def _write_arrivals(
     arrivals: ArrivalTimes, path: Path, scene: Scene, run: Run[Any] | None, console: Console
 ) -> None:
-    """Write and draw the arrivals of one blade, and say what they are."""
+    """Write, draw and describe the arrivals of one blade."""
 
     def write() -> None:
         arrivals.to_csv(path)
@@ -77,75 +77,89 @@ def _write_arrivals(
     rows = arrivals.table().formatted("csv")
     console.note(keep_before(path, rows, console.comm))
     on_root(console.comm, write)
-    first, last = (speed_in_words(arrivals.speed[end], scene.in_rpm) for end in (0, -1))
-    ends = f"{first} to {last}" if scene_timing.is_run_up(arrivals, run) else first
-    console.note(f"arrivals of {_size(arrivals)}, {ends}: {path}, .{console.pictures}")
+    first_speed, last_speed = (
+        speed_in_words(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
+    )
+    speed_range = (
+        f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
+    )
+    console.note(
+        f"arrivals of {_size_in_words(arrivals)}, {speed_range}: {path}, .{console.pictures}"
+    )
     if run is not None:
         console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
 
 
 def _fit_blades(
-    table: TipTiming, blades: Mapping[int, ArrivalTimes], console: Console, *of_scene: Any
+    table: TipTiming, blades: Mapping[int, ArrivalTimes], console: Console, *scene_and_run: Any
 ) -> dict[int, Any]:
-    """Return the vibration of each blade; ``of_scene`` are the scene and the run, if there are."""
+    """Fit the vibration of each blade, with or without scene and run."""
     fits = {}
     with console.stage("vibration"):
         for blade, arrivals in blades.items():
             with within(f"blade {blade}"):
-                fits[blade] = scene_timing.vibration_in(table, arrivals, *of_scene)
+                fits[blade] = scene_timing.fit_vibration(table, arrivals, *scene_and_run)
     return fits
 
 
-def _report(found: Timing, folder: Path, console: Console) -> Exit:
-    return tell(report_of(found), folder / "timing", console, found, console.pictures)
+def _report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
+    return tell(report_of(tip_timing), folder / "timing", console, tip_timing, console.pictures)
 
 
-def _size(arrivals: ArrivalTimes) -> str:
+def _size_in_words(arrivals: ArrivalTimes) -> str:
     return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
 
 
 def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
-    """Yield warnings about measured arrivals, or about the run that they are computed from."""
+    """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
         yield from scene_timing.remarks_on_arrivals(arrivals)
         speeds = arrivals.mean_speed, scene.speed
         if scene.speed > 0.0 and not 0.5 <= speeds[0] / speeds[1] <= 2.0:
-            seen, own = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
-            yield f"the arrivals are of {seen}, [rotation] has {own}: are they in seconds?"
+            record_speed, scene_speed = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+            yield (
+                f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
+                "are they in seconds?"
+            )
         return
-    doubts = scene_timing.of_another_scene(scene, run), scene_timing.run_up_ends(scene, run)
+    doubts = (
+        scene_timing.describe_scene_difference(scene, run),
+        scene_timing.describe_run_up_end(scene, run),
+    )
     yield from filter(None, doubts)
     if scene_timing.curve_of(run) is None:
-        found = run.result
-        yield from of_error(run.scene, found.report, found.harmonics)
-        yield from of_stability(run.scene, run, found.stability)
+        result = run.result
+        yield from of_error(run.scene, result.report, result.harmonics)
+        yield from of_stability(run.scene, run, result.stability)
 
 
-def _record(given: Namespace, console: Console) -> Exit:
-    """Find the vibration of the blades of a measured record, without a scene."""
-    words = {}
-    for key, value in changes(given.set).items():
+def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
+    """Find the vibration of a measured record's blades without a scene."""
+    table_values = {}
+    for key, value in changes(arguments.set).items():
         table, _, name = key.partition(".")
         if table != "tip_timing" or name not in RECORD_KEYS:
-            known = ", ".join(f"tip_timing.{known}" for known in RECORD_KEYS)
-            allowed = f"left out with a record in place of a scene, or {known}"
-            raise InputError(key, value, allowed)
-        words[name] = TipTiming.checked(name, value)
+            key_names = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
+            requirement = f"left out with a record in place of a scene, or {key_names}"
+            raise InputError(key, value, requirement)
+        table_values[name] = TipTiming.checked(name, value)
     with console.stage("arrival times"):
-        probes = np.radians(words["probes"]) if "probes" in words else None
-        blades = read_record(given.scene, tip_radius=words.get("tip_radius"), probes=probes)
-        blades = one_of(blades, given.blade, given.scene)
-    folder = given.output or Path("output") / given.scene.stem
+        probes = np.radians(table_values["probes"]) if "probes" in table_values else None
+        blades = read_record(
+            arguments.scene, tip_radius=table_values.get("tip_radius"), probes=probes
+        )
+        blades = one_of(blades, arguments.blade, arguments.scene)
+    folder = arguments.output or Path("output") / arguments.scene.stem
     make_writable(folder, console.comm)
     first_blade = next(iter(blades.values()))
-    console.note(f"{counted(len(blades), 'blade')}, {_size(first_blade)}")
-    needs_probes = first_blade.steady and not {"probes", "frequencies"} & words.keys()
-    if needs_probes and not has_probe_angles(given.scene):
-        raise InputError("tip_timing.probes", None, MEDIANS)
-    of_record = {
+    console.note(f"{counted(len(blades), 'blade')}, {_size_in_words(first_blade)}")
+    needs_probes = first_blade.steady and not {"probes", "frequencies"} & table_values.keys()
+    if needs_probes and not has_probe_angles(arguments.scene):
+        raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT)
+    record_values = {
         "probes": np.degrees(first_blade.probes).tolist(),
         "tip_radius": first_blade.tip_radius,
     }
-    fits = _fit_blades(TipTiming(**of_record | words), blades, console)
+    fits = _fit_blades(TipTiming(**record_values | table_values), blades, console)
     doubts = tuple(scene_timing.remarks_on_arrivals(first_blade))
     return _report(Timing(None, blades, fits, doubts), folder, console)

@@ -1,4 +1,4 @@
-"""Arrival times of the tip of a vibrating blade, from a periodic solution or a response curve.
+"""Arrival times of a blade tip, from a periodic solution or response curve.
 
 The angle of the blade tip is that of the rotor, alpha, plus that of its vibration (Heath and
 Imregun, International Journal of Mechanical Sciences 38, 1996, 1047, solve this for arrival times):
@@ -29,8 +29,8 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
-JUMP = 1e-3
-"""Maximum relative distance in frequency at which a motion may jump before a fold."""
+MAX_JUMP_DISTANCE = 1e-3
+"""Maximum distance from a fold at which a motion jumps, relative to the frequency."""
 
 
 def tip_timing(
@@ -104,11 +104,11 @@ def tip_timing(
     """
     angles = np.atleast_1d(numbers(probes))
     check_probes(angles)
-    shares = tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
-    if not shares:
+    factors = tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
+    if not factors:
         raise InputError("tip", tip, "a dof, or dofs with their factors")
-    for dof, share in shares.items():
-        check_number(f"tip[{dof!r}]", share)
+    for dof, factor in factors.items():
+        check_number(f"tip[{dof!r}]", factor)
     check_number("tip_radius", tip_radius, 0.0, above=True)
     check_count("revolutions", revolutions, 1)
     if revolutions * len(angles) > MOST_PASSAGES:
@@ -116,15 +116,15 @@ def tip_timing(
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
     check_count("seed", seed, 0)
-    result.structure.whole.check_dofs(list(shares))
+    result.structure.whole.check_dofs(list(factors))
 
-    motion = _motion(result, shares, speed, order, revolutions)
-    time = _arrivals(motion, angles, tip_radius)
+    motion = _build_motion(result, factors, speed, order, revolutions)
+    time = _compute_arrival_times(motion, angles, tip_radius)
     marks = motion.time(2.0 * np.pi * np.arange(revolutions + 1))
-    turn = float(np.diff(marks).min())
+    min_duration = float(np.diff(marks).min())
     for key, value in (("noise", noise), ("clock", clock)):
-        if value >= turn:
-            raise InputError(key, value, f"less than a revolution takes, {turn:.3g} s")
+        if value >= min_duration:
+            raise InputError(key, value, f"less than a revolution takes, {min_duration:.3g} s")
     if noise:
         time = time + noise * np.random.default_rng(seed).standard_normal(time.shape)
     if clock:
@@ -132,30 +132,34 @@ def tip_timing(
     return ArrivalTimes(time, marks, angles, float(tip_radius))
 
 
-def _arrivals(motion: _TipMotion, angles: np.ndarray, radius: float) -> np.ndarray:
-    """Return the times at which the blade tip passes the probes: (revolutions, probes) [s]."""
-    backwards = motion.fastest_backwards() / radius
-    targets = 2.0 * np.pi * np.arange(motion.revolutions)[:, None] + angles
+def _compute_arrival_times(
+    motion: _TipMotion, probe_angles: np.ndarray, radius: float
+) -> np.ndarray:
+    """Compute arrival times at the probes: (revolutions, probes) [s]."""
+    backward_ratio = motion.bound_backward_rate() / radius
+    targets = 2.0 * np.pi * np.arange(motion.revolutions)[:, None] + probe_angles
     parts = np.array_split(targets.ravel(), -(-targets.size // 2**15))  # for the memory
-    passed = np.concatenate([_passing_angles(motion, part, radius) for part in parts])
-    if backwards >= 1.0 or np.any(np.isnan(passed)):
-        allowed = (
+    rotor_angles = np.concatenate([_solve_passing_angles(motion, part, radius) for part in parts])
+    if backward_ratio >= 1.0 or np.any(np.isnan(rotor_angles)):
+        requirement = (
             "so large that the blade tip never moves backwards, past a probe a second time: its "
-            f"vibration reaches {backwards:.3g} of the speed of rotation"
+            f"vibration reaches {backward_ratio:.3g} of the speed of rotation"
         )
-        raise InputError("tip_radius", radius, allowed)
-    return motion.time(passed).reshape(targets.shape)
+        raise InputError("tip_radius", radius, requirement)
+    return motion.time(rotor_angles).reshape(targets.shape)
 
 
-def _motion(
+def _build_motion(
     result: PeriodicSolution | ResponseCurve,
-    shares: Mapping[int, float],
+    factors: Mapping[int, float],
     speed: float | None,
     order: int | None,
     revolutions: int,
 ) -> _TipMotion:
-    """Return the motion of the blade tip, at one speed or in a run-up (collective); raise
-    InputError unless the speed of rotation is known, once."""
+    """Return the motion of the blade tip (collective).
+
+    Raise InputError unless exactly one of ``speed`` and ``order`` is given; of a curve, ``order``.
+    """
     if order is not None:
         check_count("order", order, 1)
     if speed is not None:
@@ -165,61 +169,75 @@ def _motion(
             raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")
         if order is None:
             raise InputError("order", order, "given with a curve: periods of the load in a turn")
-        return _run_up(result, shares, order, revolutions)
+        return _build_run_up(result, factors, order, revolutions)
     if (speed is None) == (order is None):
         raise InputError("speed, order", (speed, order), "one of them")
-    turning = float(speed or result.omega / (order or 1))
-    waves = result.coefficients_at(list(shares)) @ np.array(list(shares.values()), dtype=float)
-    speeds, harmonics = np.array([turning, 2.0 * turning]), np.tile(to_complex(waves), (2, 1))
-    periods = result.base_omega / turning
-    return _TipMotion((turning, turning), revolutions, speeds, harmonics, periods)
+    rotor_speed = float(speed or result.omega / (order or 1))
+    series = result.coefficients_at(list(factors)) @ np.array(list(factors.values()), dtype=float)
+    speeds = np.array([rotor_speed, 2.0 * rotor_speed])
+    harmonics = np.tile(to_complex(series), (2, 1))
+    response_order = result.base_omega / rotor_speed
+    return _TipMotion((rotor_speed, rotor_speed), revolutions, speeds, harmonics, response_order)
 
 
-def _run_up(
-    curve: ResponseCurve, shares: Mapping[int, float], order: int, revolutions: int
+def _build_run_up(
+    curve: ResponseCurve, factors: Mapping[int, float], order: int, revolutions: int
 ) -> _TipMotion:
-    """Return the motion of the blade tip along a curve whose load frequency rises, or falls."""
-    begin, end = float(curve.omega[0]), float(curve.omega[-1])
-    if begin == end:
+    """Return the motion of the blade tip along a run-up or run-down."""
+    first_omega, last_omega = float(curve.omega[0]), float(curve.omega[-1])
+    if first_omega == last_omega:
         raise InputError("result", f"a curve over {curve.parameter}", "one over the load frequency")
-    kept, lost = run_up_points(curve)
-    if lost is not None:
-        at, allowed = float(curve.omega[lost]), "stable along the run-up, or a part that is, or "
-        raise InputError("result", f"unstable at {at:.6g} rad/s", f"{allowed}its branch")
-    waves = sum(float(share) * curve.coefficients_at(dof) for dof, share in shares.items())
-    speeds, harmonics = curve.omega[kept] / order, to_complex(np.asarray(waves)[kept].T).T
-    if end < begin:
+    indices, unstable_index = run_up_points(curve)
+    if unstable_index is not None:
+        omega = float(curve.omega[unstable_index])
+        requirement = "stable along the run-up, or a part that is, or "
+        raise InputError("result", f"unstable at {omega:.6g} rad/s", f"{requirement}its branch")
+    series = sum(float(factor) * curve.coefficients_at(dof) for dof, factor in factors.items())
+    speeds, harmonics = curve.omega[indices] / order, to_complex(np.asarray(series)[indices].T).T
+    if last_omega < first_omega:
         speeds, harmonics = speeds[::-1], harmonics[::-1]
-    ends = begin / order, float(curve.omega[kept][-1]) / order
-    return _TipMotion(ends, revolutions, speeds, harmonics, order / curve.subharmonic)
+    end_speeds = first_omega / order, float(curve.omega[indices][-1]) / order
+    return _TipMotion(end_speeds, revolutions, speeds, harmonics, order / curve.subharmonic)
 
 
 def run_up_points(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
-    """Return points of a curve that its run-up passes, (k,), up to the first one that is unstable
-    or irregular; and that one, None if there is none or the stability is not known."""
-    rising = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
-    kept = rising > before
-    if curve.multipliers is None:
-        return np.flatnonzero(kept), None
-    kept &= ~_next_to_folds(rising, kept, curve.verdicts != "stable")
-    points = np.flatnonzero(kept)
-    lost = points[np.isin(curve.verdicts[points], ("unstable", "irregular"))]
-    return (points[points < lost[0]], int(lost[0])) if len(lost) else (points, None)
+    """Find the points of a curve that a run-up passes.
 
-
-def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
-    """Return points not known to be stable next to where the curve turns back, before which the
-    motion jumps: (n,) bool.
-
-    ``rising``: the frequency, rising along the run-up; ``kept``: points that it passes.
+    Returns their indices (k,), up to the first unstable or irregular point, and the index of that
+    point: None without such a point, or if the stability is not known.
     """
-    folds = np.zeros(len(rising), dtype=bool)
-    for fold in np.flatnonzero(kept[:-1] & ~kept[1:]):
-        below = rising[fold] - rising[: fold + 1]
-        near = doubtful[: fold + 1] & (below < JUMP * abs(rising[fold]))
-        folds[: fold + 1] |= np.logical_and.accumulate(near[::-1])[::-1]
-    return folds
+    signed_omega = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
+    max_previous_omega = np.concatenate([[-np.inf], np.maximum.accumulate(signed_omega)[:-1]])
+    is_passed = signed_omega > max_previous_omega
+    if curve.multipliers is None:
+        return np.flatnonzero(is_passed), None
+    is_passed &= ~_find_jumped_points(signed_omega, is_passed, curve.verdicts != "stable")
+    indices = np.flatnonzero(is_passed)
+    unstable_indices = indices[np.isin(curve.verdicts[indices], ("unstable", "irregular"))]
+    return (
+        (indices[indices < unstable_indices[0]], int(unstable_indices[0]))
+        if len(unstable_indices)
+        else (indices, None)
+    )
+
+
+def _find_jumped_points(
+    signed_omega: np.ndarray, is_passed: np.ndarray, is_doubtful: np.ndarray
+) -> np.ndarray:
+    """Find points before folds that a jump leaves out: (n,) bool.
+
+    ``signed_omega``: the frequency, negative in a run-down; ``is_passed``: points of the run-up;
+    ``is_doubtful``: points not known to be stable. The motion jumps before the row of doubtful
+    points that ends at a fold, if they are near.
+    """
+    is_jumped = np.zeros(len(signed_omega), dtype=bool)
+    for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):
+        distances = signed_omega[fold_index] - signed_omega[: fold_index + 1]
+        can_jump = is_doubtful[: fold_index + 1] & (
+            distances < MAX_JUMP_DISTANCE * abs(signed_omega[fold_index])
+        )
+        is_jumped[: fold_index + 1] |= np.logical_and.accumulate(can_jump[::-1])[::-1]
+    return is_jumped
 
 
 # --- passages -------------------------------------------------------------------------------------
@@ -227,12 +245,13 @@ def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -
 
 @dataclass(frozen=True)
 class _TipMotion:
-    """Tangential displacement of the blade tip over the angle of a rotor, which turns at constant
-    acceleration, from angle 0 at time 0.
+    """Tangential displacement of a blade tip over the angle of its rotor.
+
+    The rotor turns at constant acceleration, from angle 0 at time 0.
 
     Attributes
     ----------
-    ends : (float, float) [rad/s]
+    end_speeds : (float, float) [rad/s]
         Speed of the rotor at the beginning, and after all revolutions.
     revolutions : int
         Number of revolutions.
@@ -244,7 +263,7 @@ class _TipMotion:
         Periods of the response in a revolution, q.
     """
 
-    ends: tuple[float, float]
+    end_speeds: tuple[float, float]
     revolutions: int
     speeds: np.ndarray
     harmonics: np.ndarray
@@ -252,59 +271,71 @@ class _TipMotion:
 
     @property
     def acceleration(self) -> float:
-        """Of the rotor [rad/s^2]."""
-        begin, end = self.ends
+        """Return the acceleration of the rotor [rad/s^2]."""
+        begin, end = self.end_speeds
         return (end - begin) * (end + begin) / (4.0 * np.pi * self.revolutions)
 
     def speed(self, angle: np.ndarray) -> np.ndarray:
         """Return the rotor's speed [rad/s] at angles [rad]."""
-        return np.asarray(np.sqrt(self.ends[0] ** 2 + 2.0 * self.acceleration * angle))
+        return np.asarray(np.sqrt(self.end_speeds[0] ** 2 + 2.0 * self.acceleration * angle))
 
     def time(self, angle: np.ndarray) -> np.ndarray:
         """Return the time [s] at angles [rad], without cancellation at small accelerations."""
-        return np.asarray(2.0 * angle / (self.ends[0] + self.speed(angle)))
+        return np.asarray(2.0 * angle / (self.end_speeds[0] + self.speed(angle)))
 
-    def fastest_backwards(self) -> float:
-        """Return a bound of -du/dalpha [m], at all speeds: the largest of samples over a period,
-        and its possible change between them."""
+    def bound_backward_rate(self) -> float:
+        """Return an upper bound of -du/dalpha [m] at all speeds.
+
+        The largest of samples over a period, and its possible change between two samples.
+        """
         orders = np.arange(self.harmonics.shape[1])[:, None]
-        rates = 1j * self.order * orders * self.harmonics.T
-        count = max(1024, 64 * len(rates))
-        between = (2.0 * np.pi / count) ** 2 / 8.0 * (orders**2 * np.abs(rates)).sum(axis=0)
-        return float((between - sample_period(from_complex(rates), count).min(axis=0)).max())
+        derivatives = 1j * self.order * orders * self.harmonics.T
+        n_samples = max(1024, 64 * len(derivatives))
+        change_bounds = (
+            (2.0 * np.pi / n_samples) ** 2 / 8.0 * (orders**2 * np.abs(derivatives)).sum(axis=0)
+        )
+        return float(
+            (change_bounds - sample_period(from_complex(derivatives), n_samples).min(axis=0)).max()
+        )
 
-    def at(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""
-        turn = np.exp(1j * self.order * angle)
+        phase_factor = np.exp(1j * self.order * angle)
         speed = self.speed(angle)
-        left = np.clip(np.searchsorted(self.speeds, speed) - 1, 0, len(self.speeds) - 2)
-        width = self.speeds[left + 1] - self.speeds[left]
-        share = np.clip((speed - self.speeds[left]) / width, 0.0, 1.0)
-        steps = (self.harmonics[left + 1] - self.harmonics[left]).T
-        here = self.harmonics[left].T + share * steps
-        rates = 1j * self.order * np.arange(len(here))[:, None] * here
-        inside = (speed > self.speeds[0]) & (speed < self.speeds[-1])
-        rates += np.where(inside, self.acceleration / (speed * width), 0.0) * steps
-        return (polyval(turn, here, tensor=False).real, polyval(turn, rates, tensor=False).real)
+        lower_indices = np.clip(np.searchsorted(self.speeds, speed) - 1, 0, len(self.speeds) - 2)
+        width = self.speeds[lower_indices + 1] - self.speeds[lower_indices]
+        fraction = np.clip((speed - self.speeds[lower_indices]) / width, 0.0, 1.0)
+        increments = (self.harmonics[lower_indices + 1] - self.harmonics[lower_indices]).T
+        harmonics = self.harmonics[lower_indices].T + fraction * increments
+        derivatives = 1j * self.order * np.arange(len(harmonics))[:, None] * harmonics
+        is_between = (speed > self.speeds[0]) & (speed < self.speeds[-1])
+        derivatives += np.where(is_between, self.acceleration / (speed * width), 0.0) * increments
+        return (
+            polyval(phase_factor, harmonics, tensor=False).real,
+            polyval(phase_factor, derivatives, tensor=False).real,
+        )
 
 
-def _passing_angles(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray:
-    """Return rotor angles alpha with alpha + u(alpha) / R = targets (n,) [rad], to rounding:
-    (n,) [rad]; nan where the blade tip moves backwards."""
+def _solve_passing_angles(motion: _TipMotion, targets: np.ndarray, radius: float) -> np.ndarray:
+    """Find the rotor angles at which the tip has the target angles.
+
+    Solves alpha + u(alpha) / R = targets (n,) [rad] to rounding; nan if the tip moves backwards.
+    """
     reach = np.abs(motion.harmonics).sum(axis=1).max() / radius * (1.0 + 1e-12)
     reach = reach + 4.0 * np.spacing(np.abs(targets))
-    low, high, angle = targets - reach, targets + reach, targets.copy()
-    last, slope = high - low, np.ones_like(targets)
+    min_angle, max_angle, angle = targets - reach, targets + reach, targets.copy()
+    last_step, slope = max_angle - min_angle, np.ones_like(targets)
     for _ in range(200):  # more than bisection needs
-        value, rate = motion.at(angle)
-        excess, slope = angle - targets + value / radius, 1.0 + rate / radius
-        high, low = np.where(excess >= 0.0, angle, high), np.where(excess <= 0.0, angle, low)
+        displacement, rate = motion.evaluate(angle)
+        excess, slope = angle - targets + displacement / radius, 1.0 + rate / radius
+        max_angle = np.where(excess >= 0.0, angle, max_angle)
+        min_angle = np.where(excess <= 0.0, angle, min_angle)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = -excess / slope
-        middle = 0.5 * (low + high) - angle
-        inside = (angle + step >= low) & (angle + step <= high)
-        step = np.where(inside & (np.abs(step) <= 0.5 * last), step, middle)
-        angle, last = angle + step, np.abs(step)
-        if np.all(last <= 2.0 * np.spacing(np.abs(targets) + reach)):
+        bisection_step = 0.5 * (min_angle + max_angle) - angle
+        is_inside = (angle + step >= min_angle) & (angle + step <= max_angle)
+        step = np.where(is_inside & (np.abs(step) <= 0.5 * last_step), step, bisection_step)
+        angle, last_step = angle + step, np.abs(step)
+        if np.all(last_step <= 2.0 * np.spacing(np.abs(targets) + reach)):
             break
     return np.where(slope > 0.0, angle, np.nan)

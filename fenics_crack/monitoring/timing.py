@@ -1,5 +1,4 @@
-"""Result of the command ``timing``: arrival times of blades, the vibration found in them, and its
-report with the doubts about it."""
+"""Result of the command ``timing``, and its report."""
 
 from __future__ import annotations
 
@@ -20,18 +19,28 @@ from fenics_crack.files.saved import Saved
 from fenics_crack.scene.scene import Scene
 
 NO_RESONANCE: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
-"""Columns without a resonance."""
-UNFITTED = "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
-UNTESTED = "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
-FOLDED = (
+"""Columns of a table without any resonance."""
+MISSING_HARMONICS = (
+    "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
+)
+NO_SPARE_PROBE = "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
+FOLDED_HARMONICS = (
     "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
 )
-ONCE = "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
-UNCLEAR = "at no speed larger than its errors, at most {} (more revolutions determine it better)"
-NEARBY = "residuals are correlated, by a vibration nearby or drift: order and errors may be wrong"
+NO_REPETITION = (
+    "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
+)
+UNCLEAR_HARMONIC = (
+    "at no speed larger than its errors, at most {} (more revolutions determine it better)"
+)
+CORRELATED_RESIDUALS = (
+    "residuals are correlated, by a vibration nearby or drift: order and errors may be wrong"
+)
 UNTESTED_ORDER = "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
-BLIND = "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
-CONSTANT = (
+BLIND_PROBE = (
+    "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
+)
+CONSTANT_FREQUENCY = (
     "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "
     "overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
 )
@@ -62,12 +71,11 @@ class Timing(Saved):
 
     @property
     def of_resonances(self) -> bool:
-        """True if the fits are of resonances that were passed."""
+        """Return True if the fits are of resonances that were passed."""
         return any(isinstance(fit, tuple) for fit in self.fits.values())
 
     def to_dict(self) -> dict[str, Any]:
-        """A row for each harmonic or speed of one blade, for each of several blades, or for each
-        resonance."""
+        """Return a row for each resonance, blade, harmonic or speed."""
         if self.of_resonances:
             rows = [
                 {"blade": blade} | passage.to_dict()
@@ -76,21 +84,21 @@ class Timing(Saved):
                 for passage in fit
             ]
         elif len(self.fits) == 1:
-            return self._first.to_dict()
+            return self._first_fit.to_dict()
         else:
             fits = {blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)}
-            ratios = all(map(_has_second, fits.values()))
-            rows = [{"blade": blade} | _row_of(fit, ratios) for blade, fit in fits.items()]
+            has_ratios = all(map(_has_second_harmonic, fits.values()))
+            rows = [{"blade": blade} | _row_of(fit, has_ratios) for blade, fit in fits.items()]
         names = [name for name in rows[0] if name != "speed"] if rows else []
         return {name: [row[name] for row in rows] for name in names} or NO_RESONANCE
 
     @property
-    def _first(self) -> Any:
+    def _first_fit(self) -> Any:
         return next(iter(self.fits.values()))
 
     def _units(self) -> Mapping[str, str]:
-        alone = len(self.fits) == 1 and not self.of_resonances
-        units: Mapping[str, str] = self._first._units() if alone else UNITS
+        is_single_fit = len(self.fits) == 1 and not self.of_resonances
+        units: Mapping[str, str] = self._first_fit._units() if is_single_fit else UNITS
         return units
 
     def _title(self) -> str:
@@ -98,173 +106,185 @@ class Timing(Saved):
         return f"{counted(len(self.arrivals), 'blade')}, {revolutions}"
 
 
-def _has_second(fit: TipFit) -> bool:
-    """True if a fit has a second harmonic, whose ratio to the first indicates a crack."""
+def _has_second_harmonic(fit: TipFit) -> bool:
+    """Return True if the second harmonic is among the fitted harmonics."""
     return bool(np.any(np.isclose(fit.multiples, 2.0)))
 
 
-def _row_of(fit: TipFit, ratio: bool) -> dict[str, float]:
-    """Amplitude of the first harmonic, its error and the order of a fit, and the ratio of the
-    second harmonic to it."""
+def _row_of(fit: TipFit, has_ratio: bool) -> dict[str, float]:
+    """Return the row of a fit, with the harmonic ratio if ``has_ratio``."""
     sizes, errors = fit.amplitudes, fit.amplitude_errors
     row = {"amplitude": float(sizes[0]), "amplitude_error": float(errors[0]), "order": fit.order}
     names = "ratio_2_1", "ratio_2_1_error"
-    return row | (dict(zip(names, fit.ratio(), strict=True)) if ratio else {})
+    return row | (dict(zip(names, fit.ratio(), strict=True)) if has_ratio else {})
 
 
 # --- report ---------------------------------------------------------------------------------------
 
 
-def report_of_timing(found: Timing) -> Report:
-    """What was found in the arrivals of each blade, and doubts about it."""
+def report_of_timing(timing: Timing) -> Report:
+    """Report the vibration of each blade, and doubts about it."""
     from fenics_crack.study.plausibility import remarks_on_scene  # with DOLFINx
 
-    passed = {blade: fit for blade, fit in found.fits.items() if isinstance(fit, tuple)}
-    tracks = [fit for fit in found.fits.values() if isinstance(fit, TipTrack)]
-    shown = found.table()
-    if passed:
-        said, notes, warnings = _of_passages(passed)
+    passages = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, tuple)}
+    tracks = [fit for fit in timing.fits.values() if isinstance(fit, TipTrack)]
+    table = timing.table()
+    if passages:
+        conclusion, notes, warnings = _report_passages(passages)
     elif tracks:
-        said, shown, notes, warnings = _of_track(tracks[0])
+        conclusion, table, notes, warnings = _report_track(tracks[0])
     else:
-        said, notes, warnings = _of_fits(found)
+        conclusion, notes, warnings = _report_fits(timing)
     return Report(
-        found.table(),
-        said,
-        found.scene,
-        shown=shown,
+        timing.table(),
+        conclusion,
+        timing.scene,
+        shown=table,
         notes=notes,
-        warnings=[*found.doubts, *warnings],
-        remarks=() if found.scene is None else remarks_on_scene(found.scene),
+        warnings=[*timing.doubts, *warnings],
+        remarks=() if timing.scene is None else remarks_on_scene(timing.scene),
     )
 
 
-def largest_blade(found: Timing) -> int | None:
-    """The blade whose amplitude at one speed is the largest; None in a run-up."""
-    fits = {blade: fit for blade, fit in found.fits.items() if isinstance(fit, TipFit)}
+def largest_blade(timing: Timing) -> int | None:
+    """Return the blade with the largest amplitude, or None in a run-up."""
+    fits = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, TipFit)}
     return max(fits, key=lambda blade: float(fits[blade].amplitudes[0])) if fits else None
 
 
-def _of_passages(found: Mapping[int, tuple[PassageFit, ...]]) -> tuple[Said, list[str], list[str]]:
-    """The clearest resonance, notes and doubts about all."""
-    every = [(blade, fit) for blade, fits in found.items() for fit in fits]
-    warnings = ["no resonance stands out"] * (not every)
-    first = [(blade, fits[0]) for blade, fits in found.items() if fits]
-    blind = [(blade, np.degrees(angle)) for blade, fit in first for angle in fit.blind]
-    warnings += [f"blade {blade}, probe at {angle:.5g} degrees: {BLIND}" for blade, angle in blind]
-    for blade, fit in every:
+def _report_passages(
+    passages: Mapping[int, tuple[PassageFit, ...]],
+) -> tuple[Said, list[str], list[str]]:
+    """Return conclusion, notes and doubts on the resonances of all blades."""
+    resonances = [(blade, fit) for blade, fits in passages.items() for fit in fits]
+    warnings = ["no resonance stands out"] * (not resonances)
+    clearest_fits = [(blade, fits[0]) for blade, fits in passages.items() if fits]
+    blind_probes = [
+        (blade, np.degrees(angle)) for blade, fit in clearest_fits for angle in fit.blind
+    ]
+    warnings += [
+        f"blade {blade}, probe at {angle:.5g} degrees: {BLIND_PROBE}"
+        for blade, angle in blind_probes
+    ]
+    for blade, fit in resonances:
         name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
         if fit.untested:
-            seen = counted(fit.probes, "probe")
-            warnings.append(f"{name}: {seen} {UNTESTED_ORDER.format(fit.order)}")
+            probe_count = counted(fit.probes, "probe")
+            warnings.append(f"{name}: {probe_count} {UNTESTED_ORDER.format(fit.order)}")
         elif fit.ambiguous:
-            warnings.append(f"{name}: {_orders('explain the arrivals as well', fit.ambiguous)}")
+            warnings.append(
+                f"{name}: {_name_orders('explain the arrivals as well', fit.ambiguous)}"
+            )
         if fit.disagree:
             warnings.append(f"{name}: {fit.disagreement}")
         if fit.in_doubt:
-            warnings.append(f"{name}: {NEARBY}")
-    notes = [CONSTANT] * any(fit.stiffening == 0.0 for _, fit in every[:1])
-    lines = [(blade, line) for blade, fit in first for line in fit.asynchronous]
-    notes += [f"blade {blade}: {_of_line(line)}" for blade, line in lines]
-    said = Said("no resonance found")
-    if every:
-        blade, clearest = every[0]
-        known = f"the clearest of blade {blade} at {clearest.in_words}"
-        said = Said(f"{counted(len(every), 'resonance')} found", known)
-    return said, notes, warnings
+            warnings.append(f"{name}: {CORRELATED_RESIDUALS}")
+    notes = [CONSTANT_FREQUENCY] * any(fit.stiffening == 0.0 for _, fit in resonances[:1])
+    lines = [(blade, line) for blade, fit in clearest_fits for line in fit.asynchronous]
+    notes += [f"blade {blade}: {_describe_line(line)}" for blade, line in lines]
+    conclusion = Said("no resonance found")
+    if resonances:
+        blade, clearest = resonances[0]
+        answer = f"the clearest of blade {blade} at {clearest.in_words}"
+        conclusion = Said(f"{counted(len(resonances), 'resonance')} found", answer)
+    return conclusion, notes, warnings
 
 
-def _orders(words: str, orders: Iterable[float]) -> str:
-    """Return orders that do something, in words."""
+def _name_orders(words: str, orders: Iterable[float]) -> str:
+    """Return "orders that WORDS: 5, 7"."""
     return f"orders that {words}: {in_words([*orders])}"
 
 
-def _of_line(line: TipFit) -> str:
-    """Return a vibration of constant frequency in words."""
+def _describe_line(line: TipFit) -> str:
+    """Describe a vibration of constant frequency."""
     size, error = line.amplitudes[0], line.amplitude_errors[0]
-    of = f"{line.omega / TURN:.6g} Hz, {_with_error(size, error)}"
-    return f"a vibration that follows no order: {of}"
+    numbers = f"{line.omega / TURN:.6g} Hz, {_with_error(size, error)}"
+    return f"a vibration that follows no order: {numbers}"
 
 
 def _with_error(size: float, error: float) -> str:
     return f"{quantity(size, 'm')} ± {quantity(error, 'm')}"
 
 
-def _of_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]:
-    """The largest vibration of a run-up, each harmonic where it is largest, notes and doubts."""
+def _report_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]:
+    """Return conclusion, table of peaks, notes and doubts of a run-up."""
     table = track.table()
-    kept = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
-    said = Said("run-up tracked", "no vibration is larger than its errors")
+    kept_columns = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
+    conclusion = Said("run-up tracked", "no vibration is larger than its errors")
     rows, notes = [], []
-    # The largest of so many amplitudes is several errors large where there is no vibration.
+    # Without any vibration, the largest of so many amplitudes is several errors large.
     limit = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
-    for place, multiple in enumerate(track.multiples):
-        sizes, errors = track.amplitudes[:, place], track.amplitude_errors[:, place]
-        clear = np.where(sizes <= limit * errors, np.nan, sizes)
-        if not np.all(np.isnan(clear)):
-            at = int(np.nanargmax(clear))
-            about = (float(sizes[at]), float(errors[at]))
-            rows.append([float(multiple), *(table.rows[at][n] for n in kept), *about])
+    for column, multiple in enumerate(track.multiples):
+        sizes, errors = track.amplitudes[:, column], track.amplitude_errors[:, column]
+        clear_sizes = np.where(sizes <= limit * errors, np.nan, sizes)
+        if not np.all(np.isnan(clear_sizes)):
+            row = int(np.nanargmax(clear_sizes))
+            peak = (float(sizes[row]), float(errors[row]))
+            rows.append([float(multiple), *(table.rows[row][n] for n in kept_columns), *peak])
             if len(rows) == 1:
-                where = f"{track.omega[at] / TURN:.6g} Hz, engine order {track.order:g}"
-                known = f"harmonic {multiple:g} is largest at {where}: {_with_error(*about)}"
-                said = Said("run-up tracked", known)
+                peak_place = f"{track.omega[row] / TURN:.6g} Hz, engine order {track.order:g}"
+                answer = f"harmonic {multiple:g} is largest at {peak_place}: {_with_error(*peak)}"
+                conclusion = Said("run-up tracked", answer)
         elif not np.all(np.isnan(sizes)):
-            most = quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
-            notes.append(f"harmonic {multiple:g}: {UNCLEAR.format(most)}")
-    columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
-    shown = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
-    doubts = [UNTESTED] if np.isnan(track.misfit) else []
+            upper_bound = quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
+            notes.append(f"harmonic {multiple:g}: {UNCLEAR_HARMONIC.format(upper_bound)}")
+    columns = ["multiple, where it is largest", *(table.columns[n] for n in kept_columns)]
+    peak_table = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
+    doubts = [NO_SPARE_PROBE] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubts.append(
-            f"the residual repeats in all revolutions: {UNFITTED}, the vibration "
+            f"the residual repeats in all revolutions: {MISSING_HARMONICS}, the vibration "
             "changes within the revolutions that are fitted together "
             f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
         )
     elif track.in_doubt and not doubts:
-        doubts.append(FOLDED)
-    return said, shown, notes, doubts
+        doubts.append(FOLDED_HARMONICS)
+    return conclusion, peak_table, notes, doubts
 
 
-def _of_fits(found: Timing) -> tuple[Said, list[str], list[str]]:
-    """The largest vibration at one speed, notes, and doubts about the fit of each blade."""
-    many, notes, warnings = len(found.fits) > 1, [], []
-    for blade, fit in found.fits.items():
+def _report_fits(timing: Timing) -> tuple[Said, list[str], list[str]]:
+    """Return conclusion, notes and doubts on vibrations at one speed."""
+    has_several_blades, notes, warnings = len(timing.fits) > 1, [], []
+    for blade, fit in timing.fits.items():
         assert isinstance(fit, TipFit)
-        before = f"blade {blade}: " if many else ""
-        more, doubts = _of_fit(fit)
-        notes += [] if many else more
-        warnings += [f"{before}{text}" for text in doubts]
-    largest: Any = found.fits[blade := largest_blade(found) or 1]
-    size = _with_error(largest.amplitudes[0], largest.amplitude_errors[0])
-    where = f"engine order {largest.order:g}, {largest.omega / TURN:.6g} Hz"
-    if many:
+        prefix = f"blade {blade}: " if has_several_blades else ""
+        fit_notes, doubts = _judge_fit(fit)
+        notes += [] if has_several_blades else fit_notes
+        warnings += [f"{prefix}{text}" for text in doubts]
+    largest_fit: Any = timing.fits[blade := largest_blade(timing) or 1]
+    size = _with_error(largest_fit.amplitudes[0], largest_fit.amplitude_errors[0])
+    frequency_words = f"engine order {largest_fit.order:g}, {largest_fit.omega / TURN:.6g} Hz"
+    if has_several_blades:
         notes.append(f"the picture shows blade {blade}, whose amplitude is the largest")
-        known = f"the largest vibration is that of blade {blade}, {size}, {where}"
-        return Said(f"{counted(len(found.fits), 'blade')} fitted", known), notes, warnings
-    return Said("vibration found", f"amplitude {size}, {where}"), notes, warnings
+        answer = f"the largest vibration is that of blade {blade}, {size}, {frequency_words}"
+        return Said(f"{counted(len(timing.fits), 'blade')} fitted", answer), notes, warnings
+    return Said("vibration found", f"amplitude {size}, {frequency_words}"), notes, warnings
 
 
-def _of_fit(fit: TipFit) -> tuple[list[str], list[str]]:
-    """Notes on a fit, with the ratio that indicates a crack, and doubts about it."""
-    notes = [f"in addition, {_of_line(line)}" for line in fit.asynchronous]
+def _judge_fit(fit: TipFit) -> tuple[list[str], list[str]]:
+    """Return notes and doubts about a fit.
+
+    The ratio of the second harmonic to the first, in a note, indicates a crack.
+    """
+    notes = [f"in addition, {_describe_line(line)}" for line in fit.asynchronous]
     warnings = []
-    if _has_second(fit):
+    if _has_second_harmonic(fit):
         ratio, error = fit.ratio()
         notes.append(f"second harmonic over first: {ratio:.4g} ± {error:.2g}")
     if fit.does_not_fit:
         warnings.append(
-            f"residuals differ between the probes by more than their scatter: {UNFITTED}, probes "
-            "are misplaced (tip_timing.angle_deviation), or the order is none of tip_timing.orders"
+            f"residuals differ between the probes by more than their scatter: {MISSING_HARMONICS}, "
+            "probes are misplaced (tip_timing.angle_deviation), or the order is none of "
+            "tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:
-        warnings.append(FOLDED)
+        warnings.append(FOLDED_HARMONICS)
     if fit.spare < 1:
-        warnings.append(UNTESTED)
+        warnings.append(NO_SPARE_PROBE)
     elif fit.seen_once:
-        warnings.append(ONCE)
+        warnings.append(NO_REPETITION)
     if fit.ambiguous:
-        warnings.append(_orders("explain the arrivals as well", fit.ambiguous))
+        warnings.append(_name_orders("explain the arrivals as well", fit.ambiguous))
     if fit.hidden:
-        warnings.append(_orders("these probes cannot measure", fit.hidden))
+        warnings.append(_name_orders("these probes cannot measure", fit.hidden))
     return notes, warnings

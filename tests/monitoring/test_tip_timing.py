@@ -1,4 +1,4 @@
-"""Arrival times against roots found one by one, and what makes them impossible."""
+"""Arrival times against roots found one by one, and refused input."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,10 +16,10 @@ PROBES = (0.0, 0.6, 1.9, 4.0, 6.2)
 
 
 def blade(damping: float = 100.0, clearance: float = 0.0) -> fc.Structure:
-    """One mass of natural frequency 1000 rad/s; a stop of the same stiffness doubles it."""
-    one = np.ones((1, 1))
+    """Return a mass of natural frequency 1000 rad/s with a stop."""
+    eye = np.ones((1, 1))
     return fc.Structure.from_matrices(
-        one, 1e6 * one, gap=one, force_sin=[1e3], damping=damping * one, clearance=clearance
+        eye, 1e6 * eye, gap=eye, force_sin=[1e3], damping=damping * eye, clearance=clearance
     )
 
 
@@ -27,73 +27,78 @@ LAW = fc.UnilateralPenalty(1e6)
 
 
 @pytest.fixture(scope="module")
-def breathing() -> fc.PeriodicSolution:
-    """The mass that meets its stop in every period: some millimetres."""
+def orbit() -> fc.PeriodicSolution:
+    """Return an orbit of some millimetres that meets its stop."""
     return fc.solve_harmonic_balance(blade(), 1000.0, LAW, harmonics=20)
 
 
-def roots(angle: Callable[[float], float], arrivals: fc.ArrivalTimes, reach: float) -> np.ndarray:
-    """Arrival times by Brent's method, each for itself, within a reach [s] of the nominal ones."""
-    expected = np.interp(
+def solve_arrivals(
+    angle: Callable[[float], float], arrivals: fc.ArrivalTimes, reach: float
+) -> np.ndarray:
+    """Solve for arrival times within a reach [s] by Brent's method."""
+    guesses = np.interp(
         arrivals.nominal_angle, 2.0 * np.pi * np.arange(len(arrivals) + 1), arrivals.marks
     )
-    found = [
-        brentq(lambda t, end=end: angle(t) - end, at - reach, at + reach, xtol=1e-15, rtol=1e-15)
-        for at, end in zip(expected.ravel(), arrivals.nominal_angle.ravel(), strict=True)
+    roots = [
+        brentq(lambda t, end=end: angle(t) - end, mid - reach, mid + reach, xtol=1e-15, rtol=1e-15)
+        for mid, end in zip(guesses.ravel(), arrivals.nominal_angle.ravel(), strict=True)
     ]
-    return np.reshape(found, arrivals.time.shape)
+    return np.reshape(roots, arrivals.time.shape)
 
 
-@pytest.mark.parametrize("how", [{"order": 1}, {"order": 7}, {"speed": 171.3}, {"speed": 2100.0}])
-def test_arrivals_are_roots(how: dict[str, Any], breathing: fc.PeriodicSolution) -> None:
-    """Synchronous and not: to 1e-12 s, from the displacement in time."""
-    arrivals = fc.tip_timing(breathing, 0, probes=PROBES, tip_radius=RADIUS, revolutions=12, **how)
-    speed = how.get("speed") or 1000.0 / how["order"]
-    wanted = roots(
-        lambda t: speed * t + breathing.displacement(np.array([t]), [0])[0, 0] / RADIUS,
+@pytest.mark.parametrize(
+    "rotation", [{"order": 1}, {"order": 7}, {"speed": 171.3}, {"speed": 2100.0}]
+)
+def test_arrivals_are_roots(rotation: dict[str, Any], orbit: fc.PeriodicSolution) -> None:
+    """Compare synchronous and asynchronous arrivals with roots, to 1e-12 s."""
+    arrivals = fc.tip_timing(orbit, 0, probes=PROBES, tip_radius=RADIUS, revolutions=12, **rotation)
+    speed = rotation.get("speed") or 1000.0 / rotation["order"]
+    roots = solve_arrivals(
+        lambda t: speed * t + orbit.displacement(np.array([t]), [0])[0, 0] / RADIUS,
         arrivals,
         0.02 / speed,
     )
-    assert np.abs(arrivals.time - wanted).max() < 1e-12
+    assert np.abs(arrivals.time - roots).max() < 1e-12
     straight = (2.0 * np.pi * np.arange(12)[:, None] + np.array(PROBES)) / speed
     shift = -RADIUS * speed * (arrivals.time - straight)
-    moved = breathing.displacement(arrivals.time.ravel(), [0]).reshape(shift.shape)
+    motion = orbit.displacement(arrivals.time.ravel(), [0]).reshape(shift.shape)
     assert np.abs(shift).max() > 1e-3
     assert (
-        np.abs(shift - moved).max() < 1e-12 and np.abs(arrivals.displacement - moved).max() < 1e-12
+        np.abs(shift - motion).max() < 1e-12
+        and np.abs(arrivals.displacement - motion).max() < 1e-12
     )
 
 
 def test_arrivals_of_twice_the_loads_period() -> None:
-    """Every other revolution is alike; to rounding of times of some hundred seconds."""
+    """Compare arrivals with roots, and every other revolution with each other."""
     orbit = period_two_orbit(12)
     arrivals = fc.tip_timing(orbit, 0, probes=PROBES, tip_radius=100.0, order=3, revolutions=6)
     speed = orbit.omega / 3
-    wanted = roots(
+    roots = solve_arrivals(
         lambda t: speed * t + orbit.displacement(np.array([t]), [0])[0, 0] / 100.0, arrivals, 0.3
     )
-    assert np.abs(arrivals.time - wanted).max() < 1e-12
-    moved = arrivals.displacement
-    assert np.allclose(moved[2:], moved[:-2], atol=1e-10)
-    assert np.abs(moved[1:] - moved[:-1]).max() > 0.1
+    assert np.abs(arrivals.time - roots).max() < 1e-12
+    motion = arrivals.displacement
+    assert np.allclose(motion[2:], motion[:-2], atol=1e-10)
+    assert np.abs(motion[1:] - motion[:-1]).max() > 0.1
 
 
 def test_arrivals_of_a_plate() -> None:
-    """Two dofs with factors: the tip's motion at 30 degrees to the plate's x axis."""
+    """Compare arrivals of two dofs with factors cos(0.5) and -sin(0.5)."""
     plate = fc.build_structure(fc.Scene.load(DEMOS / "paper_plate.toml")).damped(
         fc.ModalDamping(0.01)
     )
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9), harmonics=10)
     dofs = [plate.find_dof((0.1, 0.1), axis) for axis in "xy"]
-    shares = np.array([np.cos(0.5), -np.sin(0.5)])
-    tip = dict(zip(dofs, shares, strict=True))
+    factors = np.array([np.cos(0.5), -np.sin(0.5)])
+    tip = dict(zip(dofs, factors, strict=True))
     arrivals = fc.tip_timing(solution, tip, probes=PROBES, tip_radius=0.2, order=5, revolutions=3)
-    wanted = roots(
-        lambda t: 400.0 * t + solution.displacement(np.array([t]), dofs)[0] @ shares / 0.2,
+    roots = solve_arrivals(
+        lambda t: 400.0 * t + solution.displacement(np.array([t]), dofs)[0] @ factors / 0.2,
         arrivals,
         1e-5,
     )
-    assert np.abs(arrivals.time - wanted).max() < 1e-12
+    assert np.abs(arrivals.time - roots).max() < 1e-12
 
 
 # --- run-up ---------------------------------------------------------------------------------------
@@ -101,35 +106,43 @@ def test_arrivals_of_a_plate() -> None:
 
 @pytest.mark.parametrize(("begin", "end"), [(900.0, 1300.0), (1300.0, 900.0)])
 def test_run_up_is_a_root_too(begin: float, end: float) -> None:
-    """Constant acceleration, the vibration interpolated between the points of the curve."""
+    """Compare arrivals of a run-up with roots, at constant acceleration.
+
+    The vibration is interpolated between the points of the curve.
+    """
     curve = fc.continue_frequency(blade(), begin, end, LAW, harmonics=7)
     arrivals = fc.tip_timing(curve, 0, probes=PROBES, tip_radius=RADIUS, order=4, revolutions=40)
-    first, last, total = begin / 4.0, end / 4.0, 2.0 * np.pi * 40
-    rate = (last**2 - first**2) / (2.0 * total)
-    rows, rising = curve.coefficients_at(0), np.argsort(curve.omega)
+    start_speed, end_speed, total = begin / 4.0, end / 4.0, 2.0 * np.pi * 40
+    rate = (end_speed**2 - start_speed**2) / (2.0 * total)
+    rows, sort_index = curve.coefficients_at(0), np.argsort(curve.omega)
     orders = np.arange(1, 8)
 
     def angle(time: float) -> float:
-        turned, speed = first * time + 0.5 * rate * time**2, first + rate * time
-        here = np.array(
-            [np.interp(4.0 * speed, curve.omega[rising], row[rising]) for row in rows.T]
+        rotor_angle, speed = start_speed * time + 0.5 * rate * time**2, start_speed + rate * time
+        harmonics = np.array(
+            [np.interp(4.0 * speed, curve.omega[sort_index], row[sort_index]) for row in rows.T]
         )
-        phase = 4.0 * orders * turned
+        phase = 4.0 * orders * rotor_angle
         return float(
-            turned + (here[0] + here[1::2] @ np.cos(phase) + here[2::2] @ np.sin(phase)) / RADIUS
+            rotor_angle
+            + (harmonics[0] + harmonics[1::2] @ np.cos(phase) + harmonics[2::2] @ np.sin(phase))
+            / RADIUS
         )
 
-    assert np.abs(arrivals.time - roots(angle, arrivals, 2e-4)).max() < 1e-12
-    assert arrivals.marks[-1] == pytest.approx(2.0 * total / (first + last), rel=1e-12)
+    assert np.abs(arrivals.time - solve_arrivals(angle, arrivals, 2e-4)).max() < 1e-12
+    assert arrivals.marks[-1] == pytest.approx(2.0 * total / (start_speed + end_speed), rel=1e-12)
     # The marks of the shaft alone tell the rotor's angle, and with it the displacement.
-    turned = first * arrivals.time + 0.5 * rate * arrivals.time**2
-    assert np.abs(turned - arrivals.angle).max() < 1e-11
+    rotor_angle = start_speed * arrivals.time + 0.5 * rate * arrivals.time**2
+    assert np.abs(rotor_angle - arrivals.angle).max() < 1e-11
 
 
 @pytest.mark.nightly
 def test_run_up_jumps_where_the_curve_turns_back() -> None:
-    """A stop that stiffens: the large motion up to one fold, the small one down to the other."""
-    structure, found = blade(damping=30.0, clearance=0.01), []
+    """Compare run-up and run-down with the curve of a stop.
+
+    The large motion lasts up to one fold, the small motion down to the other fold.
+    """
+    structure, amplitudes = blade(damping=30.0, clearance=0.01), []
     for begin, end in ((950.0, 1250.0), (1250.0, 950.0)):
         curve = fc.continue_frequency(structure, begin, end, LAW, harmonics=7)
         folds = sorted(b.omega for b in curve.bifurcations if b.kind == "fold")
@@ -137,86 +150,101 @@ def test_run_up_jumps_where_the_curve_turns_back() -> None:
         probes = 0.69 * np.arange(9)
         arrivals = fc.tip_timing(curve, 0, probes=probes, tip_radius=5.0, order=3, revolutions=600)
         track = fc.track_order(arrivals, 3, harmonics=3)
-        nearest = np.argmin(np.abs(track.omega - 1080.0))
-        found.append(track.amplitudes[nearest, 0])
+        row = np.argmin(np.abs(track.omega - 1080.0))
+        amplitudes.append(track.amplitudes[row, 0])
         assert folds[0] < 1060.0 and folds[1] > 1100.0
-        below, above = curve.omega[:-1] - 1080.0, curve.omega[1:] - 1080.0
+        starts, stops = curve.omega[:-1] - 1080.0, curve.omega[1:] - 1080.0
         rows = curve.coefficients_at(0)
         sizes = np.hypot(rows[:, 1], rows[:, 2])
-        crossings = np.flatnonzero(below * above < 0.0)
+        crossings = np.flatnonzero(starts * stops < 0.0)
         assert len(crossings) == 3
-        share = below[crossings] / (below - above)[crossings]
+        share = starts[crossings] / (starts - stops)[crossings]
         exact = sizes[crossings] + share * (sizes[crossings + 1] - sizes[crossings])
-    assert found[0] == pytest.approx(exact.max(), rel=0.01)
-    assert found[1] == pytest.approx(exact.min(), rel=0.01)
+    assert amplitudes[0] == pytest.approx(exact.max(), rel=0.01)
+    assert amplitudes[1] == pytest.approx(exact.min(), rel=0.01)
 
 
 @pytest.mark.parametrize("verdict", ["unstable", "undecided"])
 def test_run_up_jumps_before_a_fold_that_is_not_stable(verdict: str) -> None:
-    """Points next to the fold that are not stable are not passed; away from it they are told."""
+    """Leave out doubtful points at a fold, and refuse unstable points elsewhere."""
     curve = fc.continue_frequency(
         blade(damping=30.0, clearance=0.01), 950.0, 1250.0, LAW, harmonics=7, stability=True
     )
-    turn = int(np.argmax(np.diff(curve.omega) < 0.0))
-    how: dict[str, Any] = {"probes": [0.3, 2.0], "tip_radius": 5.0, "order": 3, "revolutions": 200}
+    fold = int(np.argmax(np.diff(curve.omega) < 0.0))
+    options: dict[str, Any] = {
+        "probes": [0.3, 2.0],
+        "tip_radius": 5.0,
+        "order": 3,
+        "revolutions": 200,
+    }
 
-    def judged(places: range) -> fc.ResponseCurve:
+    def with_verdict(places: range) -> fc.ResponseCurve:
         multipliers = np.full(len(curve), 0.5 + 0j)
         multipliers[list(places)] = 2.0 if verdict == "unstable" else np.nan
         return replace(curve, multipliers=multipliers)
 
-    near = np.flatnonzero(curve.omega[: turn + 1] > (1.0 - 9e-4) * curve.omega[turn])
-    before = fc.tip_timing(judged(range(0)), 0, **how)
-    early = fc.tip_timing(judged(range(int(near[0]), turn + 1)), 0, **how)
-    assert len(near) > 1 and not np.array_equal(early.time, before.time)
-    last = curve.omega[int(near[0]) - 1] / 3.0  # up to which nothing changes
-    same = before.speed * 1.001 < last
-    assert same.sum() > 50 and np.array_equal(early.time[same], before.time[same])
+    near_fold = np.flatnonzero(curve.omega[: fold + 1] > (1.0 - 9e-4) * curve.omega[fold])
+    stable_arrivals = fc.tip_timing(with_verdict(range(0)), 0, **options)
+    early_arrivals = fc.tip_timing(with_verdict(range(int(near_fold[0]), fold + 1)), 0, **options)
+    assert len(near_fold) > 1 and not np.array_equal(early_arrivals.time, stable_arrivals.time)
+    last_speed = curve.omega[int(near_fold[0]) - 1] / 3.0  # up to which nothing changes
+    is_below_jump = stable_arrivals.speed * 1.001 < last_speed
+    assert is_below_jump.sum() > 50 and np.array_equal(
+        early_arrivals.time[is_below_jump], stable_arrivals.time[is_below_jump]
+    )
     if verdict == "unstable":
         with pytest.raises(fc.InputError, match="unstable at"):
-            fc.tip_timing(judged(range(turn - 12, turn + 1)), 0, **how)
+            fc.tip_timing(with_verdict(range(fold - 12, fold + 1)), 0, **options)
 
 
 # --- noise, clock, limits -------------------------------------------------------------------------
 
 
-def test_noise_and_clock(breathing: fc.PeriodicSolution) -> None:
-    """Its standard deviation, the same for the same seed; multiples of the clock's period."""
-    how: dict[str, Any] = {"probes": PROBES, "tip_radius": RADIUS, "order": 6, "revolutions": 400}
-    exact, one, two, three = (
-        fc.tip_timing(breathing, 0, noise=noise, seed=seed, **how).time
+def test_noise_and_clock(orbit: fc.PeriodicSolution) -> None:
+    """Check the noise's deviation and seed, and multiples of the clock's period."""
+    options: dict[str, Any] = {
+        "probes": PROBES,
+        "tip_radius": RADIUS,
+        "order": 6,
+        "revolutions": 400,
+    }
+    exact, seed_1, seed_1_again, seed_2 = (
+        fc.tip_timing(orbit, 0, noise=noise, seed=seed, **options).time
         for noise, seed in ((0.0, 0), (1e-6, 1), (1e-6, 1), (1e-6, 2))
     )
-    assert np.array_equal(one, two) and not np.array_equal(one, three)
-    assert np.std(one - exact) == pytest.approx(1e-6, rel=0.06)
-    ticks = fc.tip_timing(breathing, 0, clock=1e-7, **how).time
+    assert np.array_equal(seed_1, seed_1_again) and not np.array_equal(seed_1, seed_2)
+    assert np.std(seed_1 - exact) == pytest.approx(1e-6, rel=0.06)
+    ticks = fc.tip_timing(orbit, 0, clock=1e-7, **options).time
     assert np.allclose(ticks / 1e-7, np.round(ticks / 1e-7), atol=1e-5)
     assert np.abs(ticks - exact).max() <= 0.51e-7
 
 
 def test_a_tip_that_moves_backwards_is_refused() -> None:
-    """u = A sin(6 W t) does where 6 A > R; then it passes a probe three times."""
+    """Compare arrivals of u = A sin(6 W t) near 6 A = R, refuse more.
+
+    A tip with 6 A > R passes a probe three times.
+    """
     linear = fc.solve_linear(blade(), 1000.0)
     limit = 6.0 * linear.amplitude(0)
     assert limit == pytest.approx(0.06, rel=1e-9)
-    how: dict[str, Any] = {"probes": PROBES, "order": 6, "revolutions": 5}
-    arrivals = fc.tip_timing(linear, 0, tip_radius=1.002 * limit, **how)
+    options: dict[str, Any] = {"probes": PROBES, "order": 6, "revolutions": 5}
+    arrivals = fc.tip_timing(linear, 0, tip_radius=1.002 * limit, **options)
     speed = 1000.0 / 6.0
-    wanted = roots(
+    roots = solve_arrivals(
         lambda t: speed * t + linear.displacement(np.array([t]), [0])[0, 0] / (1.002 * limit),
         arrivals,
         0.3 / speed,
     )
-    assert np.abs(arrivals.time - wanted).max() < 1e-12
+    assert np.abs(arrivals.time - roots).max() < 1e-12
     with pytest.raises(fc.InputError, match=r"tip_radius = .* 1\.02 of the speed"):
-        fc.tip_timing(linear, 0, tip_radius=0.98 * limit, **how)
+        fc.tip_timing(linear, 0, tip_radius=0.98 * limit, **options)
 
 
-GOOD: dict[str, Any] = {"probes": [0.0, 1.0], "tip_radius": 0.5, "order": 6}
+ARGUMENTS: dict[str, Any] = {"probes": [0.0, 1.0], "tip_radius": 0.5, "order": 6}
 
 
 @pytest.mark.parametrize(
-    ("bad", "words"),
+    ("change", "words"),
     [
         ({"probes": [1.0, 0.0]}, "probes"),
         ({"probes": [0.0, 7.0]}, "probes"),
@@ -240,23 +268,23 @@ GOOD: dict[str, Any] = {"probes": [0.0, 1.0], "tip_radius": 0.5, "order": 6}
     ],
     ids=str,
 )
-def test_bad_input(bad: dict[str, Any], words: str, breathing: fc.PeriodicSolution) -> None:
-    """One line that names the key."""
+def test_bad_input(change: dict[str, Any], words: str, orbit: fc.PeriodicSolution) -> None:
+    """Name the key in one line."""
     with pytest.raises(fc.InputError, match=f"^{words}"):
-        fc.tip_timing(breathing, **({"tip": 0} | GOOD | bad))
+        fc.tip_timing(orbit, **({"tip": 0} | ARGUMENTS | change))
 
 
 def test_curves_that_are_no_run_up() -> None:
-    """One over the load, and one along which the motion cannot stay."""
+    """Refuse a curve over the load, and a curve with unstable points."""
     over_load = fc.continue_parameter(blade(), 1000.0, LAW, "load", 1.0, 2.0, harmonics=3)
     with pytest.raises(fc.InputError, match="one over the load frequency"):
-        fc.tip_timing(over_load, 0, **GOOD)
+        fc.tip_timing(over_load, 0, **ARGUMENTS)
     curve = fc.continue_frequency(
         oscillator(), 1.0, 2.6, fc.UnilateralPenalty(1.0), harmonics=7, stability=True
     )
     assert not np.all(curve.stable)
     with pytest.raises(fc.InputError, match="unstable at"):
-        fc.tip_timing(curve, 0, **(GOOD | {"tip_radius": 1e3}))
+        fc.tip_timing(curve, 0, **(ARGUMENTS | {"tip_radius": 1e3}))
     with pytest.raises(fc.InputError, match=r"^order"):
         fc.tip_timing(curve, 0, probes=[0.0], tip_radius=1e3)
     with pytest.raises(fc.InputError, match=r"^speed"):
@@ -266,31 +294,36 @@ def test_curves_that_are_no_run_up() -> None:
 # --- files ----------------------------------------------------------------------------------------
 
 
-def test_csv_and_back(breathing: fc.PeriodicSolution, tmp_path: Any) -> None:
-    """Every number, also of a passage that was missed; other columns and orders do not matter."""
-    arrivals = fc.tip_timing(breathing, 0, revolutions=5, **GOOD)
+def test_csv_and_back(orbit: fc.PeriodicSolution, tmp_path: Any) -> None:
+    """Read back every number, also with missed passages, in any order."""
+    arrivals = fc.tip_timing(orbit, 0, revolutions=5, **ARGUMENTS)
     time = arrivals.time.copy()
     time[2, 1] = np.nan
     arrivals = replace(arrivals, time=time)
     arrivals.to_csv(tmp_path / "arrivals.csv")
     lines = (tmp_path / "arrivals.csv").read_text().splitlines()
     assert lines[0].startswith("revolution,probe,angle [rad],mark [s],next_mark [s],arrival [s]")
-    same = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")
+    file_arrivals = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")
     for name in ("time", "marks", "probes", "displacement", "speed"):
-        assert np.array_equal(getattr(same, name), getattr(arrivals, name), equal_nan=True)
-    assert (same.tip_radius, same.first) == (0.5, 0)
+        assert np.array_equal(getattr(file_arrivals, name), getattr(arrivals, name), equal_nan=True)
+    assert (file_arrivals.tip_radius, file_arrivals.first) == (0.5, 0)
     rows = [line.split(",") for line in lines]
-    shuffled = [",".join(["x" if k else "note", *reversed(row)]) for k, row in enumerate(rows)]
-    shuffled[1:] = [row for row in shuffled[:0:-1] if "nan" not in row]
-    (tmp_path / "other.csv").write_text("\n".join(shuffled) + "\n")
-    again = fc.ArrivalTimes.from_csv(tmp_path / "other.csv", tip_radius=0.5)
-    assert np.array_equal(again.time, same.time, equal_nan=True)
-    assert "5 revolutions, 2 probes, 166.667 rad/s, 1 missing" in repr(again)
+    shuffled_lines = [
+        ",".join(["x" if k else "note", *reversed(row)]) for k, row in enumerate(rows)
+    ]
+    shuffled_lines[1:] = [row for row in shuffled_lines[:0:-1] if "nan" not in row]
+    (tmp_path / "other.csv").write_text("\n".join(shuffled_lines) + "\n")
+    shuffled_arrivals = fc.ArrivalTimes.from_csv(tmp_path / "other.csv", tip_radius=0.5)
+    assert np.array_equal(shuffled_arrivals.time, file_arrivals.time, equal_nan=True)
+    assert "5 revolutions, 2 probes, 166.667 rad/s, 1 missing" in repr(shuffled_arrivals)
 
 
 def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
-    """Numbers that no short decimal holds, revolutions counted from another one, most passages of a
-    probe missed, all of a revolution: the same to the last bit, and its file again."""
+    """Read back the same bits, and write the same file.
+
+    No short decimal holds the numbers, the first revolution is 12345, and passages are missed: all
+    of one probe, all of a revolution.
+    """
     generator = np.random.default_rng(5)
     marks = np.cumsum(0.01 + 1e-3 * generator.random(31)) + 1e5 / 3.0
     time = marks[:-1, None] + 0.01 * generator.random((30, 3))
@@ -298,11 +331,14 @@ def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
     radius = 1.0 / 3.0
     arrivals = fc.ArrivalTimes(time, marks, np.array([0.0, 0.1, 1.0]) * np.pi / 3.0, radius, 12345)
     arrivals.to_csv(tmp_path / "one.csv")
-    same = fc.ArrivalTimes.from_csv(tmp_path / "one.csv")
+    file_arrivals = fc.ArrivalTimes.from_csv(tmp_path / "one.csv")
     for name in ("time", "marks", "probes", "displacement", "angle", "speed", "nominal_angle"):
-        assert getattr(same, name).tobytes() == getattr(arrivals, name).tobytes(), name
-    assert (same.tip_radius, same.first) == (radius, 12345) and not same.steady
-    same.to_csv(tmp_path / "two.csv")
+        assert getattr(file_arrivals, name).tobytes() == getattr(arrivals, name).tobytes(), name
+    assert (file_arrivals.tip_radius, file_arrivals.first) == (
+        radius,
+        12345,
+    ) and not file_arrivals.steady
+    file_arrivals.to_csv(tmp_path / "two.csv")
     assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
     with pytest.raises(fc.InputError, match=r"tip_radius \[m\] = .* 0.5, as given"):
         fc.ArrivalTimes.from_csv(tmp_path / "one.csv", tip_radius=0.5)
@@ -330,24 +366,24 @@ MANY_PROBES = "".join(f"\n{n},1,{n / 4000.0},{n},{n + 1},1e-3,1,1,0.5" for n in 
     ],
 )
 def test_bad_files(
-    change: Callable[[str], str], words: str, breathing: fc.PeriodicSolution, tmp_path: Any
+    change: Callable[[str], str], words: str, orbit: fc.PeriodicSolution, tmp_path: Any
 ) -> None:
-    """One line that says what is missing."""
+    """Say in one line what is wrong with a file."""
     path = tmp_path / "arrivals.csv"
-    fc.tip_timing(breathing, 0, revolutions=3, **GOOD).to_csv(path)
+    fc.tip_timing(orbit, 0, revolutions=3, **ARGUMENTS).to_csv(path)
     path.write_text(change(path.read_text()))
     with pytest.raises(fc.InputError, match=words):
         fc.ArrivalTimes.from_csv(path, tip_radius=0.5)
     with pytest.raises(fc.InputError, match="readable"):
         fc.ArrivalTimes.from_csv(tmp_path / "none.csv", tip_radius=0.5)
-    fc.tip_timing(breathing, 0, revolutions=3, **GOOD).to_csv(path)
+    fc.tip_timing(orbit, 0, revolutions=3, **ARGUMENTS).to_csv(path)
     path.write_text(path.read_text().replace("tip_radius", "radius"))
     with pytest.raises(fc.InputError, match=r"^tip_radius is missing: must be .*no column"):
         fc.ArrivalTimes.from_csv(path)
 
 
 def test_bad_arrivals() -> None:
-    """Arrays that do not fit."""
+    """Refuse arrays that do not fit, by name."""
     time, marks = np.ones((2, 1)), np.arange(3.0)
     for change, words in (
         ({"time": np.ones((2, 2))}, "time"),
@@ -359,15 +395,17 @@ def test_bad_arrivals() -> None:
         ({"probes": np.array([-1.0])}, "probes"),
         ({"tip_radius": -1.0}, "tip_radius"),
     ):
-        given = {"time": time, "marks": marks, "probes": np.zeros(1), "tip_radius": 1.0} | change
+        fields = {"time": time, "marks": marks, "probes": np.zeros(1), "tip_radius": 1.0} | change
         with pytest.raises(fc.InputError, match=f"^{words}"):
-            fc.ArrivalTimes(**given)
+            fc.ArrivalTimes(**fields)
 
 
 @pytest.mark.parametrize("turn", [0, 1, 4])
 def test_revolutions_that_are_cut_short(turn: int) -> None:
-    """As where a record begins or ends between two marks: to half of its probes the rest of it is
-    at another angle."""
+    """Refuse a revolution half as long as the others, wherever it is.
+
+    A record may begin or end between two marks; its times then show wrong angles.
+    """
     turns = np.ones(5)
     turns[turn] = 0.5
     marks = np.concatenate([[0.0], np.cumsum(turns)])
@@ -376,11 +414,11 @@ def test_revolutions_that_are_cut_short(turn: int) -> None:
 
 
 def test_only_dofs_that_exist_are_asked_for() -> None:
-    """Of a reduced structure, those of the whole one."""
-    whole = chain("modal", n=20, pairs=1)
-    reduced = fc.reduce_structure(whole, modes=6)
-    assert reduced.n_dofs < 19
-    solution = fc.solve_harmonic_balance(reduced, 0.7, fc.UnilateralPenalty(2.0), harmonics=5)
+    """Find the dofs of the whole structure in a reduced structure."""
+    structure = chain("modal", n=20, pairs=1)
+    reduction = fc.reduce_structure(structure, modes=6)
+    assert reduction.n_dofs < 19
+    solution = fc.solve_harmonic_balance(reduction, 0.7, fc.UnilateralPenalty(2.0), harmonics=5)
     arrivals = fc.tip_timing(solution, 19, probes=[0.5], tip_radius=1e3, order=2, revolutions=4)
-    moved = solution.displacement(arrivals.time.ravel(), [19])[:, 0]
-    assert np.abs(arrivals.displacement.ravel() - moved).max() < 1e-9
+    motion = solution.displacement(arrivals.time.ravel(), [19])[:, 0]
+    assert np.abs(arrivals.displacement.ravel() - motion).max() < 1e-9

@@ -28,77 +28,83 @@ CASES: dict[str, Case] = {}
 
 @dataclass(frozen=True)
 class Row:
-    """One figure against its reference; without an allowed difference it is shown, not judged.
+    """Compare one figure with its reference.
 
-    Differences are relative to the reference unless they are absolute.
+    Without a tolerance the figure is shown, not judged. Differences are relative to the reference
+    unless they are absolute.
     """
 
     quantity: str
     ours: float
     reference: float
-    allowed: float | None
+    tolerance: float | None
     absolute: bool = False
 
     @property
     def difference(self) -> float:
-        """Absolute value; relative to the reference."""
+        """Return the difference, relative to the reference unless ``absolute``."""
         return abs(self.ours - self.reference) / (1.0 if self.absolute else abs(self.reference))
 
     @property
     def holds(self) -> bool:
-        """No further off than allowed; never with a value that is no number."""
-        return self.allowed is None or self.difference <= self.allowed
+        """Return True if the difference is within a tolerance, if any."""
+        return self.tolerance is None or self.difference <= self.tolerance
 
     def cells(self) -> list[str]:
-        """As they stand in the table: so many digits that the rounding does not matter."""
-        allowed = self.allowed or 1e-4
+        """Return the table cells, with digits enough that rounding is irrelevant."""
+        tolerance = self.tolerance or 1e-4
         size = 1.0 if self.absolute else abs(self.reference)
-        last = np.log10(allowed * size) - 2.0  # a hundredth of what is allowed
-        words = []
+        log_resolution = np.log10(tolerance * size) - 2.0  # a hundredth of what is allowed
+        numbers = []
         for value in (self.ours, self.reference):
-            digits = 1.0 + np.floor(np.log10(abs(value))) - np.floor(last) if value else 1.0
-            words.append(f"{value:.{int(np.clip(digits, 1, 15))}g}")
+            digits = (
+                1.0 + np.floor(np.log10(abs(value))) - np.floor(log_resolution) if value else 1.0
+            )
+            numbers.append(f"{value:.{int(np.clip(digits, 1, 15))}g}")
         kind = " absolute" if self.absolute else ""
-        bound = "not judged" if self.allowed is None else f"{self.allowed:g}{kind}"
-        return [self.quantity, *words, f"{self.difference:.1e}", bound]
+        bound = "not judged" if self.tolerance is None else f"{self.tolerance:g}{kind}"
+        return [self.quantity, *numbers, f"{self.difference:.1e}", bound]
 
 
 def join_series(rows: list[Row]) -> list[list[Row]]:
-    """Join rows whose quantities differ by one number, as that of a mode."""
+    """Join rows whose quantities differ by one number, as modes do."""
     groups: list[list[Row]] = []
     for row in rows:
-        series = next((group for group in groups if _numbers_of([*group, row])), None)
-        if series is None:
+        matching_group = next((group for group in groups if _split_at_number([*group, row])), None)
+        if matching_group is None:
             groups.append([row])
         else:
-            series.append(row)
+            matching_group.append(row)
     return groups
 
 
-def _numbers_of(rows: list[Row]) -> tuple[str, list[str], str] | None:
-    """Return what stands before the number that differs, the numbers, and what stands behind."""
+def _split_at_number(rows: list[Row]) -> tuple[str, list[str], str] | None:
+    """Split quantities into text before a number, the numbers, and text behind.
+
+    None unless exactly one number differs, and all tolerances are equal.
+    """
     parts = [NUMBER.split(row.quantity) for row in rows]
-    allowed = {(row.allowed, row.absolute) for row in rows}
-    if len({len(part) for part in parts}) > 1 or len(allowed) > 1:
+    tolerances = {(row.tolerance, row.absolute) for row in rows}
+    if len({len(part) for part in parts}) > 1 or len(tolerances) > 1:
         return None
-    differing = [i for i, column in enumerate(zip(*parts, strict=True)) if len(set(column)) > 1]
-    if len(differing) != 1 or differing[0] % 2 == 0:
+    indices = [i for i, column in enumerate(zip(*parts, strict=True)) if len(set(column)) > 1]
+    if len(indices) != 1 or indices[0] % 2 == 0:
         return None
-    [i] = differing
+    [i] = indices
     return "".join(parts[0][:i]), [part[i] for part in parts], "".join(parts[0][i + 1 :])
 
 
 def series_cells(rows: list[Row]) -> list[str]:
-    """Return the cells of one line of a table: all values, the largest difference."""
+    """Return a table line: all values, and the largest difference."""
     if len(rows) == 1:
         return rows[0].cells()
-    before, numbers, behind = _numbers_of(rows) or ("", [], "")
-    _, ours, references, _, allowed = zip(*(row.cells() for row in rows), strict=True)
+    prefix, numbers, suffix = _split_at_number(rows) or ("", [], "")
+    _, ours, references, _, tolerances = zip(*(row.cells() for row in rows), strict=True)
     if len(set(references)) == 1:
         references = references[:1]
-    largest = f"{max(row.difference for row in rows):.1e}"
-    quantity = f"{before}{', '.join(numbers)}{behind}"
-    return [quantity, ", ".join(ours), ", ".join(references), largest, allowed[0]]
+    max_difference = f"{max(row.difference for row in rows):.1e}"
+    quantity = f"{prefix}{', '.join(numbers)}{suffix}"
+    return [quantity, ", ".join(ours), ", ".join(references), max_difference, tolerances[0]]
 
 
 @dataclass(frozen=True)
@@ -117,34 +123,38 @@ class Case:
 
     @property
     def page(self) -> Path:
-        """Where it lies."""
+        """Return the path of the page."""
         return PAGES / f"{self.name}.md"
 
     def write(self, rows: list[Row]) -> None:
-        """Page and picture."""
+        """Write the page and its picture."""
         self.page.write_text(self.render(rows))
         figure = Figure(figsize=(6.4, 3.6), layout="constrained")
         self.draw(figure.subplots())
         figure.savefig(self.page.with_suffix(".png"), dpi=110)
 
     def render(self, rows: list[Row]) -> str:
-        """The page's text."""
-        judged = [row for row in rows if row.allowed is not None]
-        wrong = [row for row in judged if not row.holds]
-        verdict = f"🔴 {len(wrong)} of {len(judged)}" if wrong else f"🟢 All {len(judged)}"
-        parts = [
+        """Return the text of the page."""
+        judged_rows = [row for row in rows if row.tolerance is not None]
+        misses = [row for row in judged_rows if not row.holds]
+        verdict = (
+            f"🔴 {len(misses)} of {len(judged_rows)}" if misses else f"🟢 All {len(judged_rows)}"
+        )
+        paragraphs = [
             f"# {self.title}\n",
-            f"{verdict} figures {'do not hold' if wrong else 'hold'}.\n",
+            f"{verdict} figures {'do not hold' if misses else 'hold'}.\n",
             f"{self.text}\n",
             HEAD
-            + "\n".join(f"| {' | '.join(series_cells(s))} |" for s in join_series(rows))
+            + "\n".join(f"| {' | '.join(series_cells(series))} |" for series in join_series(rows))
             + "\n",
             f"![picture]({self.name}.png)\n",
         ]
         if self.maker:
-            parts.append(f"The references were made with {self.maker()}.\n")
-        parts.append(f"    .venv/bin/python -m pytest tests/verification -k 'book[{self.name}]'\n")
-        return "\n".join(parts)
+            paragraphs.append(f"The references were made with {self.maker()}.\n")
+        paragraphs.append(
+            f"    .venv/bin/python -m pytest tests/verification -k 'book[{self.name}]'\n"
+        )
+        return "\n".join(paragraphs)
 
 
 def label(axes: Any, **words: Any) -> None:
@@ -171,44 +181,44 @@ def case(
     return enter
 
 
-def read(text: str) -> tuple[str, list[list[str]]]:
-    """A page without its figures, and the cells of its table."""
-    before, _, after = text.partition(HEAD)
-    table, _, after = after.partition("\n\n")
+def split_page(text: str) -> tuple[str, list[list[str]]]:
+    """Split a page into its text without figures, and the table's cells."""
+    head, _, rest = text.partition(HEAD)
+    table, _, rest = rest.partition("\n\n")
     cells = [line.strip("| ").split(" | ") for line in table.splitlines()]
-    after = re.sub(r"The references were made with .*\n", "", after)  # another version may do
-    return before + after, cells
+    rest = re.sub(r"The references were made with .*\n", "", rest)  # another version may do
+    return head + rest, cells
 
 
-def differences(committed: str, rows: list[Row], rendered: str) -> list[str]:
-    """What of a committed page is no longer so.
+def differences(page: str, rows: list[Row], fresh_page: str) -> list[str]:
+    """List what a committed page has that is no longer so.
 
-    Its figures may differ from today's by a fourth of what is allowed: other versions of gmsh or
+    The figures may differ from today's by a fourth of the tolerance: other versions of gmsh or
     PETSc round otherwise.
     """
-    (text, cells), (words, fresh) = read(committed), read(rendered)
+    (text, cells), (fresh_text, fresh_cells) = split_page(page), split_page(fresh_page)
     series = join_series(rows)
-    if text != words or len(cells) != len(series):
+    if text != fresh_text or len(cells) != len(series):
         return ["the text or the number of rows"]
-    found = []
-    for group, old, new in zip(series, cells, fresh, strict=True):
-        if (old[0], old[4]) != (new[0], new[4]):
-            found.append(f"{new[0]}: quantity or allowed difference")
-        for name, values, was in (
-            ("ours", [row.ours for row in group], old[1].split(", ")),
-            ("reference", [row.reference for row in group], old[2].split(", ")),
+    messages = []
+    for group, old_row, fresh_row in zip(series, cells, fresh_cells, strict=True):
+        if (old_row[0], old_row[4]) != (fresh_row[0], fresh_row[4]):
+            messages.append(f"{fresh_row[0]}: quantity or allowed difference")
+        for name, values, old_numbers in (
+            ("ours", [row.ours for row in group], old_row[1].split(", ")),
+            ("reference", [row.reference for row in group], old_row[2].split(", ")),
         ):
-            if len(was) == 1:
-                was *= len(group)
-            for row, number, now in zip(group, was, values, strict=True):
+            if len(old_numbers) == 1:
+                old_numbers *= len(group)
+            for row, number, value in zip(group, old_numbers, values, strict=True):
                 unit = 1.0 if row.absolute else abs(row.reference)
-                if abs(float(number) - now) > 0.25 * (row.allowed or 1e-3) * unit:
-                    found.append(f"{row.quantity}: {name} was {number}, is {now:.12g}")
-    return found
+                if abs(float(number) - value) > 0.25 * (row.tolerance or 1e-3) * unit:
+                    messages.append(f"{row.quantity}: {name} was {number}, is {value:.12g}")
+    return messages
 
 
 def index() -> str:
-    """The index, from the pages as they are, and the smaller checks, which it keeps."""
+    """Return the index of the pages, with its smaller checks kept."""
     lines = [
         "# The verification book\n",
         "One page a case: the problem, the source of its reference, our figures beside it, and the",
@@ -225,15 +235,15 @@ def index() -> str:
         lines += ["|---|---|---|---|"]
         lines += [_line(case) for case in CASES.values() if case.topic == topic]
         lines += [""]
-    smaller = "".join((PAGES / "index.md").read_text().partition("\n## Smaller checks")[1:])
-    return "\n".join(lines) + f"\n```{{toctree}}\n:hidden:\n:glob:\n\n*_*\n```\n{smaller}"
+    smaller_checks = "".join((PAGES / "index.md").read_text().partition("\n## Smaller checks")[1:])
+    return "\n".join(lines) + f"\n```{{toctree}}\n:hidden:\n:glob:\n\n*_*\n```\n{smaller_checks}"
 
 
 def _line(case: Case) -> str:
     text = case.page.read_text()
-    judged = [cells for cells in read(text)[1] if cells[4] != "not judged"]
-    bounds = [(float(cells[3]), float(cells[4].split()[0])) for cells in judged]
-    share = max((off / bound for off, bound in bounds if bound), default=0.0)  # counts are exact
+    judged_cells = [cells for cells in split_page(text)[1] if cells[4] != "not judged"]
+    bounds = [(float(cells[3]), float(cells[4].split()[0])) for cells in judged_cells]
+    share = max((diff / bound for diff, bound in bounds if bound), default=0.0)  # counts are exact
     sign = "🟢" if "🟢" in text else "🔴"
-    count = sum(len(cells[1].split(", ")) for cells in judged)
+    count = sum(len(cells[1].split(", ")) for cells in judged_cells)
     return f"| {sign} | [{case.title}]({case.name}.md) | {count} | {share:.0%} |"

@@ -60,7 +60,7 @@ def test_a_wrong_figure_is_seen() -> None:
     page = case.render(rows)
     old = page.split("\n|")[3]
     cells = old.split(" | ")
-    cells[1] = f"{rows[0].ours + 0.5 * rows[0].allowed * abs(rows[0].reference):.15g}"
+    cells[1] = f"{rows[0].ours + 0.5 * rows[0].tolerance * abs(rows[0].reference):.15g}"
     assert differences(page, rows, page) == []
     found = differences(page.replace(old, " | ".join(cells)), rows, page)
     assert len(found) == 1 and found[0].startswith(rows[0].quantity)
