@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, taken
+from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, select_candidate
 from fenics_crack.arrivals.robust import LEVELS, ROBUST_SETTLED, refined, reweighted, student
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN
@@ -287,7 +287,7 @@ class _Sought:
         sizes = np.array([np.linalg.norm(found) for found, _, _ in fits])
         conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
         hidden = np.array([self._held(columns) for _, _, columns in fits])
-        equivalent, best = taken(sums, sizes, limit, ~hidden)
+        equivalent, best = select_candidate(sums, sizes, limit, ~hidden)
         # Arrivals that are not where they were expected distinguish aliases, but not reliably.
         wave = fourier_basis(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
         lefts = [self._fitted(omega, weights, wave, self._expected)[1] for omega in omegas]

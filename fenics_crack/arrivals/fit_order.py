@@ -32,12 +32,12 @@ from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
     ORDERS,
     Candidates,
-    Fitted,
+    HarmonicFit,
     TipFit,
+    compute_amplitudes,
     condition,
-    refuse,
-    strengths,
-    taken,
+    refuse_probes,
+    select_candidate,
     wanted,
 )
 from fenics_crack.arrivals.robust import DEPENDENT, LEVELS, reweighted, student, trend
@@ -121,13 +121,13 @@ def _compared(
     every = {place: means.fit(order, multiples) for place, order in enumerate(tried)}
     fits = {place: fit for place, fit in every.items() if fit is not None}
     if not fits:
-        refuse(arrivals, unknowns)
+        refuse_probes(arrivals, unknowns)
     hidden, (sums, sizes, costs) = np.full(len(tried), True), np.full((3, len(tried)), np.inf)
     for place, fit in fits.items():
         hidden[place], sums[place] = False, fit.least
         sizes[place] = np.linalg.norm(fit.coefficients[1:])
     lowest, misfit, freedom = means.tested(float(sums.min()), unknowns)
-    equivalent, best = taken(sums, sizes, LEVELS.equal * lowest)
+    equivalent, best = select_candidate(sums, sizes, LEVELS.equal * lowest)
     chosen = fits[best]
     # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
     wave = fourier_basis(tried[best] * means.nominal, multiples) @ chosen.coefficients
@@ -288,8 +288,8 @@ class _Seen:
         sizes = np.array(list(product(self._sizes(fit), repeat=N_FOLDED)))
         costs, *others, _ = self._beside(fit, sizes)
         weights = np.exp(0.5 * (costs.min() - costs))
-        middle, error = strengths(fit.coefficients, fit.covariance)
-        amplitudes, errors = strengths(*others)
+        middle, error = compute_amplitudes(fit.coefficients, fit.covariance)
+        amplitudes, errors = compute_amplitudes(*others)
         far = LEVELS.deviations * error
         high, low = (ndtr((middle + end - amplitudes) / errors) for end in (far, -far))
         return 1.0 - float((weights @ (high - low)).min() / weights.sum())
@@ -437,7 +437,7 @@ class Means(_Seen):
 
 
 @dataclass(frozen=True, repr=False)
-class TipTrack(Fitted):
+class TipTrack(HarmonicFit):
     """Harmonics of a vibration of known engine order, revolution by revolution.
 
     Attributes
@@ -553,7 +553,7 @@ def track_order(
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
     phase = order * arrivals.nominal_angle[:revolutions].ravel()
     if np.isinf(condition(fourier_basis(phase, multiples))):
-        refuse(arrivals, unknowns)
+        refuse_probes(arrivals, unknowns)
     shape = (groups, revolutions * probes)
     angle, nominal, values = (
         part[: groups * revolutions].reshape(shape)
@@ -597,7 +597,7 @@ def track_order(
             known = max(known, 1.0) if within else known
             errors[group] = known * student(freedom) * fit.covariance
             errors[group] += np.outer(apart[group], apart[group])
-    amplitudes, amplitude_errors = strengths(found, errors)
+    amplitudes, amplitude_errors = compute_amplitudes(found, errors)
     folded = np.nan
     if own > 1 and within > 0 and parts:
         largest = {int(np.nanargmax(sizes)) for sizes in amplitudes.T}
