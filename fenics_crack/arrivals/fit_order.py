@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes, smoothed
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, smooth_series
 from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
     ORDERS,
@@ -620,7 +620,7 @@ def _without_changes(
     rates = np.zeros(inverse.shape[:2])
     if len(fit) > 1:
         alone = (inverse @ values[..., None])[fit, :, 0].T
-        rates[fit] = np.gradient([smoothed(part) for part in alone], fit, axis=1).T
+        rates[fit] = np.gradient([smooth_series(part) for part in alone], fit, axis=1).T
     moved = along * (columns @ rates[..., None])[..., 0]
     return values - moved, along.mean(axis=1, keepdims=True) * rates
 

@@ -74,7 +74,7 @@ class HarmonicFit(Tabular):
     def may_be_folded(self) -> bool:
         """True if harmonics left out may have shifted an amplitude.
 
-        An amplitude is within three of its errors less probably than within two of a normal one.
+        It is within three of its errors less probably than a normal number is within two.
         """
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
@@ -339,7 +339,7 @@ def condition(columns: np.ndarray) -> float:
 def refuse_probes(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
-    description = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
+    problem = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
     requirement = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
     requirement += "fewer harmonics, or arrivals that scatter less"
-    raise InputError("probes", description, requirement)
+    raise InputError("probes", problem, requirement)
