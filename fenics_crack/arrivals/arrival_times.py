@@ -333,7 +333,7 @@ def check_probes(probes: np.ndarray) -> None:
 
 
 def choose_radius(path: str | Path, file_radii: np.ndarray | None, radius: float | None) -> float:
-    """Return the radius of the blade tip [m], of a file's column or stated.
+    """Return the tip radius [m], from a file's column or stated.
 
     Raise InputError if there is none, or more than one.
     """
@@ -491,7 +491,7 @@ def read_record(
 
 
 def has_probe_angles(path: str | Path) -> bool:
-    """Return True if a file of arrivals has the angles of its probes."""
+    """Return True if a file has the angles of its probes."""
     return ARRIVAL_COLUMNS[1] in _read_table(path)[0]
 
 

@@ -192,7 +192,7 @@ class _FrequencySearch:
         )  # fmt: skip
 
     def _stiffen(self, scatter: float) -> None:
-        """Set the stiffness that holds the probes' constants together, for a scatter [m]."""
+        """Set the stiffness that holds probes' constants together, for a scatter [m]."""
         if self._constants.shape[1] > 1:
             self._stiffness = (scatter / self._tip_deviation) ** 2
 
@@ -236,7 +236,7 @@ class _FrequencySearch:
         return best_omega, fit
 
     def find_best(self) -> tuple[TipFit, float]:
-        """Return the best vibration, and the probability of one as large in noise.
+        """Return the best vibration, and the probability of its size in noise.
 
         The best is the smallest of those that explain the displacements as well as any.
         """
@@ -325,7 +325,7 @@ class _FrequencySearch:
         return Candidates(orders, rms, conditions, equivalent, hidden), float(omegas[index])
 
     def _describe(self, candidates: Candidates) -> TipFit:
-        """Return the fit as a result, whose order replaces that of the nearest candidate."""
+        """Return the fit, whose order replaces that of the nearest candidate."""
         speed, count = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
         order = self.omega / speed
         orders = candidates.orders.copy()

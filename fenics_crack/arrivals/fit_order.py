@@ -115,7 +115,7 @@ def fit_order(
 def _select_order(
     arrivals: ArrivalTimes, means: Means, orders: np.ndarray, multiples: np.ndarray
 ) -> TipFit:
-    """Fit all orders, and return the smallest vibration of those that fit best."""
+    """Fit all orders, and return the smallest of the best vibrations."""
     unknowns = 2 * len(multiples) + 1
     results = {place: means.fit(order, multiples) for place, order in enumerate(orders)}
     fits = {place: fit for place, fit in results.items() if fit is not None}
@@ -161,7 +161,7 @@ def _select_order(
 
 
 def _find_period(orders: np.ndarray, multiples: np.ndarray) -> int:
-    """Return the number of revolutions after which each probe sees the same again."""
+    """Return the number of revolutions after which probes see the same."""
     limit = 24
     products = np.multiply.outer(orders, multiples).ravel()
     fractions = [Fraction(product).limit_denominator(limit) for product in products.tolist()]
@@ -673,7 +673,7 @@ def _subtract_changes(
 
 
 def _fit_neighbours(groups: dict[int, tuple[_Sample, _Fit]]) -> dict[int, tuple[_Sample, _Fit]]:
-    """Fit groups with omitted harmonics, in the ratio that is likeliest in neighbours.
+    """Fit groups with omitted harmonics, in the ratio likeliest in neighbours.
 
     The ratio to the vibration is that of a group and its neighbours, as few probes of one group do
     not determine it.

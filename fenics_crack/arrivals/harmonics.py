@@ -67,7 +67,10 @@ class HarmonicFit(Tabular):
 
     @property
     def does_not_fit(self) -> bool:
-        """True if the misfit is below 0.001: harmonics are missing, or the order is wrong."""
+        """True if the misfit is below 0.001.
+
+        Harmonics are missing, or the order is wrong.
+        """
         return self.misfit < LEVELS.misfit
 
     @property
