@@ -24,16 +24,16 @@ from fenics_crack.basics.untrusted_files import IN_SI, heading_in_si, table_rows
 
 ARRIVAL_COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """Required columns of a CSV file."""
-RADIUS = "tip_radius [m]"
+RADIUS_COLUMN = "tip_radius [m]"
 """Optional column of a CSV file."""
-OF_RADIUS = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
-"""Remedy where it is missing."""
+RADIUS_HINT = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
+"""Hint of the error that the radius is missing."""
 STEADY = 1e-2
 """Maximum relative variation of a constant speed."""
 MOST_PASSAGES = 10**7
-"""Maximum number of passages, for the memory."""
+"""Maximum number of passages in a record, which limits the memory."""
 FEWEST_REVOLUTIONS = 10
-"""Minimum number of revolutions for a smoothed speed, and of a passage."""
+"""Minimum number of revolutions for a smoothed speed, and for a passage through a resonance."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,23 +86,25 @@ class ArrivalTimes(Tabular):
         check_number("tip_radius", self.tip_radius, 0.0, above=True)
         check_probes(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
-            found = f"of shape {self.marks.shape}"
-            raise InputError("marks", found, "two or more increasing times")
-        if not np.all(rising := np.diff(self.marks) > 0.0):
-            before, after = self.marks[int(np.argmin(rising)) :][:2]
-            raise InputError("marks", f"{after:.9g} s after {before:.9g} s", "increasing times")
+            problem = f"of shape {self.marks.shape}"
+            raise InputError("marks", problem, "two or more increasing times")
+        if not np.all(is_rising := np.diff(self.marks) > 0.0):
+            mark, next_mark = self.marks[int(np.argmin(is_rising)) :][:2]
+            raise InputError("marks", f"{next_mark:.9g} s after {mark:.9g} s", "increasing times")
         check_turns("marks", np.diff(self.marks), self.first)
         shape = (len(self.marks) - 1, len(self.probes))
         if self.time.shape != shape:
-            allowed = f"of shape {shape}: a row for each revolution, a column for each probe"
-            raise InputError("time", f"of shape {self.time.shape}", allowed)
+            requirement = f"of shape {shape}: a row for each revolution, a column for each probe"
+            raise InputError("time", f"of shape {self.time.shape}", requirement)
         if not np.any(np.isfinite(self.time)):
             raise InputError("time", "no finite number", "the times of some arrivals")
-        turn, after = np.diff(self.marks)[:, None], self.time - self.marks[:-1, None]
-        wrong = (after < -turn) | (after > 2.0 * turn)
-        if np.any(wrong):
-            allowed = "within the revolution of the row, the one before or the one after; or nan"
-            raise InputError("time", float(self.time[wrong][0]), allowed)
+        turn, delay = np.diff(self.marks)[:, None], self.time - self.marks[:-1, None]
+        is_misplaced = (delay < -turn) | (delay > 2.0 * turn)
+        if np.any(is_misplaced):
+            requirement = (
+                "within the revolution of the row, the one before or the one after; or nan"
+            )
+            raise InputError("time", float(self.time[is_misplaced][0]), requirement)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -121,7 +123,7 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """True if the speed varies by less than 1 %; else these are arrivals of a run-up."""
+        """True if the speed varies by at most 1 %, False in a run-up."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 
@@ -155,44 +157,58 @@ class ArrivalTimes(Tabular):
         return 1e-9 * motion + 4.0 * float(np.spacing(angle)) * self.tip_radius
 
     def check_places(self, angle_deviation: float) -> None:
-        """Raise InputError where a probe is passed, but for a shift of all of them, nearer to the
-        place of another one, or in another revolution: a fit would take that for a vibration; and
-        for a standard deviation of the probes' angles [rad] that is none."""
+        """Check that arrivals are at their probes, but for a common shift.
+
+        Raise InputError if they are nearer to another probe or in another revolution, which a fit
+        would take for a vibration, or if the standard deviation of the probes' angles [rad] is no
+        number >= 0.
+        """
         check_number("angle_deviation", angle_deviation, 0.0)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
-            off = np.nanmedian(self.nominal_angle - self.angle, axis=0)
-        off -= np.nanmedian(off)
-        late = np.flatnonzero(np.abs(off) > 0.5 * TURN)
-        if len(late):
-            where = f"those at {np.degrees(self.probes[late[0]]):g} degrees"
-            found = f"{where} are of the revolutions {'before' if off[late[0]] > 0.0 else 'after'}"
-            raise InputError("time", found, "in the rows of their own revolutions, at all probes")
-        apart = np.abs(self.probes - off - self.probes[:, None])  # [said, passed]
-        nearest = np.argmin(np.minimum(apart % TURN, -apart % TURN), axis=0)
-        wrong = np.flatnonzero(np.isfinite(off) & (nearest != np.arange(len(off))))
-        if len(wrong):
-            said, passed = np.degrees(self.probes[[wrong[0], nearest[wrong[0]]]])
-            found = f"the one at {said:g} degrees is passed where that at {passed:g} degrees is"
-            allowed = "where their arrivals are; two are swapped, or times too coarse"
-            raise InputError("probes", found, allowed)
+            shifts = np.nanmedian(self.nominal_angle - self.angle, axis=0)
+        shifts -= np.nanmedian(shifts)
+        far_probes = np.flatnonzero(np.abs(shifts) > 0.5 * TURN)
+        if len(far_probes):
+            probe_text = f"those at {np.degrees(self.probes[far_probes[0]]):g} degrees"
+            problem = (
+                f"{probe_text} are of the revolutions "
+                f"{'before' if shifts[far_probes[0]] > 0.0 else 'after'}"
+            )
+            raise InputError("time", problem, "in the rows of their own revolutions, at all probes")
+        distances = np.abs(self.probes - shifts - self.probes[:, None])  # [stated, passed]
+        nearest_probes = np.argmin(np.minimum(distances % TURN, -distances % TURN), axis=0)
+        swapped_probes = np.flatnonzero(
+            np.isfinite(shifts) & (nearest_probes != np.arange(len(shifts)))
+        )
+        if len(swapped_probes):
+            angle, passed_angle = np.degrees(
+                self.probes[[swapped_probes[0], nearest_probes[swapped_probes[0]]]]
+            )
+            problem = (
+                f"the one at {angle:g} degrees is passed where that at {passed_angle:g} degrees is"
+            )
+            requirement = "where their arrivals are; two are swapped, or times too coarse"
+            raise InputError("probes", problem, requirement)
 
     def zeroed(self, begin: int, end: int) -> Self:
-        """Return the same with probes at the mean blade tip of the revolutions begin to end - 1,
-        counted from 0: displacements are those from there, as of quiet revolutions."""
-        quiet = np.nanmedian(self.between(begin, end).displacement[begin:end], axis=0)
-        return replace(self, probes=self.probes - quiet / self.tip_radius)
+        """Return these arrivals with displacements from quiet revolutions.
+
+        The probes are put at the median blade tip in revolutions begin to end - 1, counted from 0.
+        """
+        median_displacement = np.nanmedian(self.between(begin, end).displacement[begin:end], axis=0)
+        return replace(self, probes=self.probes - median_displacement / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """Return the arrivals of the revolutions begin to end - 1, counted from 0, alone."""
+        """Keep only the arrivals of revolutions begin to end - 1, counted from 0."""
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
-        kept = np.zeros(len(self), dtype=bool)
-        kept[begin:end] = True
-        return replace(self, time=np.where(kept[:, None], self.time, np.nan))
+        is_kept = np.zeros(len(self), dtype=bool)
+        is_kept[begin:end] = True
+        return replace(self, time=np.where(is_kept[:, None], self.time, np.nan))
 
     def without(self, probes: np.ndarray) -> Self:
-        """Return the same without some probes (n,), counted from 0."""
+        """Return these arrivals without the probes of indices (n,), from 0."""
         time = np.delete(self.time, probes, axis=1)
         return replace(self, time=time, probes=np.delete(self.probes, probes))
 
@@ -212,63 +228,65 @@ class ArrivalTimes(Tabular):
             The file cannot be read, a column is missing, or rows contradict each other or the
             radius given.
         """
-        (turn, angle, mark, after, arrival), radius = _passages(path)
-        tip_radius = one_radius(path, radius, tip_radius)
+        (turn, angle, mark, next_mark, arrival), radius = _read_passages(path)
+        tip_radius = choose_radius(path, radius, tip_radius)
         turns, row = np.unique(turn, return_inverse=True)
-        probes, where = np.unique(angle, return_inverse=True)
+        probes, column = np.unique(angle, return_inverse=True)
         if np.any(np.diff(turns) != 1.0):
             raise InputError("path", str(path), "a file without gaps between its revolutions")
         if len(turns) * len(probes) > MOST_PASSAGES:
             size = f"{len(turns)} revolutions, {len(probes)} probes"
             raise InputError("path", f"{path}: {size}", f"{MOST_PASSAGES:.0e} passages at most")
         begins, ends = np.empty(len(turns)), np.empty(len(turns))
-        begins[row], ends[row] = mark, after
+        begins[row], ends[row] = mark, next_mark
         time = np.full((len(turns), len(probes)), np.nan)
-        time[row, where] = arrival
-        same = [begins[row] == mark, ends[row] == after]
-        same += [begins[1:] == ends[:-1], len(set(zip(row, where, strict=True))) == len(row)]
-        if not all(map(np.all, same)):
-            allowed = "a file in which each revolution has one mark and one next_mark, that of the "
-            raise InputError("path", str(path), allowed + "one after, and passes a probe once")
+        time[row, column] = arrival
+        checks = [begins[row] == mark, ends[row] == next_mark]
+        checks += [begins[1:] == ends[:-1], len(set(zip(row, column, strict=True))) == len(row)]
+        if not all(map(np.all, checks)):
+            requirement = (
+                "a file in which each revolution has one mark and one next_mark, that of the "
+            )
+            raise InputError("path", str(path), requirement + "one after, and passes a probe once")
         return cls(time, np.append(begins, ends[-1]), probes, tip_radius, int(turns[0]))
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every passage."""
-        count, probes = self.time.shape
-        rows = np.arange(count)
+        n_turns, n_probes = self.time.shape
+        rows = np.arange(n_turns)
         return {
-            "revolution": np.repeat(self.first + rows, probes).tolist(),
-            "probe": np.tile(np.arange(1, probes + 1), count).tolist(),
-            "angle": np.tile(self.probes, count).tolist(),
-            "mark": np.repeat(self.marks[:-1], probes).tolist(),
-            "next_mark": np.repeat(self.marks[1:], probes).tolist(),
+            "revolution": np.repeat(self.first + rows, n_probes).tolist(),
+            "probe": np.tile(np.arange(1, n_probes + 1), n_turns).tolist(),
+            "angle": np.tile(self.probes, n_turns).tolist(),
+            "mark": np.repeat(self.marks[:-1], n_probes).tolist(),
+            "next_mark": np.repeat(self.marks[1:], n_probes).tolist(),
             "arrival": self.time.ravel().tolist(),
             "displacement": self.displacement.ravel().tolist(),
-            "speed": np.repeat(self.speed, probes).tolist(),
+            "speed": np.repeat(self.speed, n_probes).tolist(),
             "tip_radius": [float(self.tip_radius)] * self.time.size,
         }
 
     def _title(self) -> str:
-        speed, missing = self.speed, int(np.isnan(self.time).sum())
+        speed, n_missing = self.speed, int(np.isnan(self.time).sum())
         parts = [counted(len(self), "revolution"), counted(len(self.probes), "probe")]
-        steady = np.ptp(speed) <= 1e-6 * speed[0]
-        parts.append(f"{speed[0]:.6g}{'' if steady else f' to {speed[-1]:.6g}'} rad/s")
-        return ", ".join(parts + [f"{missing} missing"] * (missing > 0))
+        is_steady = np.ptp(speed) <= 1e-6 * speed[0]
+        parts.append(f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s")
+        return ", ".join(parts + [f"{n_missing} missing"] * (n_missing > 0))
 
 
-def between(places: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return values (n,) at rising places (n,), at others between these by cubic splines."""
+def between(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Interpolate values (n, ...) at increasing knots (n,) by cubic splines."""
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
-    return np.asarray(CubicSpline(places, values)(at))
+    return np.asarray(CubicSpline(knots, values)(points))
 
 
-def smoothed(values: np.ndarray) -> np.ndarray:
-    """Return values (n,) along the revolutions without their errors, by smoothing.
+def smooth_series(values: np.ndarray) -> np.ndarray:
+    """Smooth values (n,) of successive revolutions, which removes their errors.
 
-    Quadratics over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36, 1964, 1627),
-    with h from 0 up of the least risk by Stein's estimate (Annals of Statistics 9, 1981, 1135); the
-    variance of the errors is that of the fourth differences.
+    Quadratics are fitted over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36,
+    1964, 1627). Of h = 0, 2, 4, 8, ... the one of the least risk is taken, by Stein's estimate
+    (Annals of Statistics 9, 1981, 1135) with the variance of errors from fourth differences.
     """
     if len(values) < FEWEST_REVOLUTIONS:
         return values
@@ -276,60 +294,83 @@ def smoothed(values: np.ndarray) -> np.ndarray:
 
     # Fourth differences of white errors have 70 times their variance; the median of chi^2 is 0.455.
     variance = float(np.median(np.diff(values, 4) ** 2)) / (70.0 * 0.455)
-    found, least = values, variance
-    for half in 2 ** np.arange(1, int(np.log2(len(values) / 4.0)) + 1):
-        tried = savgol_filter(values, 2 * half + 1, 2)
-        share = float(savgol_coeffs(2 * half + 1, 2)[half])
-        risk = float(np.mean((values - tried) ** 2)) + (2.0 * share - 1.0) * variance
-        if risk < least:
-            found, least = tried, risk
-    return np.asarray(found)
+    best_series, min_risk = values, variance
+    for half_width in 2 ** np.arange(1, int(np.log2(len(values) / 4.0)) + 1):
+        candidate = savgol_filter(values, 2 * half_width + 1, 2)
+        centre_weight = float(savgol_coeffs(2 * half_width + 1, 2)[half_width])
+        risk = float(np.mean((values - candidate) ** 2)) + (2.0 * centre_weight - 1.0) * variance
+        if risk < min_risk:
+            best_series, min_risk = candidate, risk
+    return np.asarray(best_series)
 
 
-def check_turns(name: str, turns: np.ndarray, first: int = 0) -> None:
-    """Raise InputError where the duration of a revolution (n,) [s] is 1.4 times the median of five,
-    or less than its part: a mark was missed, or another signal taken for one."""
-    five = np.lib.stride_tricks.sliding_window_view(np.pad(turns, 2, mode="symmetric"), 5)
-    around = np.median(five, axis=1)
-    wrong = np.abs(np.log(turns / around)) > np.log(1.4)
-    if np.any(wrong):
-        at = int(np.argmax(wrong))
-        found = f"revolution {first + at} takes {turns[at] / around[at]:.3g} times as long as those"
-        allowed = "marks of which none was missed or seen twice; leave out such rows, but count "
-        raise InputError(name, f"{found} around it", f"{allowed}their revolutions")
+def check_turns(name: str, turns: np.ndarray, first_turn: int = 0) -> None:
+    """Raise InputError unless durations of revolutions (n,) [s] vary smoothly.
+
+    A duration more than 1.4 times the median of five, or less than 1 / 1.4 of it, shows that a mark
+    was missed, or another signal taken for one.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(turns, 2, mode="symmetric"), 5)
+    medians = np.median(windows, axis=1)
+    is_outlier = np.abs(np.log(turns / medians)) > np.log(1.4)
+    if np.any(is_outlier):
+        index = int(np.argmax(is_outlier))
+        problem = (
+            f"revolution {first_turn + index} takes {turns[index] / medians[index]:.3g} times "
+            "as long as those"
+        )
+        requirement = (
+            "marks of which none was missed or seen twice; leave out such rows, but count "
+        )
+        raise InputError(name, f"{problem} around it", f"{requirement}their revolutions")
 
 
 def check_probes(probes: np.ndarray) -> None:
     """Raise InputError unless probes are angles from 0 to 2 pi, increasing."""
-    fit = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
-    if not fit or probes[0] < 0.0 or probes[-1] >= 2.0 * np.pi or np.any(np.diff(probes) <= 0.0):
+    valid = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
+    if not valid or probes[0] < 0.0 or probes[-1] >= 2.0 * np.pi or np.any(np.diff(probes) <= 0.0):
         raise InputError("probes", probes, "increasing angles [rad] from 0 to less than 2 pi")
 
 
-def one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None) -> float:
-    """Return the radius of the blade tip [m], from a column of a file or given; InputError unless
-    it is one."""
-    if of_file is None:
-        if given is None:
-            allowed = f"given for {path}, which has no column '{RADIUS}': {OF_RADIUS}"
-            raise InputError("tip_radius", None, allowed)
-        return given
-    values = np.unique(np.append(of_file, of_file[0] if given is None else given))
-    if len(values) > 1:
-        allowed = "one number, in all rows" + ("" if given is None else f" {given:g}, as given")
-        raise InputError("path", f"{path}, {RADIUS} = {values.tolist()}", allowed)
-    return float(values[0])
+def choose_radius(path: str | Path, file_radii: np.ndarray | None, radius: float | None) -> float:
+    """Return the tip radius [m], from a file's column or stated.
+
+    Raise InputError if there is none, or more than one.
+    """
+    if file_radii is None:
+        if radius is None:
+            requirement = f"given for {path}, which has no column '{RADIUS_COLUMN}': {RADIUS_HINT}"
+            raise InputError("tip_radius", None, requirement)
+        return radius
+    radii = np.unique(np.append(file_radii, file_radii[0] if radius is None else radius))
+    if len(radii) > 1:
+        requirement = "one number, in all rows" + (
+            "" if radius is None else f" {radius:g}, as given"
+        )
+        raise InputError("path", f"{path}, {RADIUS_COLUMN} = {radii.tolist()}", requirement)
+    return float(radii[0])
 
 
-def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
-    """Return headings of a CSV file, in SI where they name a unit, the numbers of its other lines,
-    and its columns, nan where there is no number; lines that begin with # are left out."""
+def _read_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
+    """Read a CSV file without lines that begin with #.
+
+    Returns
+    -------
+    headings : list of str
+        In SI if they name a unit.
+    line_numbers : list of int
+        Numbers of the other lines (n,).
+    table : (columns, n)
+        Numbers in SI; nan in cells without a number.
+    """
     with reading("path", path, "a table of numbers"):
         (_, names), *rows = table_rows(path) or [(0, [])]
         for number, row in rows:
             if len(row) < len(names):
-                allowed = f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
-                raise InputError("path", f"{path}, line {number}", allowed)
+                requirement = (
+                    f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
+                )
+                raise InputError("path", f"{path}, line {number}", requirement)
     headings = [heading_in_si(name) for name in names]
     columns = [[f * _number(row[n]) for _, row in rows] for n, (_, f) in enumerate(headings)]
     table = np.array(columns).reshape(len(names), len(rows))
@@ -337,37 +378,37 @@ def _table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
 
 
 def _number(cell: str) -> float:
-    """Return the number in a cell; nan where there is none."""
+    """Return the number in a cell, nan if it has none."""
     try:
         return float(cell)
     except ValueError:
         return np.nan
 
 
-def _passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the required columns of a file: (5, rows), and the radii (rows,) if it has them."""
-    names, lines, columns = _table(path)
+def _read_passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Read the required columns (5, rows) of a file, and radii (rows,) or None."""
+    names, lines, columns = _read_table(path)
     for name in ARRIVAL_COLUMNS:
         if name not in names:
-            has = f"it has {', '.join(names)}" if any(names) else "it is empty"
-            raise InputError("path", str(path), f"a file with the column '{name}'; {has}")
-    found = columns[[names.index(name) for name in ARRIVAL_COLUMNS]]
+            contents = f"it has {', '.join(names)}" if any(names) else "it is empty"
+            raise InputError("path", str(path), f"a file with the column '{name}'; {contents}")
+    passages = columns[[names.index(name) for name in ARRIVAL_COLUMNS]]
     if not lines:
         raise InputError("path", str(path), "a file with rows of numbers below its headings")
-    given, turns = np.isfinite(found[:4]).all(axis=0), np.nan_to_num(found[0])
-    if not np.all(fine := given & (turns % 1.0 == 0.0) & (np.abs(turns) < 2**53)):
-        allowed = "a row of finite numbers but for the arrival, and of a whole revolution"
-        raise InputError("path", f"{path}, line {lines[int(np.argmin(fine))]}", allowed)
-    return found, columns[names.index(RADIUS)] if RADIUS in names else None
+    is_finite, turns = np.isfinite(passages[:4]).all(axis=0), np.nan_to_num(passages[0])
+    if not np.all(is_valid := is_finite & (turns % 1.0 == 0.0) & (np.abs(turns) < 2**53)):
+        requirement = "a row of finite numbers but for the arrival, and of a whole revolution"
+        raise InputError("path", f"{path}, line {lines[int(np.argmin(is_valid))]}", requirement)
+    return passages, columns[names.index(RADIUS_COLUMN)] if RADIUS_COLUMN in names else None
 
 
 # --- records --------------------------------------------------------------------------------------
 
-PASSAGE = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
-"""Heading of the arrivals of a blade at a probe; blade 1 where none is named."""
+PASSAGE_HEADING = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
+"""Heading of a blade's arrivals at a probe; the default is blade 1."""
 SPEED_UNITS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
 ANGLE_UNITS, TIME_UNITS = {"rad": 1.0, "deg": IN_SI["deg"][1]}, {"s": 1.0}
-"""Units by what they are in rad/s, rad and s; the first one where a heading has none."""
+"""Factors of units to rad/s, rad and s; the first unit is the default of a heading."""
 
 
 def read_record(
@@ -420,43 +461,46 @@ def read_record(
     >>> arrivals.to_csv("record.csv")
     >>> blades = fc.read_record("record.csv")
     """
-    names, _, table = _table(path)
-    if not any(map(PASSAGE.search, names)):
+    names, _, table = _read_table(path)
+    if not any(map(PASSAGE_HEADING.search, names)):
         return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
     columns = dict(zip(names, table, strict=True))
-    passages: dict[int, dict[int, str]] = {}
+    blade_headings: dict[int, dict[int, str]] = {}
     for name in names:
-        if found := PASSAGE.search(name):
-            passages.setdefault(int(found[1] or 1), {})[int(found[2])] = name
+        if match := PASSAGE_HEADING.search(name):
+            blade_headings.setdefault(int(match[1] or 1), {})[int(match[2])] = name
     if len(columns) != len(names):
         raise InputError("path", f"{path}: {', '.join(names)}", "headings, each given once")
     if table.shape[1] < 2:
-        given = f"{path}: {counted(table.shape[1], 'revolution')}"
-        raise InputError("path", given, "two or more, between which the speed is measured")
-    turns = _turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
-    marks = _marks(path, columns, turns)
-    tip_radius = one_radius(path, columns.get(RADIUS), tip_radius)
-    found_blades = {}
-    for blade, headings in sorted(passages.items()):
-        seen = np.full((len(marks) - 1, len(headings)), np.nan)
-        for place, (_, name) in enumerate(sorted(headings.items())):
+        problem = f"{path}: {counted(table.shape[1], 'revolution')}"
+        raise InputError("path", problem, "two or more, between which the speed is measured")
+    turns = _read_turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
+    marks = _read_marks(path, columns, turns)
+    tip_radius = choose_radius(path, columns.get(RADIUS_COLUMN), tip_radius)
+    blades = {}
+    for blade, headings in sorted(blade_headings.items()):
+        angles = np.full((len(marks) - 1, len(headings)), np.nan)
+        for probe, (_, name) in enumerate(sorted(headings.items())):
             if not np.any(np.isfinite(columns[name])):
                 raise InputError("path", f"{path}: {name}", "a column with finite numbers")
-            seen[turns - turns[0], place] = _angles(path, name, columns[name], turns, marks)
-        angles = probes.get(blade) if isinstance(probes, Mapping) else probes
-        own = None if angles is None else np.asarray(angles, dtype=float)
-        found_blades[blade] = _arrivals(seen, marks, tip_radius, own, int(turns[0]))
-    return found_blades
+            angles[turns - turns[0], probe] = _read_angles(path, name, columns[name], turns, marks)
+        blade_probes = probes.get(blade) if isinstance(probes, Mapping) else probes
+        probe_angles = None if blade_probes is None else np.asarray(blade_probes, dtype=float)
+        blades[blade] = _build_arrivals(angles, marks, tip_radius, probe_angles, int(turns[0]))
+    return blades
 
 
 def has_probe_angles(path: str | Path) -> bool:
-    """Return True if a file of arrivals has the angles of its probes."""
-    return ARRIVAL_COLUMNS[1] in _table(path)[0]
+    """Return True if a file has the angles of its probes."""
+    return ARRIVAL_COLUMNS[1] in _read_table(path)[0]
 
 
 def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[int, np.ndarray]:
-    """Angles of probes from the tip of each of so many blades at the mark, by their numbers from 1,
-    in the order of the probes: blade j + 1 is 2 pi / count ahead of blade j [rad]."""
+    """Return angles of probes (n_probes,) from each blade's tip at the mark [rad].
+
+    Keys are the numbers of the blades, from 1 to count; blade j + 1 is 2 pi / count ahead of
+    blade j.
+    """
     angles = np.asarray(probes, dtype=float)
     return {blade: (angles - TURN * (blade - 1) / count) % TURN for blade in range(1, count + 1)}
 
@@ -464,8 +508,10 @@ def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[i
 def write_record(
     blades: Mapping[int, ArrivalTimes], path: str | Path, probes: Sequence[float] | np.ndarray
 ) -> None:
-    """Write the arrivals of the blades of a disk as one record, which :func:`read_record` reads: a
-    row for each revolution, a column for each blade and probe.
+    """Write the arrivals of a disk's blades as one record.
+
+    It has a row for each revolution, a column for each blade and probe; :func:`read_record` reads
+    it.
 
     Parameters
     ----------
@@ -488,96 +534,105 @@ def write_record(
     """
     if not blades:
         raise InputError("blades", blades, "arrivals of one blade or more")
-    first = next(iter(blades.values()))
+    first_blade = next(iter(blades.values()))
     columns: dict[str, Any] = {
-        "revolution": (first.first + np.arange(len(first))).tolist(),
-        "mark [s]": first.marks[:-1].tolist(),
+        "revolution": (first_blade.first + np.arange(len(first_blade))).tolist(),
+        "mark [s]": first_blade.marks[:-1].tolist(),
     }
-    own = probes_of_blades(probes, len(blades))
+    angles_of_blades = probes_of_blades(probes, len(blades))
     for blade, arrivals in blades.items():
-        for number, place in enumerate(np.argsort(np.argsort(own[blade])), 1):
-            columns[f"blade {blade} probe {number} [s]"] = arrivals.time[:, place].tolist()
-    columns[RADIUS] = [first.tip_radius] * len(first)
+        for number, probe in enumerate(np.argsort(np.argsort(angles_of_blades[blade])), 1):
+            columns[f"blade {blade} probe {number} [s]"] = arrivals.time[:, probe].tolist()
+    columns[RADIUS_COLUMN] = [first_blade.tip_radius] * len(first_blade)
     Table.of(columns, {}).save(path)
 
 
-def _unit(path: str | Path, name: str, known: dict[str, float]) -> float:
-    """Return the factor of the unit in a heading."""
-    unit = re.search(r"\[(.*)\]", name)
-    word = unit[1] if unit else next(iter(known))
-    if word not in known:
-        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(known)}")
-    return known[word]
+def _unit_factor(path: str | Path, name: str, factors: dict[str, float]) -> float:
+    """Return the factor to SI of the unit in a heading."""
+    match = re.search(r"\[(.*)\]", name)
+    unit_name = match[1] if match else next(iter(factors))
+    if unit_name not in factors:
+        raise InputError("path", f"{path}: {name}", f"with one of the units {', '.join(factors)}")
+    return factors[unit_name]
 
 
-def _turns(path: str | Path, column: np.ndarray) -> np.ndarray:
-    """Return the numbers of the revolutions (rows,), increasing."""
-    whole = np.all(np.isfinite(column)) and not np.any(column % 1.0) and column[0] >= 0.0
-    if not whole or np.any(np.diff(column) <= 0.0) or np.ptp(column) > MOST_PASSAGES:
+def _read_turns(path: str | Path, column: np.ndarray) -> np.ndarray:
+    """Check and return the increasing numbers of the revolutions (rows,)."""
+    is_whole = np.all(np.isfinite(column)) and not np.any(column % 1.0) and column[0] >= 0.0
+    if not is_whole or np.any(np.diff(column) <= 0.0) or np.ptp(column) > MOST_PASSAGES:
         raise InputError("path", f"{path}: revolution", "increasing whole numbers >= 0")
     return column.astype(int)
 
 
-def _marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) -> np.ndarray:
-    """Return the times of the marks of all revolutions, and of the one that ends the last:
-    (revolutions + 1,) [s]. Missing ones are interpolated."""
-    every = np.arange(turns[0], turns[-1] + 1)
+def _read_marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndarray) -> np.ndarray:
+    """Return times of the marks (revolutions + 1,) [s], from marks or speeds.
+
+    Marks of missing rows are interpolated; the last one ends the last revolution.
+    """
+    all_turns = np.arange(turns[0], turns[-1] + 1)
     for name, column in columns.items():
         if re.match("mark", name, re.IGNORECASE):
-            column = column * _unit(path, name, TIME_UNITS)
-            lasting = np.diff(column) / np.diff(turns)
-            if not np.all((lasting > 0.0) & np.isfinite(lasting)):
+            column = column * _unit_factor(path, name, TIME_UNITS)
+            mark_durations = np.diff(column) / np.diff(turns)
+            if not np.all((mark_durations > 0.0) & np.isfinite(mark_durations)):
                 raise InputError("path", f"{path}: {name}", "increasing times")
-            marks = np.interp(every, turns, column)
+            marks = np.interp(all_turns, turns, column)
             check_turns(f"{path}: {name}", np.diff(marks), int(turns[0]))
-            marks = smoothed(marks)
-            last = np.diff(marks)[-2:]  # the end of the last revolution, as the speed changes
-            return np.append(marks, marks[-1] + 2.0 * last[-1] - last[0])
-        if "speed" in name.lower() and not PASSAGE.search(name):
-            speed = column * _unit(path, name, SPEED_UNITS)
+            marks = smooth_series(marks)
+            # The end of the last revolution, as the speed changes.
+            last_durations = np.diff(marks)[-2:]
+            return np.append(marks, marks[-1] + 2.0 * last_durations[-1] - last_durations[0])
+        if "speed" in name.lower() and not PASSAGE_HEADING.search(name):
+            speed = column * _unit_factor(path, name, SPEED_UNITS)
             if not np.all(speed > 0.0):
                 raise InputError("path", f"{path}: {name}", "numbers > 0")
-            speed = np.interp(every, turns, speed)
+            speed = np.interp(all_turns, turns, speed)
             check_turns(f"{path}: {name}", TURN / speed, int(turns[0]))
-            durations = TURN / smoothed(speed)
+            durations = TURN / smooth_series(speed)
             return np.concatenate([[0.0], np.cumsum(durations)])
-    allowed = "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]'"
-    raise InputError("path", str(path), f"{allowed}; it has {', '.join(columns)}")
+    requirement = "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]'"
+    raise InputError("path", str(path), f"{requirement}; it has {', '.join(columns)}")
 
 
-def _angles(
+def _read_angles(
     path: str | Path, name: str, column: np.ndarray, turns: np.ndarray, marks: np.ndarray
 ) -> np.ndarray:
-    """Return angles from the mark to the arrivals: (rows,) [rad]."""
+    """Return angles from the mark to the arrivals (rows,) [rad]."""
     if "[s]" not in name:
-        angles = column * _unit(path, name, ANGLE_UNITS)
+        angles = column * _unit_factor(path, name, ANGLE_UNITS)
         if np.nanmedian(np.abs(angles)) > 2.0 * TURN:
-            allowed = "angles from the mark to the arrival, in a revolution; in degrees?"
-            raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", allowed)
+            requirement = "angles from the mark to the arrival, in a revolution; in degrees?"
+            raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", requirement)
         return angles
-    every = np.arange(turns[0], turns[0] + len(marks))
-    return TURN * (between(marks, every, column) - turns)
+    mark_numbers = np.arange(turns[0], turns[0] + len(marks))
+    return TURN * (between(marks, mark_numbers, column) - turns)
 
 
-def _arrivals(
-    seen: np.ndarray, marks: np.ndarray, tip_radius: float, probes: np.ndarray | None, first: int
+def _build_arrivals(
+    angles: np.ndarray,
+    marks: np.ndarray,
+    tip_radius: float,
+    probes: np.ndarray | None,
+    first_turn: int,
 ) -> ArrivalTimes:
-    """Return arrivals of a blade by angles from the mark (revolutions, probes) [rad]."""
-    for column in seen.T:  # a blade at the mark is seen before it and after it
+    """Return a blade's arrivals from angles after the mark (revolutions, probes) [rad]."""
+    for column in angles.T:  # a blade at the mark is seen before it and after it
         column -= TURN * np.round((column - column[np.isfinite(column)][0]) / TURN)
-    middle = np.nanmedian(seen, axis=0)
-    places = middle % TURN if probes is None else probes
-    if len(places) != seen.shape[1]:
-        raise InputError("probes", places, f"{seen.shape[1]} angles, as the record has probes")
-    order = np.argsort(places)
-    rows = np.arange(len(seen))
-    for probe, later in enumerate(np.round((middle - places) / TURN).astype(int)):
+    medians = np.nanmedian(angles, axis=0)
+    probe_angles = medians % TURN if probes is None else probes
+    if len(probe_angles) != angles.shape[1]:
+        raise InputError(
+            "probes", probe_angles, f"{angles.shape[1]} angles, as the record has probes"
+        )
+    probe_order = np.argsort(probe_angles)
+    rows = np.arange(len(angles))
+    for probe, lag in enumerate(np.round((medians - probe_angles) / TURN).astype(int)):
         # From before its mark, or from after the next one: of another revolution than its row's.
-        kept = rows[(rows >= later) & (rows - later < len(rows))]
-        angles = seen[kept - later, probe] - TURN * later
-        seen[:, probe] = np.nan
-        seen[kept, probe] = angles
-    seen = seen[:, order]
-    turns = first + np.arange(len(marks))
-    time = between(TURN * turns, marks, TURN * turns[:-1, None] + seen)
-    return ArrivalTimes(time, marks, places[order], tip_radius, first)
+        kept_rows = rows[(rows >= lag) & (rows - lag < len(rows))]
+        moved_angles = angles[kept_rows - lag, probe] - TURN * lag
+        angles[:, probe] = np.nan
+        angles[kept_rows, probe] = moved_angles
+    angles = angles[:, probe_order]
+    turns = first_turn + np.arange(len(marks))
+    time = between(TURN * turns, marks, TURN * turns[:-1, None] + angles)
+    return ArrivalTimes(time, marks, probe_angles[probe_order], tip_radius, first_turn)

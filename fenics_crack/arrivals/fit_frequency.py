@@ -27,16 +27,16 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, taken
+from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, select_candidate
 from fenics_crack.arrivals.robust import LEVELS, ROBUST_SETTLED, refined, reweighted, student
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.tables import TURN
 from fenics_crack.numerics.fourier import fourier_basis
 
-MOST_FREQUENCIES = 10**8
-"""Maximum number in a scan: a record of a million revolutions has as many for orders up to 24."""
-PEAKS, LOWEST = 40, 0.5
-"""Maximum number of peaks of a scan that are refined, and their height over the highest."""
+MAX_FREQUENCIES = 10**8
+"""Maximum number of frequencies in a scan, as of 1e6 revolutions and orders up to 24."""
+MAX_PEAKS, LOWEST = 40, 0.5
+"""Maximum number of refined peaks of a scan, and their minimum height over the highest one."""
 
 
 def fit_frequency(
@@ -83,55 +83,64 @@ def fit_frequency(
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
     arrivals.check_places(angle_deviation)
-    seen = np.isfinite(arrivals.time)
-    count, own = int(seen.sum()), int(seen.any(axis=0).sum()) if angle_deviation else 1
-    if count <= (unknowns := 2 * harmonics + 1 + own):
+    is_seen = np.isfinite(arrivals.time)
+    count = int(is_seen.sum())
+    n_constants = int(is_seen.any(axis=0).sum()) if angle_deviation else 1
+    if count <= (unknowns := 2 * harmonics + 1 + n_constants):
         raise InputError("arrivals", f"{count} arrivals", f"more than {unknowns}")
     shape = arrivals.time.shape
     constants = np.arange(shape[1]) * bool(angle_deviation) * np.ones(shape, dtype=int)
     values, ends = arrivals.displacement, (low, high)
-    fit, chance = _Sought(arrivals, values, constants, harmonics, angle_deviation, ends).best()
+    fit, chance = _FrequencySearch(
+        arrivals, values, constants, harmonics, angle_deviation, ends
+    ).find_best()
     if len(arrivals.probes) == 1 and chance > LEVELS.chance:
-        found = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
-        allowed = "two or more: to one a vibration of a whole order is no vibration"
-        raise InputError("probes", found, allowed)
+        problem = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
+        requirement = "two or more: to one a vibration of a whole order is no vibration"
+        raise InputError("probes", problem, requirement)
     return fit
 
 
 def find_lines(
-    arrivals: ArrivalTimes, values: np.ndarray, constants: np.ndarray, highest: float, most: int = 3
+    arrivals: ArrivalTimes,
+    values: np.ndarray,
+    constants: np.ndarray,
+    max_order: float,
+    max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find significant vibrations of constant frequency, beside constants that hold all that
-    follows the speed; return them, and the displacements without them.
+    """Find significant vibrations of constant frequency, beside constants.
+
+    The constants hold all that follows the speed. Returns the vibrations, and displacements
+    (revolutions, probes) [m] without them.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     values : (revolutions, probes) [m]
-        Displacements in which they are sought, one after the other.
+        Displacements in which vibrations are sought, one after the other.
     constants : (revolutions, probes) int
         Number of the constant of each displacement.
-    highest : float
-        Order up to which they are sought, from half the speed on; no lower than the orders that are
-        tried where none are given.
-    most : int
+    max_order : float
+        Frequencies are sought from half the speed to one order above this one, or above the largest
+        of the default orders if that is larger.
+    max_lines : int
         Maximum number of vibrations.
     """
-    found: list[TipFit] = []
+    lines: list[TipFit] = []
     speed = arrivals.mean_speed
-    ends = 0.5 * speed, speed * (max(highest, ORDERS[-1]) + 1.0)
-    left, count = np.array(values), len(np.unique(constants[np.isfinite(values)]))
-    while len(found) < most and np.isfinite(left).sum() > 2 * (count + 3):
-        fit, chance = _Sought(arrivals, left, constants, 1, np.inf, ends).best()
+    ends = 0.5 * speed, speed * (max(max_order, ORDERS[-1]) + 1.0)
+    residuals, count = np.array(values), len(np.unique(constants[np.isfinite(values)]))
+    while len(lines) < max_lines and np.isfinite(residuals).sum() > 2 * (count + 3):
+        fit, chance = _FrequencySearch(arrivals, residuals, constants, 1, np.inf, ends).find_best()
         if chance > LEVELS.chance:
             break
-        found.append(fit)
-        left -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
-    return tuple(found), left
+        lines.append(fit)
+        residuals -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
+    return tuple(lines), residuals
 
 
-class _Sought:
+class _FrequencySearch:
     """Least squares of a vibration in time, and a constant for each probe.
 
     Parameters
@@ -141,13 +150,18 @@ class _Sought:
     values : (revolutions, probes) [m]
         Displacements; nan where there is none.
     constants : (revolutions, probes) int
-        Number of the constant of each of them.
+        Number of the constant of each displacement.
     harmonics : int
         K.
     deviation : float [rad]
         Standard deviation of the constants, as angles; inf: they are free.
     ends : (float, float) [rad/s]
         Range in which the frequency is sought.
+
+    Attributes
+    ----------
+    omega, coefficients, columns, noise
+        Frequency [rad/s], coefficients and derivatives of :meth:`_fit`, residuals and weights.
     """
 
     def __init__(
@@ -159,163 +173,177 @@ class _Sought:
         deviation: float,
         ends: tuple[float, float],
     ) -> None:
-        seen = np.isfinite(values)
-        self._places, self._ends = np.nonzero(seen), ends
-        self._arrivals, self._values = arrivals, values[seen]
-        self._time = arrivals.time[seen] - arrivals.marks[0]
-        self._expected = arrivals.expected[seen] - arrivals.marks[0]
+        mask = np.isfinite(values)
+        self._places, self._ends = np.nonzero(mask), ends
+        self._arrivals, self._values = arrivals, values[mask]
+        self._time = arrivals.time[mask] - arrivals.marks[0]
+        self._expected_time = arrivals.expected[mask] - arrivals.marks[0]
         self._multiples = np.arange(1.0, harmonics + 1.0)
         turn, _ = self._places
         self._span = float(arrivals.marks[turn.max() + 1] - arrivals.marks[turn.min()])
-        self._own = (constants[seen][:, None] == np.unique(constants[seen])).astype(float)
-        self._unknowns = 2 * harmonics + 1 + self._own.shape[1]
-        self._least, self._spread = arrivals.rounding, deviation * arrivals.tip_radius
+        self._constants = (constants[mask][:, None] == np.unique(constants[mask])).astype(float)
+        self._unknowns = 2 * harmonics + 1 + self._constants.shape[1]
+        self._rounding, self._tip_deviation = arrivals.rounding, deviation * arrivals.tip_radius
         self._stiffness = 0.0
-        self._stiffen(float(np.std(self._without(self._values, np.ones(len(turn))))))
-        self._none = reweighted(
-            lambda weights: self._without(self._values, weights),
-            np.ones(len(turn)), self._own.shape[1], self._least,
+        self._stiffen(float(np.std(self._eliminate(self._values, np.ones(len(turn))))))
+        self._null_noise = reweighted(
+            lambda weights: self._eliminate(self._values, weights),
+            np.ones(len(turn)), self._constants.shape[1], self._rounding,
         )  # fmt: skip
 
     def _stiffen(self, scatter: float) -> None:
-        """Set the stiffness by which the probes' constants are held together, for a scatter [m]."""
-        if self._own.shape[1] > 1:
-            self._stiffness = (scatter / self._spread) ** 2
+        """Set the stiffness that holds probes' constants together, for a scatter [m]."""
+        if self._constants.shape[1] > 1:
+            self._stiffness = (scatter / self._tip_deviation) ** 2
 
-    def _without(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return values (n,) or (n, m) without the constants that are fitted to them."""
-        weighted, count = weights[:, None] * self._own, self._own.shape[1]
-        square = self._own.T @ weighted + self._stiffness * (np.eye(count) - 1.0 / count)
-        return np.asarray(values - self._own @ np.linalg.solve(square, weighted.T @ values))
+    def _eliminate(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Subtract the constants that fit values (n,) or (n, m)."""
+        columns, count = weights[:, None] * self._constants, self._constants.shape[1]
+        square = self._constants.T @ columns + self._stiffness * (np.eye(count) - 1.0 / count)
+        return np.asarray(values - self._constants @ np.linalg.solve(square, columns.T @ values))
 
-    def _fitted(
+    def _fit(
         self, omega: float, weights: np.ndarray, values: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return coefficients a1, b1, ..., residuals (n,), and the columns (n, 2K+1), the last one
-        by the frequency."""
-        raw, root = fourier_basis(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
-        both = self._without(np.column_stack([raw, values]), weights)
-        columns, left = both[:, :-1], both[:, -1]
-        found = np.linalg.lstsq(root * columns, root[:, 0] * left, rcond=1e-10)[0]
-        turned = raw[:, 0::2] * found[1::2] - raw[:, 1::2] * found[0::2]
-        slope = self._without(time * (turned @ self._multiples), weights)
-        return found, left - columns @ found, np.column_stack([columns, slope])
+        """Fit harmonics and constants at a frequency [rad/s] to values (n,).
 
-    def _refined(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
-        """Return the frequency near one with the least sum of squares, and its fit."""
+        Returns coefficients a1, b1, ... (2K,) [m], residuals (n,) [m], and derivatives (n, 2K+1) of
+        the fit by the coefficients and by the frequency.
+        """
+        waves, root = fourier_basis(omega * time, self._multiples)[:, 1:], np.sqrt(weights)[:, None]
+        block = self._eliminate(np.column_stack([waves, values]), weights)
+        columns, target = block[:, :-1], block[:, -1]
+        coefficients = np.linalg.lstsq(root * columns, root[:, 0] * target, rcond=1e-10)[0]
+        quadratures = waves[:, 0::2] * coefficients[1::2] - waves[:, 1::2] * coefficients[0::2]
+        slope = self._eliminate(time * (quadratures @ self._multiples), weights)
+        return coefficients, target - columns @ coefficients, np.column_stack([columns, slope])
+
+    def _refine(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
+        """Refine a frequency by least squares, and return it with its fit."""
         unit, root = np.pi / self._span, np.sqrt(weights)[:, None]
-        moved, fit = omega, None
+        best_omega, fit = omega, None
 
-        def residuals(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            nonlocal moved, fit
-            moved = omega + unit * float(step[0])
-            _, left, columns = fit = self._fitted(moved, weights, self._values, self._time)
-            given, slope = root * columns[:, :-1], -unit * root * columns[:, -1:]
-            slope -= given @ np.linalg.lstsq(given, slope, rcond=1e-10)[0]
-            return root[:, 0] * left, slope
+        def evaluate(step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            nonlocal best_omega, fit
+            best_omega = omega + unit * float(step[0])
+            _, residuals, columns = fit = self._fit(best_omega, weights, self._values, self._time)
+            vibration, slope = root * columns[:, :-1], -unit * root * columns[:, -1:]
+            slope -= vibration @ np.linalg.lstsq(vibration, slope, rcond=1e-10)[0]
+            return root[:, 0] * residuals, slope
 
-        low, high = ([(end - omega) / unit] for end in self._ends)
-        refined(residuals, low, high, ROBUST_SETTLED**2)  # peaks are compared by their sums
-        return moved, fit
+        min_step, max_step = ([(limit - omega) / unit] for limit in self._ends)
+        refined(evaluate, min_step, max_step, ROBUST_SETTLED**2)  # peaks are compared by their sums
+        return best_omega, fit
 
-    def best(self) -> tuple[TipFit, float]:
-        """Return the vibration that explains most, or as much with the smallest amplitude; and the
-        probability that noise has one as large."""
-        tried: list[tuple[bool, float, float]] = []
-        weights = self._none.weights
-        for peak in self._peaks().tolist():
-            omega, (_, left, columns) = self._refined(peak, weights)
-            tried.append((self._held(columns), float(weights @ left**2), omega))
-        kept: list[float] = []
-        for _, _, omega in sorted(tried):  # nearer to a higher one they are its side lobes
-            if all(abs(omega - other) >= 2.0 * TURN / self._span for other in kept):
-                kept.append(omega)
-        self.omega = kept[0]
+    def find_best(self) -> tuple[TipFit, float]:
+        """Return the best vibration, and the probability of its size in noise.
+
+        The best is the smallest of those that explain the displacements as well as any.
+        """
+        trials: list[tuple[bool, float, float]] = []
+        weights = self._null_noise.weights
+        for start in self._find_peaks().tolist():
+            omega, (_, residuals, columns) = self._refine(start, weights)
+            trials.append((self._is_hidden(columns), float(weights @ residuals**2), omega))
+        peaks: list[float] = []
+        for _, _, omega in sorted(trials):  # nearer to a higher one they are its side lobes
+            if all(abs(omega - peak) >= 2.0 * TURN / self._span for peak in peaks):
+                peaks.append(omega)
+        self.omega = peaks[0]
         self._settle()
-        candidates, self.omega = self._compared(np.sort([self.omega, *kept[1:]]))
+        candidates, self.omega = self._compare(np.sort([self.omega, *peaks[1:]]))
         self._settle()
         # Errors of a mark are common to all arrivals of a revolution, which are worth less.
-        spread = self.noise.covariance(self.columns, self._places)[:-1, :-1]
-        seen = float(self.found @ np.linalg.lstsq(spread, self.found, rcond=1e-10)[0])
-        gain = max(min(self._none.cost - self.noise.cost, seen), 0.0)
+        covariance = self.noise.covariance(self.columns, self._places)[:-1, :-1]
+        wald = float(
+            self.coefficients @ np.linalg.lstsq(covariance, self.coefficients, rcond=1e-10)[0]
+        )
+        gain = max(min(self._null_noise.cost - self.noise.cost, wald), 0.0)
         cells = max(float(np.ptp(self._ends)) * self._span / TURN, 1.0)
         chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
-        return self._described(candidates), 1.0 if self._held(self.columns) else chance
+        return self._describe(candidates), 1.0 if self._is_hidden(self.columns) else chance
 
-    def _held(self, columns: np.ndarray) -> bool:
-        """Return True if the constants hold half of some vibration or more."""
-        given = columns[:, :-1]
-        return bool(np.linalg.eigvalsh(given.T @ given)[0] < 0.25 * len(columns))
+    def _is_hidden(self, columns: np.ndarray) -> bool:
+        """Return True if constants hold half of some vibration's squares or more."""
+        waves = columns[:, :-1]
+        return bool(np.linalg.eigvalsh(waves.T @ waves)[0] < 0.25 * len(columns))
 
-    def _peaks(self) -> np.ndarray:
-        """Return the frequencies at which a periodogram is highest [rad/s]."""
-        low, high = self._ends
+    def _find_peaks(self) -> np.ndarray:
+        """Return the frequencies of the highest peaks of a periodogram [rad/s]."""
+        min_omega, max_omega = self._ends
         step = TURN / (4.0 * self._span)  # of the resolution a quarter
-        begin, end = int(np.ceil(low / step)), int(np.floor(high / step)) + 1
-        if not 0 < end - begin < MOST_FREQUENCIES:
-            allowed = f"between {step:.3g} and {MOST_FREQUENCIES * step:.3g} rad/s"
-            raise InputError("high - low", high - low, allowed)
-        values, places, power = self._none.psi, np.arange(begin, end), np.zeros(end - begin)
+        begin, end = int(np.ceil(min_omega / step)), int(np.floor(max_omega / step)) + 1
+        if not 0 < end - begin < MAX_FREQUENCIES:
+            requirement = f"between {step:.3g} and {MAX_FREQUENCIES * step:.3g} rad/s"
+            raise InputError("high - low", max_omega - min_omega, requirement)
+        values, steps, power = self._null_noise.psi, np.arange(begin, end), np.zeros(end - begin)
         size = 10**6  # at once, for the memory
-        for multiple, first in itertools.product(self._multiples, range(0, end - begin, size)):
-            band = power[first : first + size]
+        for multiple, offset in itertools.product(self._multiples, range(0, end - begin, size)):
+            band = power[offset : offset + size]
             phase = multiple * step * self._time
-            band += np.abs(_spectrum(phase, values, begin + first, len(band))) ** 2
-        padded = np.concatenate([[-np.inf], power, [-np.inf]])
-        peaks = np.flatnonzero((power >= padded[:-2]) & (power >= padded[2:]))
-        peaks = peaks[np.argsort(-power[peaks])[:PEAKS]]
-        if power[peaks[0]] < np.log(len(places)) * float(values @ values):
+            band += np.abs(_spectrum(phase, values, begin + offset, len(band))) ** 2
+        padded_power = np.concatenate([[-np.inf], power, [-np.inf]])
+        peaks = np.flatnonzero((power >= padded_power[:-2]) & (power >= padded_power[2:]))
+        peaks = peaks[np.argsort(-power[peaks])[:MAX_PEAKS]]
+        if power[peaks[0]] < np.log(len(steps)) * float(values @ values):
             peaks = peaks[:1]  # as high as in noise: exponentially distributed
-        return np.asarray(step * places[peaks[power[peaks] > LOWEST * power[peaks[0]]]])
+        return np.asarray(step * steps[peaks[power[peaks] > LOWEST * power[peaks[0]]]])
 
     def _settle(self) -> None:
         """Fit frequency, harmonics and constants by turns with weights."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            self.omega, (self.found, left, self.columns) = self._refined(self.omega, weights)
-            return np.asarray(left)
+            self.omega, (self.coefficients, residuals, self.columns) = self._refine(
+                self.omega, weights
+            )
+            return np.asarray(residuals)
 
-        self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._least)
+        self.noise = reweighted(solve, np.ones(len(self._values)), self._unknowns, self._rounding)
         self._stiffen(self.noise.scale)
 
-    def _compared(self, omegas: np.ndarray) -> tuple[Candidates, float]:
-        """Return candidates of some frequencies, with the weights of the best; and the one to be
-        taken."""
-        weights, limit = self.noise.weights, LEVELS.equal * self.noise.scale**2
-        fits = [self._fitted(omega, weights, self._values, self._time) for omega in omegas]
-        sums = np.array([weights @ left**2 for _, left, _ in fits])
-        sizes = np.array([np.linalg.norm(found) for found, _, _ in fits])
-        conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
-        hidden = np.array([self._held(columns) for _, _, columns in fits])
-        equivalent, best = taken(sums, sizes, limit, ~hidden)
-        # Arrivals that are not where they were expected distinguish aliases, but not reliably.
-        wave = fourier_basis(omegas[best] * self._expected, self._multiples)[:, 1:] @ fits[best][0]
-        lefts = [self._fitted(omega, weights, wave, self._expected)[1] for omega in omegas]
-        equivalent |= np.array([weights @ left**2 for left in lefts]) < limit
-        residuals = np.sqrt(sums / len(self._values))
-        orders = omegas / self._arrivals.mean_speed
-        return Candidates(orders, residuals, conditions, equivalent, hidden), float(omegas[best])
+    def _compare(self, omegas: np.ndarray) -> tuple[Candidates, float]:
+        """Compare frequencies (n,) [rad/s] with the weights of the best one.
 
-    def _described(self, candidates: Candidates) -> TipFit:
-        """Return the fit in numbers; its order stands in the place of its candidate."""
+        Returns all as candidates, and the one to take.
+        """
+        weights, limit = self.noise.weights, LEVELS.equal * self.noise.scale**2
+        fits = [self._fit(omega, weights, self._values, self._time) for omega in omegas]
+        sums = np.array([weights @ residuals**2 for _, residuals, _ in fits])
+        sizes = np.array([np.linalg.norm(coefficients) for coefficients, _, _ in fits])
+        conditions = np.array([condition(columns[:, :-1]) for _, _, columns in fits])
+        hidden = np.array([self._is_hidden(columns) for _, _, columns in fits])
+        equivalent, index = select_candidate(sums, sizes, limit, ~hidden)
+        # Arrivals that are not where they were expected distinguish aliases, but not reliably.
+        wave = (
+            fourier_basis(omegas[index] * self._expected_time, self._multiples)[:, 1:]
+            @ fits[index][0]
+        )
+        misfits = [self._fit(omega, weights, wave, self._expected_time)[1] for omega in omegas]
+        equivalent |= np.array([weights @ residuals**2 for residuals in misfits]) < limit
+        rms = np.sqrt(sums / len(self._values))
+        orders = omegas / self._arrivals.mean_speed
+        return Candidates(orders, rms, conditions, equivalent, hidden), float(omegas[index])
+
+    def _describe(self, candidates: Candidates) -> TipFit:
+        """Return the fit, whose order replaces that of the nearest candidate."""
         speed, count = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
         order = self.omega / speed
         orders = candidates.orders.copy()
         orders[np.abs(orders - order).argmin()] = order
         spare = len(self._values) - self._unknowns
-        spread = student(spare) * self.noise.covariance(self.columns, self._places)
+        fit_covariance = student(spare) * self.noise.covariance(self.columns, self._places)
         covariance = np.zeros((count, count))
-        covariance[1:, 1:] = spread[:-1, :-1]
+        covariance[1:, 1:] = fit_covariance[:-1, :-1]
         covariance[0, 0] = student(spare) * self.noise.variance / len(self._values)
-        wave = fourier_basis(self.omega * self._time, self._multiples)[:, 1:] @ self.found
+        wave = fourier_basis(self.omega * self._time, self._multiples)[:, 1:] @ self.coefficients
         weights = self.noise.weights
         mean = float(weights @ (self._values - wave) / weights.sum())
         return TipFit(
             order=order,
-            order_error=float(np.sqrt(spread[-1, -1])) / speed,
+            order_error=float(np.sqrt(fit_covariance[-1, -1])) / speed,
             speed=speed,
             multiples=self._multiples,
-            coefficients=np.append(mean, self.found),
+            coefficients=np.append(mean, self.coefficients),
             covariance=covariance,
             scatter=float(np.sqrt(self.noise.variance)),
             misfit=np.nan,
@@ -325,22 +353,24 @@ class _Sought:
         )
 
 
-def _spectrum(phase: np.ndarray, values: np.ndarray, first: int, count: int) -> np.ndarray:
-    """Return sum_n values_n exp(-i m phase_n) for `count` whole m from the first on, of phases (n,)
-    [rad]: each value is spread over its neighbours on a grid by a Gaussian, whose transform is
-    taken out again."""
-    near = 8  # neighbours on each side: eleven digits
+def _spectrum(phase: np.ndarray, values: np.ndarray, first_mode: int, count: int) -> np.ndarray:
+    """Return sum_n values_n exp(-i m phase_n) at unevenly spaced phases (n,) [rad].
+
+    m are ``count`` whole numbers from ``first_mode`` on. A Gaussian spreads each value over its
+    neighbours on a grid, and its transform is taken out again.
+    """
+    reach = 8  # neighbours on each side, for eleven digits
     modes = 2 * (count // 2 + 1)
     middle, size = modes // 2, 2 * modes
-    width = np.pi * near / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
-    turned = values * np.exp(-1j * (first + middle) * phase)
+    width = np.pi * reach / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
+    terms = values * np.exp(-1j * (first_mode + middle) * phase)
     place = np.floor(phase * size / TURN).astype(int)
     grid = np.zeros(size, dtype=complex)
-    for cell in range(1 - near, near + 1):
-        at = place + cell
-        share = turned * np.exp(-((phase - TURN * at / size) ** 2) / (4.0 * width))
-        grid += np.bincount(at % size, share.real, size)
-        grid += 1j * np.bincount(at % size, share.imag, size)
+    for offset in range(1 - reach, reach + 1):
+        cells = place + offset
+        share = terms * np.exp(-((phase - TURN * cells / size) ** 2) / (4.0 * width))
+        grid += np.bincount(cells % size, share.real, size)
+        grid += 1j * np.bincount(cells % size, share.imag, size)
     order = np.arange(modes) - middle
-    found = np.fft.fft(grid)[order] / size
-    return np.asarray(found * np.sqrt(np.pi / width) * np.exp(order**2 * width))[:count]
+    spectrum = np.fft.fft(grid)[order] / size
+    return np.asarray(spectrum * np.sqrt(np.pi / width) * np.exp(order**2 * width))[:count]

@@ -1,8 +1,7 @@
-"""Synchronous vibration from arrival times: its engine order and harmonics by least squares, and
-its harmonics along a run-up.
+"""Synchronous vibration from arrival times: engine order and harmonics, at a speed or in a run-up.
 
-The circumferential Fourier fit. At engine order p each probe at phi sees, in every revolution, the
-same point of
+The circumferential Fourier fit by least squares. At engine order p each probe at phi sees, in every
+revolution, the same point of
 
     u = a0 + sum_k a_k cos(k p alpha) + b_k sin(k p alpha)
 
@@ -27,17 +26,17 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtri, fdtrc, ndtr
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes, smoothed
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, smooth_series
 from fenics_crack.arrivals.fit_frequency import find_lines
 from fenics_crack.arrivals.harmonics import (
     ORDERS,
     Candidates,
-    Fitted,
+    HarmonicFit,
     TipFit,
+    compute_amplitudes,
     condition,
-    refuse,
-    strengths,
-    taken,
+    refuse_probes,
+    select_candidate,
     wanted,
 )
 from fenics_crack.arrivals.robust import DEPENDENT, LEVELS, reweighted, student, trend
@@ -46,11 +45,11 @@ from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_freq
 from fenics_crack.numerics.fourier import fourier_basis
 
 N_FOLDED = 3
-"""Number of harmonics beyond those kept that may be folded onto them."""
+"""Number of omitted harmonics, next to those of the fit, that may be folded onto it."""
 FOLDED_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
-"""Ratios of a harmonic left out to the last one kept that are tried."""
+"""Ratios of an omitted harmonic to the last one of the fit, to try."""
 NEIGHBOURS = 16
-"""Groups of revolutions on either side whose harmonics left out have the same ratios."""
+"""Groups of revolutions on either side in which omitted harmonics have the same ratios."""
 
 
 def fit_order(
@@ -101,75 +100,75 @@ def fit_order(
     --------
     >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
-    tried, multiples = wanted(orders, harmonics, subharmonic)
+    candidates, multiples = wanted(orders, harmonics, subharmonic)
     arrivals.check_places(angle_deviation)
-    period, highest = _period(tried, multiples), float(tried.max())
-    means = Means(arrivals, period, highest, angle_deviation)
-    fit = _compared(arrivals, means, tried, multiples)
+    period, max_order = _find_period(candidates, multiples), float(candidates.max())
+    means = Means(arrivals, period, max_order, angle_deviation)
+    fit = _select_order(arrivals, means, candidates, multiples)
     if means.lines and not fit.does_not_fit:  # again at the angles to which lines move the tip
-        moved = means.moved(arrivals, fit)
-        means = Means(arrivals, period, highest, angle_deviation, moved)
-        fit = _compared(arrivals, means, tried, multiples)
+        line_effects = means.compute_line_effects(arrivals, fit)
+        means = Means(arrivals, period, max_order, angle_deviation, line_effects)
+        fit = _select_order(arrivals, means, candidates, multiples)
     return fit
 
 
-def _compared(
-    arrivals: ArrivalTimes, means: Means, tried: np.ndarray, multiples: np.ndarray
+def _select_order(
+    arrivals: ArrivalTimes, means: Means, orders: np.ndarray, multiples: np.ndarray
 ) -> TipFit:
-    """Return the candidate that fits best, with the smallest vibration, and the others."""
+    """Fit all orders, and return the smallest of the best vibrations."""
     unknowns = 2 * len(multiples) + 1
-    every = {place: means.fit(order, multiples) for place, order in enumerate(tried)}
-    fits = {place: fit for place, fit in every.items() if fit is not None}
+    results = {place: means.fit(order, multiples) for place, order in enumerate(orders)}
+    fits = {place: fit for place, fit in results.items() if fit is not None}
     if not fits:
-        refuse(arrivals, unknowns)
-    hidden, (sums, sizes, costs) = np.full(len(tried), True), np.full((3, len(tried)), np.inf)
+        refuse_probes(arrivals, unknowns)
+    hidden, (sums, sizes, costs) = np.full(len(orders), True), np.full((3, len(orders)), np.inf)
     for place, fit in fits.items():
-        hidden[place], sums[place] = False, fit.least
+        hidden[place], sums[place] = False, fit.sum_of_squares
         sizes[place] = np.linalg.norm(fit.coefficients[1:])
-    lowest, misfit, freedom = means.tested(float(sums.min()), unknowns)
-    equivalent, best = taken(sums, sizes, LEVELS.equal * lowest)
-    chosen = fits[best]
+    ratio, misfit, freedom = means.test_misfit(float(sums.min()), unknowns)
+    equivalent, choice = select_candidate(sums, sizes, LEVELS.equal * ratio)
+    best_fit = fits[choice]
     # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
-    wave = fourier_basis(tried[best] * means.nominal, multiples) @ chosen.coefficients
-    left = np.array([means.unexplained(wave, one, multiples) for one in tried])
-    equivalent |= left < LEVELS.equal * lowest
-    known = lowest if np.isfinite(lowest) else np.nan
+    wave = fourier_basis(orders[choice] * means.nominal, multiples) @ best_fit.coefficients
+    distances = np.array([means.wave_sum_of_squares(wave, order, multiples) for order in orders])
+    equivalent |= distances < LEVELS.equal * ratio
+    factor = ratio if np.isfinite(ratio) else np.nan
     if means.within > 0 and len(means.values) > unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
         for place, fit in fits.items():
-            costs[place], fits[place] = means.beside_others(fit)
+            costs[place], fits[place] = means.fit_with_omitted(fit)
         equivalent |= costs - costs.min() < LEVELS.equal
-        chosen = fits[best]
-        known, _, freedom = means.tested(chosen.least, unknowns)
-        known = max(known, 1.0)
-    chosen = replace(chosen, covariance=known * student(freedom) * chosen.covariance)
-    residuals = np.array([means.residual(order, multiples) for order in tried])
-    conditions = [condition(fourier_basis(order * means.nominal, multiples)) for order in tried]
+        best_fit = fits[choice]
+        factor, _, freedom = means.test_misfit(best_fit.sum_of_squares, unknowns)
+        factor = max(factor, 1.0)
+    best_fit = replace(best_fit, covariance=factor * student(freedom) * best_fit.covariance)
+    residuals = np.array([means.rms_residual(order, multiples) for order in orders])
+    conditions = [condition(fourier_basis(order * means.nominal, multiples)) for order in orders]
     return TipFit(
-        order=float(tried[best]),
+        order=float(orders[choice]),
         order_error=0.0,
         speed=arrivals.mean_speed,
         multiples=multiples,
-        coefficients=chosen.coefficients,
-        covariance=chosen.covariance,
-        scatter=means.scatter * float(np.sqrt(lowest if np.isfinite(lowest) else np.nan)),
+        coefficients=best_fit.coefficients,
+        covariance=best_fit.covariance,
+        scatter=means.scatter * float(np.sqrt(ratio if np.isfinite(ratio) else np.nan)),
         misfit=misfit,
-        folded=means.folded(chosen),
-        candidates=Candidates(tried, residuals, np.array(conditions), equivalent, hidden),
+        folded=means.folding_chance(best_fit),
+        candidates=Candidates(orders, residuals, np.array(conditions), equivalent, hidden),
         spare=len(means.values) - unknowns,
         asynchronous=means.lines,
     )
 
 
-def _period(orders: np.ndarray, multiples: np.ndarray) -> int:
-    """Return the revolutions after which each probe sees the same again."""
-    most = 24
+def _find_period(orders: np.ndarray, multiples: np.ndarray) -> int:
+    """Return the number of revolutions after which probes see the same."""
+    limit = 24
     products = np.multiply.outer(orders, multiples).ravel()
-    parts = [Fraction(product).limit_denominator(most) for product in products.tolist()]
-    period = math.lcm(*(part.denominator for part in parts))
-    if period > most or np.any(np.abs([float(part) for part in parts] - products) > 1e-9):
-        allowed = f"whole numbers, or fractions that repeat within {most} revolutions"
-        raise InputError("orders", orders.tolist(), f"{allowed}; fit_frequency finds others")
+    fractions = [Fraction(product).limit_denominator(limit) for product in products.tolist()]
+    period = math.lcm(*(part.denominator for part in fractions))
+    if period > limit or np.any(np.abs([float(part) for part in fractions] - products) > 1e-9):
+        requirement = f"whole numbers, or fractions that repeat within {limit} revolutions"
+        raise InputError("orders", orders.tolist(), f"{requirement}; fit_frequency finds others")
     return period
 
 
@@ -190,18 +189,18 @@ class _Fit:
     least : float
         Sum of squares of the residuals, in variances.
     slope : (g,)
-        Residual of a mean over its error, as the blade tip moves meanwhile.
+        Residual of a value over its error, 1 + u' / R: a late blade tip moves meanwhile.
     """
 
     order: float
     multiples: np.ndarray
     coefficients: np.ndarray
     covariance: np.ndarray
-    least: float
+    sum_of_squares: float
     slope: np.ndarray
 
 
-class _Seen:
+class _Sample:
     """Displacements at angles of the rotor, with the covariance of their errors.
 
     Parameters
@@ -211,9 +210,9 @@ class _Seen:
     values : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
-        Covariance of the values; of unknown scale where ``within`` is 0.
-    within : int
-        Degrees of freedom of this covariance.
+        Covariance of the values; of unknown scale if ``freedom`` is 0.
+    freedom : int
+        Degrees of freedom of this covariance, of arrivals within groups.
     radius : float [m]
         Radius of the blade tip.
     """
@@ -223,128 +222,146 @@ class _Seen:
         nominal: np.ndarray,
         values: np.ndarray,
         covariance: np.ndarray,
-        within: int,
+        freedom: int,
         radius: float,
     ) -> None:
-        self.nominal, self.values, self.within, self._radius = nominal, values, within, radius
+        self.nominal, self.values, self.within, self._radius = nominal, values, freedom, radius
         self.angle = nominal - values / radius
         self.covariance = covariance
         # At two places of a wave the error of a probe's angle is the same.
-        self._root = np.linalg.cholesky(covariance + DEPENDENT * np.diag(np.diag(covariance)))
+        self._cholesky = np.linalg.cholesky(covariance + DEPENDENT * np.diag(np.diag(covariance)))
 
     def fit(self, order: float, multiples: np.ndarray) -> _Fit | None:
-        """Return least squares at an order; None where the probes cannot measure it, or the blade
-        tip would move backwards."""
+        """Fit an order by least squares.
+
+        Returns None where probes cannot measure it, or where the blade tip would move backwards.
+        """
         columns = fourier_basis(order * self.angle, multiples)
-        planned = fourier_basis(order * self.nominal, multiples)
-        if np.isinf(condition(planned)) or np.isinf(condition(columns)):
+        nominal_columns = fourier_basis(order * self.nominal, multiples)
+        if np.isinf(condition(nominal_columns)) or np.isinf(condition(columns)):
             return None
         slope = np.ones(len(columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
-            passed, (whitened, values) = slope, self._whitened(columns, self.values, slope)
-            found = np.linalg.lstsq(whitened, values, rcond=None)[0]
-            turned = columns[:, 1::2] * found[2::2] - columns[:, 2::2] * found[1::2]
-            slope = 1.0 + order * turned @ multiples / self._radius
+            fit_slope, (matrix, values) = slope, self._whiten(columns, self.values, slope)
+            coefficients = np.linalg.lstsq(matrix, values, rcond=None)[0]
+            quadratures = (
+                columns[:, 1::2] * coefficients[2::2] - columns[:, 2::2] * coefficients[1::2]
+            )
+            slope = 1.0 + order * quadratures @ multiples / self._radius
             if np.any(slope <= 0.0):
                 return None
-        left = values - whitened @ found
-        covariance = np.linalg.inv(whitened.T @ whitened)
-        return _Fit(order, multiples, found, covariance, float(left @ left), passed)
+        residuals = values - matrix @ coefficients
+        covariance = np.linalg.inv(matrix.T @ matrix)
+        return _Fit(
+            order, multiples, coefficients, covariance, float(residuals @ residuals), fit_slope
+        )
 
-    def _whitened(
+    def _whiten(
         self, columns: np.ndarray, values: np.ndarray, slope: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return columns (g, m) and values (g,), over slopes and in standard deviations."""
-        both = np.column_stack([columns, values]) / slope[:, None]
-        both = solve_triangular(self._root, both, lower=True)
-        return both[:, :-1], both[:, -1]
+        """Divide columns (g, m) and values (g,) by slopes (g,) and standard deviations."""
+        block = np.column_stack([columns, values]) / slope[:, None]
+        block = solve_triangular(self._cholesky, block, lower=True)
+        return block[:, :-1], block[:, -1]
 
-    def beside_others(self, fit: _Fit) -> tuple[float, _Fit]:
-        """Return -2 log likelihood (restricted) and fit with the next harmonics, which are left
-        out, as normal numbers of the variance that makes the means most likely.
+    def fit_with_omitted(self, fit: _Fit) -> tuple[float, _Fit]:
+        """Return -2 log likelihood (restricted) and fit, with omitted harmonics.
 
-        So far as they are significant, the errors hold what is folded from them onto the
-        harmonics kept.
+        The next N_FOLDED harmonics are normal random numbers of the variance that makes the values
+        most likely. So far as they are significant, the errors hold what is folded from them onto
+        the harmonics of the fit.
         """
-        costs, fits = self.beside_all(fit, self._sizes(fit))
-        best = int(np.argmin(costs))
-        return float(costs[best]), fits[best]
+        costs, fits = self.fit_omitted_sizes(fit, self._omitted_sizes(fit))
+        choice = int(np.argmin(costs))
+        return float(costs[choice]), fits[choice]
 
-    def beside_all(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
-        """Return the same for each standard deviation (n,) [m] of the next harmonics."""
-        costs, *parts = self._beside(fit, np.repeat(sizes[:, None], N_FOLDED, axis=1))
+    def fit_omitted_sizes(self, fit: _Fit, sizes: np.ndarray) -> tuple[np.ndarray, list[_Fit]]:
+        """Return costs (n,) and fits with omitted harmonics of standard deviations (n,) [m].
+
+        Costs are -2 log likelihoods (restricted).
+        """
+        costs, *estimates = self._solve_with_omitted(
+            fit, np.repeat(sizes[:, None], N_FOLDED, axis=1)
+        )
         return costs, [
-            replace(fit, coefficients=coefficients, covariance=covariance, least=float(least))
-            for coefficients, covariance, least in zip(*parts, strict=True)
+            replace(
+                fit, coefficients=coefficients, covariance=covariance, sum_of_squares=float(squares)
+            )
+            for coefficients, covariance, squares in zip(*estimates, strict=True)
         ]
 
-    def folded(self, fit: _Fit) -> float:
-        """Return the probability that an amplitude is more than three of its errors off, for all
-        sizes of the harmonics left out, weighted by the likelihood of the means; nan where errors
-        are not known."""
+    def folding_chance(self, fit: _Fit) -> float:
+        """Return the probability that an amplitude is off by over three errors.
+
+        The mean over all sizes of omitted harmonics, weighted by the likelihood of the values; for
+        the worst amplitude. nan where errors are not known.
+        """
         if self.within < 1:
             return np.nan
-        sizes = np.array(list(product(self._sizes(fit), repeat=N_FOLDED)))
-        costs, *others, _ = self._beside(fit, sizes)
+        sizes = np.array(list(product(self._omitted_sizes(fit), repeat=N_FOLDED)))
+        costs, *estimates, _ = self._solve_with_omitted(fit, sizes)
         weights = np.exp(0.5 * (costs.min() - costs))
-        middle, error = strengths(fit.coefficients, fit.covariance)
-        amplitudes, errors = strengths(*others)
-        far = LEVELS.deviations * error
-        high, low = (ndtr((middle + end - amplitudes) / errors) for end in (far, -far))
-        return 1.0 - float((weights @ (high - low)).min() / weights.sum())
+        middle, error = compute_amplitudes(fit.coefficients, fit.covariance)
+        amplitudes, errors = compute_amplitudes(*estimates)
+        limit = LEVELS.deviations * error
+        cdf_high, cdf_low = (ndtr((middle + end - amplitudes) / errors) for end in (limit, -limit))
+        return 1.0 - float((weights @ (cdf_high - cdf_low)).min() / weights.sum())
 
-    def _sizes(self, fit: _Fit) -> np.ndarray:
-        """Return standard deviations of a harmonic left out [m]: 0, or up to the last one kept."""
+    def _omitted_sizes(self, fit: _Fit) -> np.ndarray:
+        """Return standard deviations of an omitted harmonic [m], by FOLDED_RATIOS."""
         sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_RATIOS
-        return np.asarray(sizes[sizes < self.widest])
+        return np.asarray(sizes[sizes < self.max_omitted_size])
 
     @property
-    def widest(self) -> float:
-        """Maximum standard deviation [m] of a harmonic left out, for well-conditioned squares."""
-        return float(np.diag(self._root).min() / np.sqrt(DEPENDENT))
+    def max_omitted_size(self) -> float:
+        """Maximum standard deviation [m] of an omitted harmonic, for well-conditioned squares."""
+        return float(np.diag(self._cholesky).min() / np.sqrt(DEPENDENT))
 
-    def _beside(
+    def _solve_with_omitted(
         self, fit: _Fit, sizes: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return fits with the next harmonics of standard deviations (n, N_FOLDED) [m], further
-        unknowns that are 0 within these: -2 log likelihoods (n,), coefficients (n, 2K+1),
-        covariances and sums of squares."""
+        """Fit again with omitted harmonics of standard deviations (n, N_FOLDED) [m].
+
+        They are further unknowns, which are 0 within these. Returns -2 log likelihoods (n,),
+        coefficients (n, 2K+1) [m], covariances (n, 2K+1, 2K+1) [m^2] and sums of squares (n,).
+        """
         unknowns, multiples = len(fit.coefficients), fit.multiples
-        others = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
-        columns = fourier_basis(fit.order * self.angle, np.append(multiples, others))
+        omitted_multiples = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED + 1.0)
+        columns = fourier_basis(fit.order * self.angle, np.append(multiples, omitted_multiples))
         volume = np.linalg.slogdet(columns[:, :unknowns].T @ columns[:, :unknowns])[1]
-        columns, values = self._whitened(columns, self.values, fit.slope)
-        units = np.ones((len(sizes), columns.shape[1]))
-        units[:, unknowns:] = np.repeat(sizes, 2, axis=1)
-        square = units[:, :, None] * (columns.T @ columns) * units[:, None, :]
+        columns, values = self._whiten(columns, self.values, fit.slope)
+        scales = np.ones((len(sizes), columns.shape[1]))
+        scales[:, unknowns:] = np.repeat(sizes, 2, axis=1)
+        square = scales[:, :, None] * (columns.T @ columns) * scales[:, None, :]
         square += np.diag(np.arange(columns.shape[1]) >= unknowns)
         covariance = np.linalg.inv(square)
-        found = (covariance @ (units * (columns.T @ values))[..., None])[..., 0]
-        left = values - (units * found) @ columns.T
-        least = (left**2).sum(axis=1) + (found[:, unknowns:] ** 2).sum(axis=1)
-        costs = least + np.linalg.slogdet(square)[1] - volume
-        return costs, found[:, :unknowns], covariance[:, :unknowns, :unknowns], least
+        coefficients = (covariance @ (scales * (columns.T @ values))[..., None])[..., 0]
+        residuals = values - (scales * coefficients) @ columns.T
+        squares = (residuals**2).sum(axis=1) + (coefficients[:, unknowns:] ** 2).sum(axis=1)
+        costs = squares + np.linalg.slogdet(square)[1] - volume
+        return costs, coefficients[:, :unknowns], covariance[:, :unknowns, :unknowns], squares
 
-    def tested(self, least: float, unknowns: int) -> tuple[float, float, float]:
-        """Return the variance over the expected one, inf where none is to spare.
+    def test_misfit(self, squares: float, unknowns: int) -> tuple[float, float, float]:
+        """Test the misfit of a sum of squares, in variances (F test).
 
-        Then the probability of a misfit, nan where it is not known; and the degrees of freedom of
-        the variance, inf where it is a misfit's, whose errors are no matter of chance.
+        Returns the variance over the expected one, inf without degrees of freedom; the probability
+        of a misfit as large, nan where unknown; and the degrees of freedom of the variance, inf
+        where a misfit makes it, whose errors are no matter of chance.
         """
-        between = len(self.values) - unknowns
-        both = self.within + between
+        spare = len(self.values) - unknowns
+        total = self.within + spare
         if self.within < 1:
-            return (least / between if between else np.inf), np.nan, both
-        if between < 1:
-            return 1.0, np.nan, both
-        chance = float(fdtrc(between, self.within, least / between))
+            return (squares / spare if spare else np.inf), np.nan, total
+        if spare < 1:
+            return 1.0, np.nan, total
+        chance = float(fdtrc(spare, self.within, squares / spare))
         if chance < LEVELS.scatter:
-            return least / between, chance, np.inf
-        return (self.within + least) / both, chance, both
+            return squares / spare, chance, np.inf
+        return (self.within + squares) / total, chance, total
 
 
-class Means(_Seen):
+class Means(_Sample):
     """Mean displacements of each probe, every so many revolutions, with their covariance.
 
     Parameters
@@ -354,11 +371,11 @@ class Means(_Seen):
     period : int
         Revolutions after which a probe sees the same again.
     order : float
-        Largest of the candidates; up to it vibrations that follow none are sought.
+        Largest of the candidates, up to which vibrations that follow no order are sought.
     angle_deviation : float [rad]
         Standard deviation of the probes' angles.
-    moved : (revolutions, probes) [m]
-        Displacements that are subtracted.
+    line_effects : (revolutions, probes) [m]
+        Displacements of :meth:`compute_line_effects`, which are subtracted.
 
     Attributes
     ----------
@@ -378,66 +395,76 @@ class Means(_Seen):
         period: int,
         order: float,
         angle_deviation: float,
-        moved: np.ndarray | float = 0.0,
+        line_effects: np.ndarray | float = 0.0,
     ) -> None:
         count, probes = arrivals.time.shape
         row = (arrivals.first + np.arange(count)) % period
         constants = row[:, None] * probes + np.arange(probes)
-        self.lines, left = find_lines(arrivals, arrivals.displacement - moved, constants, order)
-        seen = np.isfinite(left)
-        places = np.nonzero(seen)
-        groups, where = np.unique(constants[seen], return_inverse=True)
-        self._data, self._where = left[seen], where
+        self.lines, values = find_lines(
+            arrivals, arrivals.displacement - line_effects, constants, order
+        )
+        mask = np.isfinite(values)
+        places = np.nonzero(mask)
+        groups, group = np.unique(constants[mask], return_inverse=True)
+        self._displacement, self._group = values[mask], group
         nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
-        within = len(where) - len(groups)
+        freedom = len(group) - len(groups)
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            self.values = np.bincount(where, weights * self._data) / np.bincount(where, weights)
-            return self._data - self.values[where]
+            self.values = np.bincount(group, weights * self._displacement) / np.bincount(
+                group, weights
+            )
+            return self._displacement - self.values[group]
 
-        noise = reweighted(solve, np.ones(len(where)), len(groups), arrivals.rounding)
-        own = np.eye(len(groups))[where]
-        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(where))
-        if within > 0:
+        noise = reweighted(solve, np.ones(len(group)), len(groups), arrivals.rounding)
+        columns = np.eye(len(groups))[group]
+        self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group))
+        if freedom > 0:
             self.scatter = max(float(np.sqrt(noise.variance)), arrivals.rounding)
-            covariance = noise.covariance(own, places)
+            covariance = noise.covariance(columns, places)
             covariance += np.eye(len(groups)) * arrivals.rounding**2
-            place = groups % probes
-            spread = (arrivals.tip_radius * angle_deviation) ** 2
-            covariance += spread * (place[:, None] == place)
-        super().__init__(nominal, self.values, covariance, within, arrivals.tip_radius)
+            probe = groups % probes
+            angle_variance = (arrivals.tip_radius * angle_deviation) ** 2
+            covariance += angle_variance * (probe[:, None] == probe)
+        super().__init__(nominal, self.values, covariance, freedom, arrivals.tip_radius)
 
-    def moved(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
-        """Return the displacements of an order because the lines move the blade tip past its wave:
-        it becomes smaller, with lines at the sums and differences of the frequencies."""
+    def compute_line_effects(self, arrivals: ArrivalTimes, fit: TipFit) -> np.ndarray:
+        """Return the change of an order's displacements by the lines (revolutions, probes) [m].
+
+        Lines move the blade tip along the order's wave, which becomes smaller, with lines at the
+        sums and differences of the frequencies.
+        """
         angle = np.full(arrivals.time.shape, np.nan)
-        angle[np.isfinite(arrivals.time)] = self.angle[self._where]
-        beside = sum(
+        angle[np.isfinite(arrivals.time)] = self.angle[self._group]
+        line_motion = sum(
             line.displacement(line.phases(arrivals)) - line.coefficients[0] for line in self.lines
         )
-        passed = fit.displacement(angle - beside / arrivals.tip_radius)
-        return passed - fit.displacement(angle)
+        displacement = fit.displacement(angle - line_motion / arrivals.tip_radius)
+        return displacement - fit.displacement(angle)
 
-    def unexplained(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
-        """Return the residual of a wave at the nominal angles, fitted by an order, in variances."""
+    def wave_sum_of_squares(self, wave: np.ndarray, order: float, multiples: np.ndarray) -> float:
+        """Return residual squares, in variances, of an order fitted to a wave (g,).
+
+        Both are at the nominal angles.
+        """
         columns = fourier_basis(order * self.nominal, multiples)
-        columns, values = self._whitened(columns, wave, np.ones(len(wave)))
-        left = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
-        return float(left @ left)
+        columns, values = self._whiten(columns, wave, np.ones(len(wave)))
+        residuals = values - columns @ np.linalg.lstsq(columns, values, rcond=1e-10)[0]
+        return float(residuals @ residuals)
 
-    def residual(self, order: float, multiples: np.ndarray) -> float:
+    def rms_residual(self, order: float, multiples: np.ndarray) -> float:
         """Return the root mean square residual of an order [m]."""
         columns = fourier_basis(order * self.angle, multiples)
-        found = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
-        left = self._data - (columns @ found)[self._where]
-        return float(np.sqrt(np.mean(left**2)))
+        coefficients = np.linalg.lstsq(columns, self.values, rcond=1e-10)[0]
+        residuals = self._displacement - (columns @ coefficients)[self._group]
+        return float(np.sqrt(np.mean(residuals**2)))
 
 
 # --- run-ups --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, repr=False)
-class TipTrack(Fitted):
+class TipTrack(HarmonicFit):
     """Harmonics of a vibration of known engine order, revolution by revolution.
 
     Attributes
@@ -472,10 +499,13 @@ class TipTrack(Fitted):
 
     @property
     def in_doubt(self) -> bool:
-        """True if it does not fit, harmonics left out may be folded, also where that is not known,
-        or it has as many unknowns as there are probes."""
-        unknown = np.isnan([self.misfit, self.folded])
-        return self.does_not_fit or self.may_be_folded or bool(np.any(unknown))
+        """True if a test of the fit fails, or cannot be made.
+
+        It does not fit, harmonics left out may be folded, or either is unknown, for instance with
+        as many unknowns as probes.
+        """
+        is_unknown = np.isnan([self.misfit, self.folded])
+        return self.does_not_fit or self.may_be_folded or bool(np.any(is_unknown))
 
     frequency = hertz_of()
 
@@ -486,14 +516,14 @@ class TipTrack(Fitted):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every group of revolutions."""
-        found = with_frequency({"speed": self.speed.tolist(), "omega": self.omega.tolist()})
-        for place, multiple in enumerate(self.multiples):
-            found[f"amplitude_{multiple:g}"] = self.amplitudes[:, place].tolist()
-            found[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[:, place].tolist()
-        return found
+        columns = with_frequency({"speed": self.speed.tolist(), "omega": self.omega.tolist()})
+        for index, multiple in enumerate(self.multiples):
+            columns[f"amplitude_{multiple:g}"] = self.amplitudes[:, index].tolist()
+            columns[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[:, index].tolist()
+        return columns
 
     def _units(self) -> Mapping[str, str]:
-        return UNITS | {n: "m" for n in self.to_dict() if n.startswith("amplitude")}
+        return UNITS | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
@@ -553,115 +583,142 @@ def track_order(
         raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
     phase = order * arrivals.nominal_angle[:revolutions].ravel()
     if np.isinf(condition(fourier_basis(phase, multiples))):
-        refuse(arrivals, unknowns)
+        refuse_probes(arrivals, unknowns)
     shape = (groups, revolutions * probes)
     angle, nominal, values = (
-        part[: groups * revolutions].reshape(shape)
-        for part in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
+        array[: groups * revolutions].reshape(shape)
+        for array in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
     )
-    seen = np.isfinite(values)
-    count, values = seen.sum(axis=1), np.where(seen, values, 0.0)
-    columns, planned = (
-        np.where(seen[..., None], fourier_basis(order * np.nan_to_num(part), multiples), 0.0)
-        for part in (angle, nominal)
+    mask = np.isfinite(values)
+    count, values = mask.sum(axis=1), np.where(mask, values, 0.0)
+    columns, nominal_columns = (
+        np.where(mask[..., None], fourier_basis(order * np.nan_to_num(array), multiples), 0.0)
+        for array in (angle, nominal)
     )
-    enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns
+    has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == unknowns
     inverse = np.linalg.pinv(columns)
-    along = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
-    values, apart = _without_changes(values, inverse, columns, along, np.flatnonzero(enough))
-    found = inverse @ values[..., None]
-    left = np.where(seen & enough[:, None], values - (columns @ found)[..., 0], 0.0)
-    places = np.nonzero(seen.reshape(-1, probes))
-    own = probes * (subharmonic if revolutions > 1 else 1) - unknowns
-    misfit = trend(left.reshape(-1, probes)[places], places) if own > 0 else np.nan
-    variance, within = _variance(left, seen, np.where(enough, count - unknowns, 0))
+    position = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
+    values, changes = _subtract_changes(values, inverse, columns, position, np.flatnonzero(has_fit))
+    coefficients = inverse @ values[..., None]
+    residuals = np.where(mask & has_fit[:, None], values - (columns @ coefficients)[..., 0], 0.0)
+    places = np.nonzero(mask.reshape(-1, probes))
+    spare = probes * (subharmonic if revolutions > 1 else 1) - unknowns
+    misfit = trend(residuals.reshape(-1, probes)[places], places) if spare > 0 else np.nan
+    variance, freedom = _variance(residuals, mask, np.where(has_fit, count - unknowns, 0))
     variance = max(variance, arrivals.rounding**2)
-    place = np.tile(np.arange(probes), revolutions)
-    spread = (arrivals.tip_radius * angle_deviation) ** 2 * (place[:, None] == place)
-    covariance = variance * np.eye(len(place)) + spread
-    found = np.full((groups, unknowns), np.nan)
-    errors = np.full((groups, unknowns, unknowns), np.nan)
-    parts = {}
-    for group in np.flatnonzero(enough).tolist():
-        there = seen[group]
-        near = covariance[np.ix_(there, there)]
-        part = _Seen(nominal[group, there], values[group, there], near, within, arrivals.tip_radius)
-        if (fit := part.fit(order, multiples)) is not None:
-            parts[group] = part, fit
-    if own > 1 and within > 0:
-        parts = _beside_all(parts)
-    for group, (part, fit) in parts.items():
-        found[group] = fit.coefficients
+    probe = np.tile(np.arange(probes), revolutions)
+    angle_covariance = (arrivals.tip_radius * angle_deviation) ** 2 * (probe[:, None] == probe)
+    covariance = variance * np.eye(len(probe)) + angle_covariance
+    coefficients = np.full((groups, unknowns), np.nan)
+    covariances = np.full((groups, unknowns, unknowns), np.nan)
+    fits = {}
+    for group in np.flatnonzero(has_fit).tolist():
+        row = mask[group]
+        cov = covariance[np.ix_(row, row)]
+        sample = _Sample(nominal[group, row], values[group, row], cov, freedom, arrivals.tip_radius)
+        if (fit := sample.fit(order, multiples)) is not None:
+            fits[group] = sample, fit
+    if spare > 1 and freedom > 0:
+        fits = _fit_neighbours(fits)
+    for group, (sample, fit) in fits.items():
+        coefficients[group] = fit.coefficients
         if count[group] > unknowns:
-            known, _, freedom = part.tested(fit.least, unknowns)
-            known = max(known, 1.0) if within else known
-            errors[group] = known * student(freedom) * fit.covariance
-            errors[group] += np.outer(apart[group], apart[group])
-    amplitudes, amplitude_errors = strengths(found, errors)
-    folded = np.nan
-    if own > 1 and within > 0 and parts:
-        largest = {int(np.nanargmax(sizes)) for sizes in amplitudes.T}
-        folded = max(part.folded(fit) for part, fit in map(parts.__getitem__, largest))
+            factor, _, total_freedom = sample.test_misfit(fit.sum_of_squares, unknowns)
+            factor = max(factor, 1.0) if freedom else factor
+            covariances[group] = factor * student(total_freedom) * fit.covariance
+            covariances[group] += np.outer(changes[group], changes[group])
+    amplitudes, errors = compute_amplitudes(coefficients, covariances)
+    chance = np.nan
+    if spare > 1 and freedom > 0 and fits:
+        peaks = {int(np.nanargmax(sizes)) for sizes in amplitudes.T}
+        chance = max(sample.folding_chance(fit) for sample, fit in map(fits.__getitem__, peaks))
     times = arrivals.marks[: groups * revolutions + 1 : revolutions]
     speed = 2.0 * np.pi * revolutions / np.diff(times)
-    return TipTrack(order, speed, multiples, found, amplitudes, amplitude_errors, misfit, folded)
+    return TipTrack(order, speed, multiples, coefficients, amplitudes, errors, misfit, chance)
 
 
-def _without_changes(
-    values: np.ndarray, inverse: np.ndarray, columns: np.ndarray, along: np.ndarray, fit: np.ndarray
+def _subtract_changes(
+    values: np.ndarray,
+    inverse: np.ndarray,
+    columns: np.ndarray,
+    position: np.ndarray,
+    groups: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements (n, m) without the linear change of the vibration within each group,
-    which looks like further harmonics; and the change (n, 2K+1) of its coefficients from the middle
-    of the arrivals to that of the group.
+    """Subtract the linear change of the vibration within each group.
 
-    ``inverse`` (n, 2K+1, m) is that of ``columns``, ``along`` (n, m) the part of the group that an
-    arrival is behind its middle, ``fit`` the groups (k,) that have enough arrivals.
+    It looks like further harmonics.
+
+    Parameters
+    ----------
+    values, position : (n, m)
+        Displacements [m], and arrivals' distances behind the middle of the group, in its lengths.
+    inverse, columns : (n, 2K+1, m), (n, m, 2K+1)
+        Pseudoinverses of the columns, and columns of the fits.
+    groups : (k,)
+        Groups with enough arrivals.
+
+    Returns
+    -------
+    values : (n, m) [m]
+        Displacements without the change.
+    changes : (n, 2K+1) [m]
+        Change of the coefficients from the middle of the group to that of the arrivals.
     """
     rates = np.zeros(inverse.shape[:2])
-    if len(fit) > 1:
-        alone = (inverse @ values[..., None])[fit, :, 0].T
-        rates[fit] = np.gradient([smoothed(part) for part in alone], fit, axis=1).T
-    moved = along * (columns @ rates[..., None])[..., 0]
-    return values - moved, along.mean(axis=1, keepdims=True) * rates
+    if len(groups) > 1:
+        coefficients = (inverse @ values[..., None])[groups, :, 0].T
+        rates[groups] = np.gradient([smooth_series(row) for row in coefficients], groups, axis=1).T
+    changes = position * (columns @ rates[..., None])[..., 0]
+    return values - changes, position.mean(axis=1, keepdims=True) * rates
 
 
-def _beside_all(parts: dict[int, tuple[_Seen, _Fit]]) -> dict[int, tuple[_Seen, _Fit]]:
-    """Return fits of groups with the next harmonics, whose ratio to the vibration makes a group and
-    its neighbours most likely: few probes of one group do not determine it."""
-    costs, fits = [], []
-    for part, fit in parts.values():
-        sizes = np.minimum(np.linalg.norm(fit.coefficients[1:]) * FOLDED_RATIOS, part.widest)
-        cost, beside = part.beside_all(fit, sizes)
-        costs.append(cost)
-        fits.append(beside)
-    left = np.array([fit.least for _, fit in parts.values()])
-    beyond = [len(part.values) - len(fit.coefficients) for part, fit in parts.values()]
-    spare = np.maximum(beyond, 1)
-    found = {}
-    for place, (group, (part, _)) in enumerate(parts.items()):
-        near = slice(max(place - NEIGHBOURS, 0), place + NEIGHBOURS + 1)
-        most = _usual(left[near], spare[near]) * chdtri(spare[near], LEVELS.misfit)
-        right = np.array(costs[near])[left[near] <= most]  # the others have wrong arrivals
-        found[group] = part, fits[place][int(np.argmin(right.sum(axis=0)))]
-    return found
+def _fit_neighbours(groups: dict[int, tuple[_Sample, _Fit]]) -> dict[int, tuple[_Sample, _Fit]]:
+    """Fit groups with omitted harmonics, in the ratio likeliest in neighbours.
 
-
-def _variance(left: np.ndarray, seen: np.ndarray, spare: np.ndarray) -> tuple[float, int]:
-    """Return the variance of differences between residuals of a group (n, m) and the next, by those
-    without wrong arrivals, and its degrees of freedom.
-
-    0 of them where there is nothing to compare: the variance of the residuals, or 1 without any.
+    The ratio to the vibration is that of a group and its neighbours, as few probes of one group do
+    not determine it.
     """
-    total, both = spare.sum(), seen[1:] & seen[:-1]
-    spare = np.minimum(spare[1:], spare[:-1])
-    there = spare > 0
-    if not np.any(there):
-        return (float((left**2).sum()) / total if total else 1.0), 0
-    squares = 0.5 * (np.where(both, np.diff(left, axis=0), 0.0) ** 2).sum(axis=1)
-    return _usual(squares[there], spare[there]), int(spare[there].sum()) // 2
+    costs, fits = [], []
+    for sample, fit in groups.values():
+        sizes = np.minimum(
+            np.linalg.norm(fit.coefficients[1:]) * FOLDED_RATIOS, sample.max_omitted_size
+        )
+        cost, group_fits = sample.fit_omitted_sizes(fit, sizes)
+        costs.append(cost)
+        fits.append(group_fits)
+    squares = np.array([fit.sum_of_squares for _, fit in groups.values()])
+    spare = [len(sample.values) - len(fit.coefficients) for sample, fit in groups.values()]
+    freedom = np.maximum(spare, 1)
+    joint_fits = {}
+    for place, (group, (sample, _)) in enumerate(groups.items()):
+        window = slice(max(place - NEIGHBOURS, 0), place + NEIGHBOURS + 1)
+        limit = _quartile_variance(squares[window], freedom[window]) * chdtri(
+            freedom[window], LEVELS.misfit
+        )
+        # Groups above the limit have wrong arrivals.
+        trusted_costs = np.array(costs[window])[squares[window] <= limit]
+        joint_fits[group] = sample, fits[place][int(np.argmin(trusted_costs.sum(axis=0)))]
+    return joint_fits
 
 
-def _usual(squares: np.ndarray, spare: np.ndarray) -> float:
-    """Return the variance of sums of squares (n,) with some degrees of freedom (n,), by their lower
-    quartile: up to three quarters of them may have wrong arrivals."""
-    return float(np.quantile(squares / chdtri(spare, 0.75), 0.25))
+def _variance(residuals: np.ndarray, mask: np.ndarray, freedom: np.ndarray) -> tuple[float, int]:
+    """Return the variance of residuals (n, m) and its degrees of freedom.
+
+    By differences between neighbouring groups without wrong arrivals. If there are none, the
+    degrees are 0, and the variance is that of the residuals, or 1 without any.
+    """
+    total, pairs = freedom.sum(), mask[1:] & mask[:-1]
+    freedom = np.minimum(freedom[1:], freedom[:-1])
+    valid = freedom > 0
+    if not np.any(valid):
+        return (float((residuals**2).sum()) / total if total else 1.0), 0
+    squares = 0.5 * (np.where(pairs, np.diff(residuals, axis=0), 0.0) ** 2).sum(axis=1)
+    return _quartile_variance(squares[valid], freedom[valid]), int(freedom[valid].sum()) // 2
+
+
+def _quartile_variance(squares: np.ndarray, freedom: np.ndarray) -> float:
+    """Return the variance from sums of squares (n,) with degrees of freedom (n,).
+
+    By their lower quartile: up to three quarters of them may have wrong arrivals.
+    """
+    return float(np.quantile(squares / chdtri(freedom, 0.75), 0.25))

@@ -1,4 +1,4 @@
-"""Vibrations fitted to arrival times: amplitudes with their errors, and other candidates."""
+"""Vibrations fitted to arrival times: amplitudes with standard errors, and candidate orders."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fenics_crack.basics.tables import Tabular, counted, hertz_of, quantity, wit
 from fenics_crack.numerics.fourier import fourier_basis
 
 ORDERS = range(1, 25)
-"""Engine orders that are tried where none are given."""
+"""Default engine orders to try."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,9 +47,9 @@ class Candidates(Tabular):
     hidden: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every order."""
+        """Return columns, a row for every order."""
         names = "order", "residual", "condition", "equivalent", "hidden"
-        return {n: part.tolist() for n, part in zip(names, vars(self).values(), strict=True)}
+        return {n: column.tolist() for n, column in zip(names, vars(self).values(), strict=True)}
 
     def _units(self) -> Mapping[str, str]:
         return {"residual": "m"}
@@ -59,33 +59,38 @@ class Candidates(Tabular):
         return f"{len(self.orders)} orders, {counts}"
 
 
-class Fitted(Tabular):
-    """Harmonics fitted to arrivals, and doubts about them."""
+class HarmonicFit(Tabular):
+    """Harmonics fitted to arrivals, and doubts about the fit."""
 
     misfit: float
     folded: float
 
     @property
     def does_not_fit(self) -> bool:
-        """True if the misfit is below 0.001: harmonics are missing, or the order is wrong."""
+        """True if the misfit is below 0.001.
+
+        Harmonics are missing, or the order is wrong.
+        """
         return self.misfit < LEVELS.misfit
 
     @property
     def may_be_folded(self) -> bool:
-        """True if three errors hold an amplitude with no more than the probability of two: too few
-        probes for the harmonics that are left out."""
+        """True if harmonics left out may have shifted an amplitude.
+
+        It is within three of its errors less probably than a normal number is within two.
+        """
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
     @property
     def _doubts(self) -> list[str]:
-        """The largest of the doubts, in words."""
+        """Words for the gravest doubt: one or none."""
         if self.does_not_fit:
             return ["DOES NOT FIT"]
         return ["harmonics left out may be folded"] * self.may_be_folded
 
 
 @dataclass(frozen=True, repr=False)
-class TipFit(Fitted):
+class TipFit(HarmonicFit):
     """A periodic vibration fitted to arrival times.
 
         u = a0 + sum_k a_k cos(m_k p alpha) + b_k sin(m_k p alpha)
@@ -149,18 +154,18 @@ class TipFit(Fitted):
     @property
     def amplitudes(self) -> np.ndarray:
         """Amplitudes of the harmonics: (K,) [m]."""
-        return strengths(self.coefficients, self.covariance)[0]
+        return compute_amplitudes(self.coefficients, self.covariance)[0]
 
     @property
     def amplitude_errors(self) -> np.ndarray:
-        """Their standard errors: (K,) [m]."""
-        return strengths(self.coefficients, self.covariance)[1]
+        """Standard errors of the amplitudes: (K,) [m]."""
+        return compute_amplitudes(self.coefficients, self.covariance)[1]
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
         """Other orders that explain these arrivals as well."""
-        others = self.candidates.equivalent & (self.candidates.orders != self.order)
-        return tuple(self.candidates.orders[others].tolist())
+        is_other = self.candidates.equivalent & (self.candidates.orders != self.order)
+        return tuple(self.candidates.orders[is_other].tolist())
 
     @property
     def hidden(self) -> tuple[float, ...]:
@@ -169,45 +174,57 @@ class TipFit(Fitted):
 
     @property
     def in_doubt(self) -> bool:
-        """True if it does not fit, harmonics left out may be folded, it has as many unknowns as
-        there are probes, which fits anything, or no probe sees the vibration twice."""
+        """True if a test of the fit fails, or cannot be made.
+
+        It does not fit, harmonics left out may be folded, there are as many unknowns as probes,
+        which fits anything, or no probe sees the vibration twice.
+        """
         return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
 
     @property
     def seen_once(self) -> bool:
-        """True if no probe sees the same twice, as in one revolution: errors of arrivals are then
-        known from the residuals alone, and nothing tests that the harmonics are enough."""
+        """True if no probe sees the same twice, as in one revolution.
+
+        Errors of arrivals are then known from the residuals alone, and nothing tests that the
+        harmonics are enough.
+        """
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
-        """Return the amplitude at a multiple of the load's frequency relative to that at it, and
-        its standard error; a breathing crack has a second harmonic, an open crack none.
+        """Return the ratio of two amplitudes and its standard error.
+
+        The amplitude at a multiple of the load's frequency, over the amplitude at that frequency. A
+        breathing crack has a second harmonic, an open crack none.
 
         Raises
         ------
         InputError
             The fit has no such harmonic.
         """
-        places = []
-        for wanted in (1.0, multiple):
-            found = np.flatnonzero(np.isclose(self.multiples, wanted))
-            if not len(found):
-                raise InputError("multiple", wanted, f"one of {self.multiples.tolist()}")
-            places.append(int(found[0]))
-        (first, other), errors = self.amplitudes[places], self.amplitude_errors[places]
-        one, two = (slice(2 * place + 1, 2 * place + 3) for place in places)
-        mixed = self.coefficients[one] @ self.covariance[one, two] @ self.coefficients[two]
-        value, both = other / first, mixed / (first * other)
-        square = errors[1] ** 2 - 2.0 * value * both + (value * errors[0]) ** 2
-        return float(value), float(np.sqrt(square) / first)
+        indices = []
+        for required_multiple in (1.0, multiple):
+            matches = np.flatnonzero(np.isclose(self.multiples, required_multiple))
+            if not len(matches):
+                raise InputError("multiple", required_multiple, f"one of {self.multiples.tolist()}")
+            indices.append(int(matches[0]))
+        base_amplitude, amplitude = self.amplitudes[indices]
+        errors = self.amplitude_errors[indices]
+        base, terms = (slice(2 * index + 1, 2 * index + 3) for index in indices)
+        product = self.coefficients[base] @ self.covariance[base, terms] @ self.coefficients[terms]
+        ratio = amplitude / base_amplitude
+        covariance = product / (base_amplitude * amplitude)
+        variance = errors[1] ** 2 - 2.0 * ratio * covariance + (ratio * errors[0]) ** 2
+        return float(ratio), float(np.sqrt(variance) / base_amplitude)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """Return the fitted vibration at rotor angles: (n,) [m]."""
         return fourier_basis(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
-        """Return the angles at which :meth:`displacement` has the vibration at arrivals: the
-        rotor's; at any frequency the time since the first mark, times the mean speed."""
+        """Return angles at arrivals: the argument of :meth:`displacement`.
+
+        The rotor's angle; at any frequency the time since the first mark, times the mean speed.
+        """
         if self.order_error:
             return self.speed * (arrivals.time - arrivals.marks[0])
         return arrivals.angle
@@ -215,13 +232,16 @@ class TipFit(Fitted):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns, a row for the mean and for every harmonic: its multiple of the load's
-        frequency, order, frequency, amplitude and phase in A cos(m p alpha - phase)."""
+        """Return columns, a row for the mean and for every harmonic.
+
+        A row has the multiple m of the load's frequency, order, frequency, amplitude A and phase of
+        A cos(m p alpha - phase).
+        """
         multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
         mean = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
-        amplitudes, errors = strengths(self.coefficients, self.covariance)
-        values = {
+        amplitudes, errors = compute_amplitudes(self.coefficients, self.covariance)
+        columns = {
             "multiple": multiples.tolist(),
             "order": (multiples * self.order).tolist(),
             "omega": (multiples * self.omega).tolist(),
@@ -229,12 +249,12 @@ class TipFit(Fitted):
             "amplitude_error": np.concatenate([mean[1], errors]).tolist(),
             "phase": np.concatenate([[0.0], np.arctan2(sines, cosines)]).tolist(),
         }
-        return with_frequency(values)
+        return with_frequency(columns)
 
     def _title(self) -> str:
         parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
-        sizes = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
-        parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in sizes]
+        harmonics = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
+        parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in harmonics]
         parts += self._doubts
         if self.spare < 1:
             parts.append("as many unknowns as probes")
@@ -247,29 +267,32 @@ class TipFit(Fitted):
 
 
 def in_words(orders: Sequence[float]) -> str:
-    """Return the first six of some orders in words."""
-    return ", ".join([*(f"{one:.6g}" for one in orders[:6]), *["..."] * (len(orders) > 6)])
+    """Return the first six orders in words."""
+    return ", ".join([*(f"{order:.6g}" for order in orders[:6]), *["..."] * (len(orders) > 6)])
 
 
-def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitudes of coefficients (..., 2K+1) and their standard errors: two (..., K).
+def compute_amplitudes(
+    coefficients: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return amplitudes (..., K) and standard errors (..., K) of coefficients (..., 2K+1).
 
-    Errors e along the phase lengthen an amplitude A by e^2 / (2 A), in the mean and in variance 3/4
-    (E e^2 / A)^2 together, or of it where A is smaller than e: probes may measure one part of a
-    harmonic and not the other. Of an amplitude 0 the error of its cosine part is the first.
+    A tangential error e of a pair (a_k, b_k), normal to it, lengthens its amplitude A by
+    e^2 / (2 A): in mean square by 3/4 (E e^2 / A)^2. If A is below the standard deviation of e,
+    that replaces A: probes may measure one part of a harmonic only. If A is 0, the direction of
+    the cosine part is the radial one.
     """
-    parts = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
-    sizes = np.hypot(*parts)
-    turned = np.stack([np.ones_like(sizes), np.zeros_like(sizes)])
-    cosine, sine = np.divide(parts, sizes, out=turned, where=sizes > 0.0)
-    places = np.arange(1, coefficients.shape[-1], 2)
-    own, other = covariance[..., places, places], covariance[..., places + 1, places + 1]
-    both = covariance[..., places, places + 1]
-    along = cosine**2 * own + 2.0 * cosine * sine * both + sine**2 * other
-    across = np.maximum(sine**2 * own - 2.0 * cosine * sine * both + cosine**2 * other, 0.0)
+    pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
+    amplitudes = np.hypot(*pairs)
+    directions = np.stack([np.ones_like(amplitudes), np.zeros_like(amplitudes)])
+    cosine, sine = np.divide(pairs, amplitudes, out=directions, where=amplitudes > 0.0)
+    rows = np.arange(1, coefficients.shape[-1], 2)
+    var_a, var_b = covariance[..., rows, rows], covariance[..., rows + 1, rows + 1]
+    cov_ab = covariance[..., rows, rows + 1]
+    radial = cosine**2 * var_a + 2.0 * cosine * sine * cov_ab + sine**2 * var_b
+    tangential = np.maximum(sine**2 * var_a - 2.0 * cosine * sine * cov_ab + cosine**2 * var_b, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        curved = np.nan_to_num(across / np.maximum(sizes, np.sqrt(across)))
-    return sizes, np.sqrt(np.maximum(along, 0.0) + 0.75 * curved**2)
+        curvature = np.nan_to_num(tangential / np.maximum(amplitudes, np.sqrt(tangential)))
+    return amplitudes, np.sqrt(np.maximum(radial, 0.0) + 0.75 * curvature**2)
 
 
 # --- fits -----------------------------------------------------------------------------------------
@@ -278,44 +301,48 @@ def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndar
 def wanted(
     orders: Iterable[float], harmonics: int, subharmonic: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return candidates (n,) and multiples (K,), checked."""
+    """Check and return candidate orders (n,) and harmonic multiples (K,)."""
     check_count("harmonics", harmonics, 1)
     check_count("subharmonic", subharmonic, 1)
-    tried = list(orders)
-    if not tried:
-        raise InputError("orders", tried, "one or more numbers > 0")
-    for one in tried:
-        check_number("orders", one, 0.0, above=True)
-    return np.unique(np.array(tried, dtype=float)), np.arange(1, harmonics + 1) / subharmonic
+    candidates = list(orders)
+    if not candidates:
+        raise InputError("orders", candidates, "one or more numbers > 0")
+    for order in candidates:
+        check_number("orders", order, 0.0, above=True)
+    return np.unique(np.array(candidates, dtype=float)), np.arange(1, harmonics + 1) / subharmonic
 
 
-def taken(
-    sums: np.ndarray, sizes: np.ndarray, limit: float, known: np.ndarray | bool = True
+def select_candidate(
+    sums: np.ndarray, sizes: np.ndarray, limit: float, is_measurable: np.ndarray | bool = True
 ) -> tuple[np.ndarray, int]:
-    """Return the candidates (n,) that fit equally well, by their sums of squares.
+    """Return the equivalent candidates (n,) bool, and the index to select.
 
-    The second value is the one to be taken: of those with the smallest vibration, to 20 %, and that
-    are known if any is, the one of the least sum.
+    Equivalent: ``sums`` (n,) of squared residuals exceed the least one by less than ``limit``.
+    Among these candidates, or the measurable ones if there are any, vibrations with ``sizes`` (n,)
+    up to 20 % above the smallest compete, and the least sum is selected.
     """
     equivalent = sums - sums.min() < limit
-    kept = equivalent & known if np.any(equivalent & known) else equivalent
-    small = kept & (sizes <= 1.2 * sizes[kept].min())
-    return equivalent, int(np.argmin(np.where(small, sums, np.inf)))
+    is_eligible = equivalent & is_measurable if np.any(equivalent & is_measurable) else equivalent
+    is_small = is_eligible & (sizes <= 1.2 * sizes[is_eligible].min())
+    return equivalent, int(np.argmin(np.where(is_small, sums, np.inf)))
 
 
 def condition(columns: np.ndarray) -> float:
-    """Return the condition number of columns (n, m), scaled to length 1; inf: dependent."""
-    sizes = np.linalg.norm(columns, axis=0)
-    if len(columns) < len(sizes) or sizes.min() < 1e-8 * sizes.max():
+    """Return the condition number of columns (n, m) scaled to length 1.
+
+    inf where columns are dependent.
+    """
+    lengths = np.linalg.norm(columns, axis=0)
+    if len(columns) < len(lengths) or lengths.min() < 1e-8 * lengths.max():
         return np.inf
-    value = float(np.linalg.cond(columns / sizes))
-    return value if value < 1e8 else np.inf
+    number = float(np.linalg.cond(columns / lengths))
+    return number if number < 1e8 else np.inf
 
 
-def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
+def refuse_probes(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
-    found = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
-    allowed = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
-    allowed += "fewer harmonics, or arrivals that scatter less"
-    raise InputError("probes", found, allowed)
+    problem = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
+    requirement = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
+    requirement += "fewer harmonics, or arrivals that scatter less"
+    raise InputError("probes", problem, requirement)
