@@ -444,7 +444,15 @@ class Copy:
         if not self._objects.exists():
             build.make_builder(self._objects).compile(tmpdir=str(self._objects))
         (target,) = self._objects.rglob(f"{path.stem}.o")
-        command = ["cc", *build.COMPILER_FLAGS, "-fPIC", "-c", str(self.root / path), "-o", str(target)]
+        command = [
+            "cc",
+            *build.COMPILER_FLAGS,
+            "-fPIC",
+            "-c",
+            str(self.root / path),
+            "-o",
+            str(target),
+        ]
         if subprocess.run(command, capture_output=True, check=False).returncode:
             return False
         objects = map(str, self._objects.rglob("*.o"))

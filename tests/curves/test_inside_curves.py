@@ -25,6 +25,7 @@ import fenics_crack as fc
 from fenics_crack import continue_frequency
 from fenics_crack.basics.errors import INTERRUPTED
 from fenics_crack.curves import continuation
+from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import branch_start
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
@@ -784,3 +785,12 @@ def test_without_a_matrix_the_same_curve(monkeypatch: pytest.MonkeyPatch) -> Non
     assert other.complete and len(folds(formed)) == 2
     assert folds(other) == pytest.approx(folds(formed), rel=1e-8)
     assert other.amplitude(0).max() == pytest.approx(formed.amplitude(0).max(), rel=1e-3)
+
+
+def test_change_over_half_a_period_is_twice_the_odd_harmonics() -> None:
+    """Fourier coefficients half a period later are (-1)^k times those of before."""
+    coefficients = np.random.default_rng(3).standard_normal((7, 2))
+    later = coefficients * (-1.0) ** ((np.arange(7) + 1) // 2)[:, None]
+    system = SimpleNamespace(shape=coefficients.shape)
+    change = BalanceEquations.half_period_change(system, coefficients, 0.0)  # type: ignore[arg-type]
+    assert change == pytest.approx(relative(later, coefficients), rel=1e-12)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import gmsh
 import numpy as np
 import pytest
 from helpers import gmsh_model
@@ -20,6 +21,12 @@ from surroundings import MPI_ENVIRONMENT, ROOT, RunCommand
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
+from fenics_crack.fem.solid_mesher import (
+    STRAIGHT_RADIUS_RATIO,
+    TETRAHEDRON_EDGES,
+    collect_groups,
+    straighten_edges,
+)
 from fenics_crack.study.plausibility import remarks_on_scene
 
 BOX = [0.03, 0.09, 0.006]
@@ -338,3 +345,30 @@ def is_running(process: int) -> bool:
     except OSError:
         return False
     return state not in "ZX"
+
+
+def test_cells_near_a_front_are_straight() -> None:
+    """In a ball away from the origin, cells with a corner near a point of a front have straight
+    edges, as the distances say; the surface stays curved elsewhere."""
+    with gmsh_model() as model:
+        model.occ.addSphere(3.0, 0.0, 0.0, 1.0)
+        model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+        model.mesh.generate(3)
+        model.mesh.setOrder(2)
+        contents = collect_groups([(3, 1, "solid", [1])])
+        front = {"points": [[3.0, 0.0, 1.0]], "shortest": 0.2, "length": 0.0}
+        positions, count = straighten_edges(contents, [front])
+    before = contents["positions"]
+    order = np.argsort(contents["numbers"])
+    cells = order[np.searchsorted(contents["numbers"], contents["nodes"], sorter=order)]
+    cells = cells.reshape(-1, 10)
+    centres = before[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
+    distances = np.linalg.norm(before[cells[:, :4]] - front["points"][0], axis=2).min(axis=1)
+    near = distances < STRAIGHT_RADIUS_RATIO * 0.2
+    is_curved = np.abs(before[cells[:, 4:]] - centres).max(axis=(1, 2)) > 1e-9
+    assert count == np.sum(near & is_curved) and 0 < count < np.sum(is_curved)
+    assert np.allclose(positions[cells[near, 4:]], centres[near], atol=1e-12)
+    touched = np.unique(cells[near, 4:])
+    unmoved = np.setdiff1d(np.arange(len(before)), touched)
+    assert np.array_equal(positions[unmoved], before[unmoved])
