@@ -131,7 +131,7 @@ class Verification(Saved):
         return tuple(self.parts)
 
     def contributions(self, quantity: str) -> dict[str, float]:
-        """Uncertainty of a quantity by each cause that has a part for it, in its unit.
+        """Return the uncertainty of a quantity by each cause with a part, in its unit.
 
         Raises
         ------
@@ -141,9 +141,9 @@ class Verification(Saved):
         check_choice("quantity", quantity, self.values)
         return {
             # Sizes are in the order of the smallest; the scene's own choice is the first count.
-            cause: found[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
-            for cause, found in self.parts.items()
-            if quantity in found
+            cause: cause_parts[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
+            for cause, cause_parts in self.parts.items()
+            if quantity in cause_parts
             for counts in [self.counts[cause]]
         }
 
@@ -156,26 +156,28 @@ class Verification(Saved):
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
-        """Root of the sum of squares of the contributions to a quantity, or their sum; those of the
-        mesh, which belong together, are added before."""
-        found = self._parts(quantity).values()
-        return math.hypot(*found) if independent else sum(found)
+        """Return the root of the sum of the squared contributions to a quantity, or their sum.
+
+        Contributions of the mesh and of its shift are added first.
+        """
+        contributions = self._parts(quantity).values()
+        return math.hypot(*contributions) if independent else sum(contributions)
 
     def _parts(self, quantity: str) -> dict[str, float]:
-        """Contributions with one by the mesh."""
+        """Return the contributions to a quantity, the mesh's causes added up as "mesh"."""
         parts = self.contributions(quantity)
         mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:
-        """The value with the corrections by all causes from which one is extrapolated."""
-        own = self.values[quantity]
+        """Return a value with the corrections by all causes that have a finite limit."""
+        scene_number = self.values[quantity]
         parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
-        found = (parts[quantity].extrapolated for parts in parts_with_quantity)
-        return own + sum(value - own for value in found if math.isfinite(value))
+        limits = (parts[quantity].extrapolated for parts in parts_with_quantity)
+        return scene_number + sum(limit - scene_number for limit in limits if math.isfinite(limit))
 
     def relative(self, quantity: str, error: float) -> float:
-        """An error over the size of a quantity; nan where that is 0."""
+        """Return an error over the size of a quantity; nan if the quantity is 0."""
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
@@ -194,25 +196,29 @@ class Verification(Saved):
         total = self.relative(quantity, self.total(quantity))
         if total == 0.0 and (self.unknown or self.missing_causes(quantity)):
             return math.nan, ""
-        cause = max(parts, key=lambda one: parts[one])
+        cause = max(parts, key=lambda part_cause: parts[part_cause])
         return math.inf if total >= 1.0 else total, cause
 
     def doubt(self, quantity: str) -> str:
-        """Return why the error of a quantity is unknown; empty where it is known, or was left out
-        by choice."""
+        """Return why the error of a quantity is unknown.
+
+        Empty if the error is known, or was left out by choice.
+        """
         for cause in (*REQUIRED_CAUSES, *self.failed_causes):
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
         if math.isinf(error):
-            coarse = "the mesh is too coarse; " if cause == "mesh" else ""
-            return f"{coarse}the estimate is as large as the value, mostly due to the {cause}"
+            mesh_remark = "the mesh is too coarse; " if cause == "mesh" else ""
+            return f"{mesh_remark}the estimate is as large as the value, mostly due to the {cause}"
         return ""
 
     @property
     def resonance(self) -> str:
-        """Name of the resonance that the result lies next to, in a run-up the speed at which it is
-        met; empty without crack faces."""
+        """Name of the resonance next to the result; empty without crack faces.
+
+        In a run-up it is "speed", at which the resonance is met.
+        """
         resonances = (name for name in self.values if "_bilinear_" in name)
         return "speed" if "speed" in self.values else next(resonances, "")
 
@@ -223,9 +229,9 @@ class Verification(Saved):
 
     @property
     def left_out(self) -> str:
-        """:attr:`without`, and the reason, "mesh.error = false"; empty likewise."""
-        why = "; ".join(dict.fromkeys(self.unknown.values()))
-        return f"{self.without}: {why}" if self.unknown else ""
+        """The missing causes (:attr:`without`) and the reasons; empty without any."""
+        reasons = "; ".join(dict.fromkeys(self.unknown.values()))
+        return f"{self.without}: {reasons}" if self.unknown else ""
 
     # --- tables -----------------------------------------------------------------------------------
 
@@ -242,7 +248,7 @@ class Verification(Saved):
             order = mesh[name].order if name in mesh else math.nan
             quantity = with_unit(name, self.units[name])
             rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
-        columns = [f"{what} [%]" for what in (*self.causes, "total", "sum")]
+        columns = [f"{label} [%]" for label in (*self.causes, "total", "sum")]
         return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
 
     def to_dict(self) -> dict[str, Any]:
@@ -253,21 +259,21 @@ class Verification(Saved):
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
 
     def _rows(self, name: str) -> Iterator[dict[str, Any]]:
-        shared = {"quantity": name, "unit": self.units[name]}
+        quantity_entries = {"quantity": name, "unit": self.units[name]}
         for cause in self.contributions(name):
             part, counts = self.parts[cause][name], self.counts[cause]
-            row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
+            row: dict[str, Any] = quantity_entries | {"cause": cause, "behaviour": part.behaviour}
             row |= {f"{key}_{n}": math.nan for key in ("count", "value") for n in (1, 2, 3)}
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
             by_count = dict(zip(sorted(counts, reverse=True), part.values, strict=True))
             row |= {f"value_{n}": by_count[count] for n, count in enumerate(counts, 1)}
             numbers = "order", "exponent", "factor", "extrapolated"
             row |= {key: getattr(part, key) for key in numbers} | {"gci_finest": part.gci}
-            yield row | _sized(self, name, self.contributions(name)[cause])
+            yield row | _uncertainty_entries(self, name, self.contributions(name)[cause])
         for cause, independent in (("total", True), ("sum", False)):
-            known = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
-            total = _sized(self, name, self.total(name, independent=independent))
-            yield shared | {"cause": cause, "behaviour": ""} | known | total
+            value_entries = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
+            total = _uncertainty_entries(self, name, self.total(name, independent=independent))
+            yield quantity_entries | {"cause": cause, "behaviour": ""} | value_entries | total
 
     def _title(self) -> str:
         return self.statement[0]
@@ -278,51 +284,55 @@ class Verification(Saved):
         words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
         error, cause = self.stated(name)
         value = f"{words} {quantity(self.values[name], self.units[name])}"
-        known = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
-        known += f"to the {cause}"
+        answer = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
+        answer += f"to the {cause}"
         if math.isnan(error):
-            known = f"{value}; nothing that was varied changes the numbers"
+            answer = f"{value}; nothing that was varied changes the numbers"
         doubt = self.doubt(name)
         verdicts = (f"{run}: {verdict}" for run, verdict in self.verdicts.items())
-        return Said("verified", value if doubt else known, doubt, [self.without, *verdicts])
+        return Said("verified", value if doubt else answer, doubt, [self.without, *verdicts])
 
     # --- words ------------------------------------------------------------------------------------
 
     @property
     def statement(self) -> tuple[str, ...]:
         """Sentences on the errors, with those that are unknown or doubtful."""
-        first = next(iter(self.values))
+        main_quantity = next(iter(self.values))
         shares = {name: self.relative(name, self.total(name)) for name in self.values}
-        worst = max(shares, key=lambda name: shares[name])
-        found = [self._in_words(first)]
-        if worst != first:
-            found.append(f"largest of all: {self._in_words(worst)}")
-        found += [f"{cause}, no contribution: {why}" for cause, why in self.absent.items()]
-        return (*found, *self.warnings)
+        worst_quantity = max(shares, key=lambda name: shares[name])
+        sentences = [self._in_words(main_quantity)]
+        if worst_quantity != main_quantity:
+            sentences.append(f"largest of all: {self._in_words(worst_quantity)}")
+        sentences += [
+            f"{cause}, no contribution: {reason}" for cause, reason in self.absent.items()
+        ]
+        return (*sentences, *self.warnings)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences that cast doubt on the numbers."""
-        found = [
-            f"{cause} not varied, so it is missing in the totals: {why}"
-            for cause, why in self.unknown.items()
+        sentences = [
+            f"{cause} not varied, so it is missing in the totals: {reason}"
+            for cause, reason in self.unknown.items()
         ]
-        found += self.incomplete
-        found += [f"failed, {text}" for text in self.failures]
-        found += [f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()]
+        sentences += self.incomplete
+        sentences += [f"failed, {text}" for text in self.failures]
+        sentences += [
+            f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()
+        ]
         for cause, parts in self.parts.items():
-            for kind, what in DOUBTS.items():
+            for kind, doubt in DOUBTS.items():
                 names = [n for n in parts if parts[n].behaviour == kind and self._matters(n, cause)]
                 if names:
-                    found.append(f"{cause}, {', '.join(names)}: {what}")
-        found += self.dents
+                    sentences.append(f"{cause}, {', '.join(names)}: {doubt}")
+        sentences += self.dents
         contact = self.scene.contact if self.resonance else None  # of crack faces
         if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
-            found.append(
+            sentences.append(
                 "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
                 "changes the law, too; contact.stiffness_per_area stays the same law"
             )
-        return tuple(found)
+        return tuple(sentences)
 
     @property
     def incomplete(self) -> tuple[str, ...]:
@@ -339,13 +349,13 @@ class Verification(Saved):
         """Warning that the displacement under a point force has no limit, if elements half as long
         add much to it."""
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
-        added = dent_by_force(scene)
-        if scene.points or not added > TOLERANCE * amplitude > 0.0:
+        dent = dent_by_force(scene)
+        if scene.points or not dent > TOLERANCE * amplitude > 0.0:
             return ()
         growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         return (
             "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+            f"{growth}, by about {percent(dent / amplitude)} with elements half as long; "
             f"watch another place (output.points), or load {side} (loads)",
         )
 
@@ -355,21 +365,28 @@ class Verification(Saved):
         return self.contributions(name)[cause] >= 0.1 * size
 
     def _in_words(self, name: str) -> str:
-        """A quantity with its uncertainty, and where most of that is from."""
+        """Return a quantity with its uncertainty, and the cause of the largest part."""
         parts = self.contributions(name)
         text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
         if not any(parts.values()):
             return f"{text}: nothing that was varied changes it"
-        shares = (self.relative(name, self.total(name, independent=way)) for way in (True, False))
+        shares = (
+            self.relative(name, self.total(name, independent=is_independent))
+            for is_independent in (True, False)
+        )
         share, bound = map(percent, shares)
-        cause = max(parts, key=lambda one: parts[one])
-        most = self.parts[cause][name]
-        how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
-        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {how}"
+        cause = max(parts, key=lambda part_cause: parts[part_cause])
+        largest_part = self.parts[cause][name]
+        order_words = (
+            f"observed order {largest_part.order:.2g}"
+            if math.isfinite(largest_part.order)
+            else largest_part.behaviour
+        )
+        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {order_words}"
         return f"{text}; extrapolated {self.extrapolated(name):.5g}"
 
 
-def verification_of(stored: Stored) -> Verification | None:
+def verification_of(result_file: Stored) -> Verification | None:
     """Return the verification in the file of a result; None: none.
 
     Raises
@@ -377,12 +394,12 @@ def verification_of(stored: Stored) -> Verification | None:
     InputError
         It does not fit.
     """
-    with stored.taken() as parts:
+    with result_file.taken() as parts:
         if "verification" not in parts:
             return None
-        found = from_text(Verification, parts["verification"], stored.scene())
-        found.to_dict()  # whose rows have every part
-        return found
+        verification = from_text(Verification, parts["verification"], result_file.scene())
+        verification.to_dict()  # whose rows have every part
+        return verification
 
 
 def dent_by_force(scene: Scene) -> float:
@@ -409,6 +426,6 @@ def dent_by_force(scene: Scene) -> float:
     return force / thickness * math.log(2.0) * wedge
 
 
-def _sized(found: Verification, name: str, error: float) -> dict[str, float]:
-    """An error of a quantity, absolute and relative."""
-    return {"uncertainty": error, "relative": found.relative(name, error)}
+def _uncertainty_entries(verification: Verification, name: str, error: float) -> dict[str, float]:
+    """Return the columns of an error of a quantity, absolute and relative."""
+    return {"uncertainty": error, "relative": verification.relative(name, error)}
