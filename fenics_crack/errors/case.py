@@ -90,7 +90,7 @@ class Case:
     wave: PeriodicSolution
     numbers: Numbers
 
-    def values_of(
+    def compute_values(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
     ) -> dict[str, float]:
         """Return the numbers of a motion, by default of the answer's study (collective)."""
@@ -103,14 +103,14 @@ class Case:
     def orbit_values(self) -> dict[str, float] | None:
         """Numbers of the exact orbit that is accepted for the answer, or None (collective)."""
         orbit = accepted_orbit(self.answer)
-        return None if orbit is None else self.values_of(orbit)
+        return None if orbit is None else self.compute_values(orbit)
 
     def distance_to_orbit(self, orbit_values: Mapping[str, float]) -> Varied:
         """Return the part of harmonics by the numbers of the exact orbit."""
         counts = self.answer.harmonics, many_harmonics(self.answer)
         sizes = 1.0 / counts[1], 1.0 / counts[0]
         parts = {}
-        for name, value in self.values_of(self.answer).items():
+        for name, value in self.compute_values(self.answer).items():
             limit = orbit_values.get(name, 0.0)
             parts[name] = GridConvergence(
                 sizes, (limit, value), "exact orbit", factor=1.0, extrapolated=limit
@@ -164,15 +164,17 @@ class Case:
         return FRICTION_MODES[:1] * 2, parts
 
     def _orbits_without_and_with(
-        self, count: int, whole: Structure, keys: Mapping[str, Any]
+        self, count: int, whole_structure: Structure, keys: Mapping[str, Any]
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Return exact orbits without friction and with it, and their numbers (collective).
 
         Keys of the scene describe the friction. The lists end at the first orbit that is not found.
         """
         study, answer, periods = self.study, self.answer, self.answer.subharmonic
-        count = min(count, whole.n_dofs // 2)
-        reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
+        count = min(count, whole_structure.n_dofs // 2)
+        reduced_structure = reduce_structure(
+            whole_structure, modes=count, method="massless", reference=False
+        )
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
         for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
@@ -189,20 +191,26 @@ class Case:
                 break
             twin = replace(study, structure=reduced_structure, contact=contact_law)
             orbits.append(orbit)
-            numbers.append(self.values_of(orbit, twin))
+            numbers.append(self.compute_values(orbit, twin))
         return orbits, numbers
 
     def _sliding_across_lines(self, friction: CoulombFriction) -> Varied:
         """Return the part of sliding across the lines of a solid's friction (collective)."""
         study, answer = self.study, self.answer
         structure, periods = study.structure, answer.subharmonic
-        free_motion = motion_without_friction(structure, answer.omega, friction.law, periods)
-        free_values = self.values_of(free_motion, replace(study, contact=friction.law))
-        turning, parts = find_sliding_lines(free_motion, friction.direction)[1], {}
+        frictionless_motion = motion_without_friction(
+            structure, answer.omega, friction.law, periods
+        )
+        frictionless_numbers = self.compute_values(
+            frictionless_motion, replace(study, contact=friction.law)
+        )
+        turning_ratio, parts = find_sliding_lines(frictionless_motion, friction.direction)[1], {}
         for name, value in self.answer_numbers.items():
-            turned_value = value + turning * (free_values.get(name, 0.0) - value)
+            value_with_turning = value + turning_ratio * (
+                frictionless_numbers.get(name, 0.0) - value
+            )
             parts[name] = GridConvergence(
-                (0.0, 1.0), (value, turned_value), "two coefficients", factor=TURNING_FACTOR
+                (0.0, 1.0), (value, value_with_turning), "two coefficients", factor=TURNING_FACTOR
             )
         return (structure.n_modes, structure.n_modes), parts
 

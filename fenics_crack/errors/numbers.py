@@ -30,7 +30,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
-from fenics_crack.errors.convergence import UNCHANGED
+from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Faces, Harmonics, ObservedMotion, Record, rows_of
@@ -81,14 +81,16 @@ def numbers_of(
     quantities = study.scene.quantities or names_of(where=STATED)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    displacements = motion.measure([watched.dof for watched in study.watched])
+    displacements = motion.measure([point.dof for point in study.watched])
     rounding = NEGLIGIBLE * min(  # of closed pairs
         indicators.amplitude + abs(indicators.mean) for indicators in displacements
     )
-    requested = (number for number in observe(study, motion) if number.name in quantities)
-    for number in sorted(requested, key=lambda number: quantities.index(number.name)):
+    requested_numbers = (number for number in observe(study, motion) if number.name in quantities)
+    for number in sorted(requested_numbers, key=lambda number: quantities.index(number.name)):
         place, value = QUANTITIES[number.name].of, float(number.value)
-        min_size = {"1": UNCHANGED, "m": rounding * (place is Place.FACES)}.get(number.unit, 0.0)
+        min_size = {"1": ROUNDING_SPREAD, "m": rounding * (place is Place.FACES)}.get(
+            number.unit, 0.0
+        )
         if abs(value) > min_size or (place.on_request and value == 0.0):
             values[number.column] = value
             units[number.column] = number.unit.replace("1", "")
@@ -145,10 +147,10 @@ def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] 
     return int(harmonics.largest_order), float(harmonics.ratio_largest)
 
 
-def as_changed(
+def add_changes(
     values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return numbers, changed as they differ between two motions; 0 if a motion has none."""
+    """Add to numbers their change from one motion to another; absent numbers are 0."""
     return {
         name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
     }
