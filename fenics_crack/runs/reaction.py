@@ -46,12 +46,14 @@ class Reaction(Tabular):
         return read_at(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every instant."""
-        found = {"time": self.time.tolist()}
-        axes, about = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
-        names = [f"force_{axis}" for axis in axes] + [f"moment_{axis}" for axis in about]
+        """Return time, forces and moments as columns, a row for every instant."""
+        time_column = {"time": self.time.tolist()}
+        force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
+        names = [f"force_{axis}" for axis in force_axes] + [
+            f"moment_{axis}" for axis in moment_axes
+        ]
         columns = np.hstack([self.force, self.moment]).T.tolist()
-        return found | dict(zip(names, columns, strict=True))
+        return time_column | dict(zip(names, columns, strict=True))
 
     def _units(self) -> Mapping[str, str]:
         units = {"time": "s", "force": "N", "moment": "N m"}
