@@ -83,8 +83,8 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved = solve_prepared(whole_study(scene, comm))
-    return _with_motion_from_rest(Run(**vars(solved)))
+    solved_study = solve_prepared(whole_study(scene, comm))
+    return _with_motion_from_rest(Run(**vars(solved_study)))
 
 
 def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
