@@ -1,4 +1,4 @@
-"""Contributions of each cause to the error of a result's numbers: storage, text and files.
+"""Errors of a result's numbers by cause: storage, text and files.
 
 :func:`fenics_crack.verify` finds them with finer meshes, more modes, harmonics and samples
 (:mod:`verify`); each command with one other run for each cause (:mod:`stated`).
@@ -91,7 +91,7 @@ class Verification(Saved):
     KIND: ClassVar[str] = "verification"
 
     def with_part(self, cause: str, part: Varied) -> Verification:
-        """Return the verification with the part of a cause, or why it was not varied.
+        """Add the part of a cause, or the reason why it was not varied.
 
         An optional cause that is not varied is unknown; other causes then contribute nothing.
         """
@@ -107,13 +107,13 @@ class Verification(Saved):
         return replace(self, absent=self.absent | {cause: part})
 
     def with_unknown(self, cause: str, reason: str) -> Verification:
-        """Return the verification with a cause whose contribution is unknown, and why."""
+        """Add a cause whose contribution is unknown, and the reason."""
         return replace(self, unknown=self.unknown | {cause: reason})
 
     # --- files ------------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """All of it but the scene, as a dataset of a file."""
+        """Return everything but the scene as text, a dataset of a file."""
         return text_of(self, "", {})
 
     def _packed(self) -> Parts:
@@ -131,7 +131,9 @@ class Verification(Saved):
         return tuple(self.parts)
 
     def contributions(self, quantity: str) -> dict[str, float]:
-        """Return the uncertainty of a quantity by each cause with a part, in its unit.
+        """Return the uncertainty of a quantity by cause, in the quantity's unit.
+
+        Causes without a part for the quantity have no entry.
 
         Raises
         ------
@@ -148,7 +150,7 @@ class Verification(Saved):
         }
 
     def missing_causes(self, quantity: str) -> dict[str, str]:
-        """Return the causes that were varied without a part for a quantity, and why."""
+        """Return varied causes that have no part for a quantity, with reasons."""
         return {
             cause: MISSING_PART_REASONS.get(cause, "the other run has no such number")
             for cause, parts in self.parts.items()
@@ -156,38 +158,43 @@ class Verification(Saved):
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
-        """Return the root of the sum of the squared contributions to a quantity, or their sum.
+        """Return the error of a quantity by all causes, in the quantity's unit.
 
-        Contributions of the mesh and of its shift are added first.
+        Contributions by the mesh and by its shift are added first. The total is the root of the sum
+        of squares; if the causes are not ``independent``, it is the sum.
         """
         contributions = self._parts(quantity).values()
         return math.hypot(*contributions) if independent else sum(contributions)
 
     def _parts(self, quantity: str) -> dict[str, float]:
-        """Return the contributions to a quantity, the mesh's causes added up as "mesh"."""
+        """Return contributions with both causes of the mesh added up as "mesh"."""
         parts = self.contributions(quantity)
         mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:
-        """Return a value with the corrections by all causes that have a finite limit."""
+        """Return a value corrected by all causes with a finite limit."""
         scene_number = self.values[quantity]
         parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
         limits = (parts[quantity].extrapolated for parts in parts_with_quantity)
         return scene_number + sum(limit - scene_number for limit in limits if math.isfinite(limit))
 
     def relative(self, quantity: str, error: float) -> float:
-        """Return an error over the size of a quantity; nan if the quantity is 0."""
+        """Divide an error by a quantity's size; nan if the quantity is 0."""
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """The error of a quantity, relative to it, by all causes (:meth:`total`).
+        """Return the relative error of a quantity by all causes (:meth:`total`).
 
-        The second value is the largest of them: "mesh", "modes", "harmonics", "friction",
-        "samples". Not known: nan, also where the part of the harmonics or the modes is not, the
-        other mesh failed, or nothing that was varied changes it and something else was not.
-        Infinite where the estimate is as large as the quantity, as of a mesh that is too coarse.
+        Returns
+        -------
+        float
+            Total over the quantity. It is nan without any part, if harmonics or modes are unknown
+            causes, or if the other mesh failed. It is nan, too, if the total is 0 and another cause
+            is unknown or lacks a part. It is inf if the estimate is as large as the quantity.
+        str
+            Cause of the largest part: "mesh", "modes", "harmonics", "friction" or "samples".
         """
         unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed_causes))
         parts = self._parts(quantity) if quantity in self.values else {}
@@ -224,7 +231,7 @@ class Verification(Saved):
 
     @property
     def without(self) -> str:
-        """The causes that are missing: "error due to the mesh not included"; empty without any."""
+        """Missing causes in words: "error due to the mesh not included"; else empty."""
         return without_causes(self.unknown)
 
     @property
@@ -236,8 +243,11 @@ class Verification(Saved):
     # --- tables -----------------------------------------------------------------------------------
 
     def totals(self) -> Table:
-        """A row for each quantity: value, contributions and totals relative to it in per cent, to
-        three digits, the observed order of the mesh, and the extrapolated value."""
+        """Return a table of all quantities with their errors.
+
+        A row has the value, contributions and totals relative to it in per cent, to three digits,
+        the observed order of the mesh, and the extrapolated value.
+        """
         rows = []
         for name, value in self.values.items():
             contributions = self.contributions(name)
@@ -252,8 +262,11 @@ class Verification(Saved):
         return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for each quantity and cause, and for its totals: what was varied, the
-        three values, what follows from them, and the uncertainty of the first."""
+        """Return columns with a row for each quantity and cause, and for totals.
+
+        A row has the counts that were varied, up to three values, the order and the factor that
+        follow from them, and the uncertainty of the first value.
+        """
         rows = [row for name in self.values for row in self._rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
@@ -279,7 +292,7 @@ class Verification(Saved):
         return self.statement[0]
 
     def said(self) -> Said:
-        """What the last sentence on the study says."""
+        """Return the parts of the last sentence on the study."""
         name = next(iter(self.values))
         words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
         error, cause = self.stated(name)
@@ -346,8 +359,10 @@ class Verification(Saved):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """Warning that the displacement under a point force has no limit, if elements half as long
-        add much to it."""
+        """Warning that the displacement under a point force has no limit.
+
+        It is given if elements half as long add much to the amplitude.
+        """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
         dent = dent_by_force(scene)
         if scene.points or not dent > TOLERANCE * amplitude > 0.0:
@@ -360,12 +375,15 @@ class Verification(Saved):
         )
 
     def _matters(self, name: str, cause: str) -> bool:
-        """Return True if a contribution is so large that a doubt about it is reported."""
+        """Return True if doubts about a contribution are reported.
+
+        It must be at least a tenth of the total, and of the value times TOLERANCE.
+        """
         size = max(self.total(name), TOLERANCE * abs(self.values[name]))
         return self.contributions(name)[cause] >= 0.1 * size
 
     def _in_words(self, name: str) -> str:
-        """Return a quantity with its uncertainty, and the cause of the largest part."""
+        """Return a quantity, its uncertainty and the largest cause in words."""
         parts = self.contributions(name)
         text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
         if not any(parts.values()):
@@ -403,7 +421,9 @@ def verification_of(result_file: Stored) -> Verification | None:
 
 
 def dent_by_force(scene: Scene) -> float:
-    """Return the displacement that elements half as long add under a force F at a point [m].
+    """Estimate the displacement that elements half as long add under a force [m].
+
+    The force F acts at a point. Without such a force the displacement is 0.
 
     Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
     one of its edges; a = pi on an edge, and 2 pi inside, about. Of a solid F / (E h), about.
