@@ -101,7 +101,7 @@ class Case:
 
     @cached_property
     def orbit_values(self) -> dict[str, float] | None:
-        """Numbers of the exact orbit that is accepted for the answer, or None (collective)."""
+        """Numbers of the exact orbit accepted for the answer, or None (collective)."""
         orbit = accepted_orbit(self.answer)
         return None if orbit is None else self.compute_values(orbit)
 
@@ -218,13 +218,13 @@ class Case:
 def _relative_change(
     name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
 ) -> float:
-    """Return the relative change of a number from one motion to another; 0 if it has none."""
+    """Return the relative change of a number between motions; 0 if the first is 0."""
     value = numbers.get(name, 0.0)
     return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
 
 
 def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Verification:
-    """Add the part of each cause, or why it is not known (collective)."""
+    """Add each cause's part to the errors, or why it is unknown (collective)."""
     for cause, find_part in causes.items():
         try:
             errors = errors.with_part(cause, find_part())
@@ -237,7 +237,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
 
 
 def reason_of_failure(run: str, error: Exception) -> str:
-    """Return why another run gives no error: a key that it cannot have, or no solution."""
+    """Say why another run gives no error: a refused key, or no solution."""
     if isinstance(error, InputError):
         return f"{run} cannot be used, for its {error.key}"
     return f"{run} has no solution"
@@ -270,7 +270,7 @@ def solve_in_steps(
 
 
 def _solver(study: Study, omega: float, harmonics: int) -> Solver:
-    """Return the solver of a study, with friction along the lines of its own sliding."""
+    """Return the solver of a study, with friction along its sliding directions."""
     assert study.contact is not None
     law = slide_along_lines(study.structure, omega, study.contact)
     return Solver(Problem(study.structure, omega, law, harmonics))

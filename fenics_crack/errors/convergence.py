@@ -1,4 +1,4 @@
-"""Grid convergence: the error of a number that is computed with two or three step sizes.
+"""Grid convergence: error of a number computed with two or three step sizes.
 
 Of values f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p (Roache's index). Then
 
@@ -197,7 +197,7 @@ def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
     log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
 
     def excess(p: float) -> float:
-        """Return how far an order's log ratio exceeds that of the values; it rises with p."""
+        """Return log ratio of order p less that of the values; rising in p."""
         if p == 0.0:
             return math.log(coarse_log_ratio / fine_log_ratio) - log_ratio
         return (
@@ -236,11 +236,11 @@ def part_of(
     formal: float = TIP_ORDER,
     scheme_order: float = math.inf,
 ) -> Part:
-    """Return the part of a cause in each number of the answer, the first level.
+    """Return a cause's part in the error of each number of the answer.
 
-    Numbers that another level lacks count as 0. Two or three levels are judged by
-    :func:`grid_convergence`, with the order of theory and that of the scheme. With a ratio of
-    sizes, two levels give an expected error, without a factor of safety.
+    The answer is the first level. Numbers that another level lacks count as 0. Two or three levels
+    are judged by :func:`grid_convergence`, with the orders of theory and of the scheme. With a
+    ratio of sizes, two levels give an expected error, without a factor of safety.
     """
     counts, runs = zip(*levels, strict=True)
     sizes = [_size_of(cause, count, scene) for count in counts]

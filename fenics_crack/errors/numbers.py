@@ -1,4 +1,4 @@
-"""Numbers by which answers are compared, of solutions and of exact orbits next to them.
+"""Numbers that compare answers: solutions and exact orbits next to them.
 
 They are of watched points, crack faces, crack tips and the clamp, and natural frequencies.
 
@@ -131,10 +131,15 @@ def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
 
 
 def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
-    """Return order k and U_k / U_1 of the largest harmonic above the load's, if it is truncated.
+    """Find the largest harmonic of a dof if the solution lacks it (collective).
 
-    The harmonic is that of a dof in the solution's own exact orbit. None: the solution has it, or
-    there is no such orbit (collective).
+    Harmonics k above the load's are compared in the solution's own exact orbit. None: the solution
+    has the largest one, or no orbit of its own.
+
+    Returns
+    -------
+    int, float
+        Order k in multiples of the load's frequency, and U_k / U_1 of the amplitudes.
     """
     orbit = accepted_orbit(solution)
     if orbit is None:
@@ -150,7 +155,7 @@ def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] 
 def add_changes(
     values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
 ) -> dict[str, float]:
-    """Add to numbers their change from one motion to another; absent numbers are 0."""
+    """Add the change from one motion to another; absent numbers are 0."""
     return {
         name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
     }
@@ -250,7 +255,7 @@ def _ratios(record: Record) -> np.ndarray:
 
 
 def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, float]:
-    """Return the sizes of the changes of opening, crack force, shares and friction loss."""
+    """Return sizes of change: opening, crack force, shares, friction loss."""
     if not record.n_pairs:
         return {}
     faces, other_faces = Faces(record), Faces(other_record)
@@ -264,7 +269,7 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
 
 
 def _parts_of_pairs(record: Record, faces: Faces) -> dict[str, np.ndarray]:
-    """Return the part of each pair in the numbers that are sums over pairs, (n_pairs,) by name."""
+    """Return each pair's part in sums over pairs: (n_pairs,) by name."""
     parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
     if record.friction is None:
         return parts

@@ -454,7 +454,7 @@ class StatedCase(Case):
         return counts, parts
 
     def _values_at_shifts(self, shifts: np.ndarray) -> list[dict[str, float]]:
-        """Return the numbers at shifted resonances, by relative shifts; of a peak they stay.
+        """Return the numbers at relative shifts of the resonance; unchanged for peaks.
 
         Each solution is found from rest, as on a finer mesh, which may reach another motion.
         """
@@ -467,7 +467,7 @@ class StatedCase(Case):
         return [self.compute_values(solution) for solution in solutions]
 
     def _n_extrapolated(self, shift_range: float, mode: int) -> int:
-        """Return the number of resonances to look at, within a range of relative shifts.
+        """Return the number of extrapolated resonances in a range of relative shifts.
 
         They are the ends, the middle, and so many that a peak's half-power width has four.
         """
@@ -495,7 +495,7 @@ class StatedCase(Case):
 
     @property
     def _relative_dent(self) -> float:
-        """Relative amplitude that half as long elements add under a force at a watched point."""
+        """Relative amplitude that half as long elements add under a point force."""
         if self.study.scene.points:
             return 0.0
         amplitude = self.wave.amplitude(self.study.watched[0].dof)
@@ -525,7 +525,7 @@ class StatedCase(Case):
 
 
 def _with_known_numbers(study: Study) -> Study:
-    """Return a study without stress intensities if its elements are too long for them."""
+    """Drop stress intensities from a study if its elements are too long."""
     try:
         rows_requested(study)
     except InputError:

@@ -127,7 +127,7 @@ def _settled_scene(run: Solved) -> Scene:
 
 
 def _kept_modes(study: Study) -> tuple[int, int] | str:
-    """Return the number of kept modes and the largest; or why they cannot be varied."""
+    """Return kept and possible numbers of modes, or why they are not varied."""
     disk, reduction = study.scene.disk, reduction_of(study.scene, study.structure)
     if disk is not None:
         return disk.families, study.structure.n_dofs // disk.sectors
@@ -245,7 +245,7 @@ class _VerifiedCase(Case):
         max_count: int,
         formal: float,
     ) -> Varied:
-        """Return the part of a cause by twice and four times the count of a key (collective)."""
+        """Judge by twice and four times the count of a key (collective)."""
         counts = sorted({min(factor * count, max_count) for factor in REFINEMENT_FACTORS})
         name = key.rpartition(".")[2]
         finer_scenes = [
@@ -275,10 +275,10 @@ class _VerifiedCase(Case):
         return self._judge_by("mesh", finer_scenes, count, formal, scheme_order=scheme_order)
 
     def shift(self, errors: Verification) -> Varied:
-        """Judge by the change of each number due to the mesh's shift of the resonance (collective).
+        """Judge by the mesh's shift of the resonance (collective).
 
-        It is the largest change at any shift within the resonance's uncertainty, as peaks may lie
-        there, and at its extrapolated value.
+        The part is the largest change of a number at three shifts: half of the resonance's
+        uncertainty, all of it, and the shift to the extrapolated value. Peaks may lie between.
         """
         if "mesh" not in errors.parts:
             return ""
