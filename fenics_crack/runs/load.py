@@ -106,7 +106,10 @@ def free_study(study: Study) -> Study:
 
 
 def structure_under_static_load(structure: Structure, fraction: float) -> Structure:
-    """Return a structure under its mean load and a fraction of the first harmonic's amplitude."""
+    """Return a structure under a static load.
+
+    It is the mean load, plus a fraction of the first harmonic's cosine part and of its sine part.
+    """
     weights = np.zeros((len(structure.force),) * 2)
     weights[0, :3] = 1.0, fraction, fraction
     return structure.varied(load=weights)
