@@ -1,4 +1,4 @@
-"""Commands ``plot`` and ``report``: pictures of results, and an HTML page that describes them.
+"""Commands ``plot`` and ``report``: pictures of results, and an HTML page.
 
 The page has pictures, errors and verdicts in words. Nothing is solved again: pictures and words
 follow from the files of the results, their scenes and their meshes. The page holds the pictures
@@ -220,7 +220,7 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
 
 
 def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
-    """Return what the page shows of a result, by the names of its template."""
+    """Return parts of the page about a result, by the template's names."""
     summary, pictures = report_of(result), Drawn(folder)
     try:
         draw(result, pictures)
@@ -253,7 +253,7 @@ def _sentence(text: str) -> str:
 
 
 def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
-    """Return what the page shows of a scene: values, mesh if it has one, text."""
+    """Return parts of the page about a scene: values, mesh, text."""
     scene, mesh = result.scene, None
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None

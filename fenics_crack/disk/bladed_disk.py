@@ -63,7 +63,7 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """Vibration of each blade of a bladed disk, at the same dof of every blade.
+    """Vibration of each blade of a disk, at the same dof of all.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ class NodalDiameters(Saved):
         return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every nodal diameter: frequencies and engine orders."""
+        """Return columns of frequencies and engine orders over the nodal diameter."""
         columns: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family, omega in enumerate(self.omega.T, 1):
             columns[f"frequency_{family}"] = (omega / (2.0 * np.pi)).tolist()

@@ -1,4 +1,4 @@
-"""Pictures of a bladed disk: its blades, its nodal diameters, and amplification by mistuning."""
+"""Pictures of a bladed disk: blades, nodal diameters, amplification by mistuning."""
 
 from __future__ import annotations
 

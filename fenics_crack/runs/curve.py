@@ -100,7 +100,7 @@ def curve(
 
 
 def _check_curve(study: Study) -> None:
-    """Raise InputError if a study has no load that vibrates, or no law for a curve."""
+    """Raise InputError if no load vibrates, or the law suits no curve."""
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
         requirement = "one that changes in time, for a curve: nothing vibrates"
@@ -197,7 +197,7 @@ def _first_resonance(study: Study, start: float, stop: float) -> float:
 
 
 def _modes_in_words(study: Study, error: float) -> str:
-    """Say that the modes of a curve meet its tolerance, or by how much they miss it."""
+    """Say whether the modes of a curve meet its tolerance, with their error."""
     scene = study.scene
     tolerance, modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
     if error <= tolerance:

@@ -20,7 +20,7 @@ from fenics_crack.time.march import TimeHistory
 
 @dataclass(frozen=True, repr=False)
 class Reaction(Tabular):
-    """Forces and moments of the clamp on a plate or a solid over a motion.
+    """Forces and moments of a plate's or solid's clamp over a motion.
 
     Attributes
     ----------
@@ -41,8 +41,7 @@ class Reaction(Tabular):
 
     @property
     def numbers(self) -> Mapping[str, float]:
-        """Largest size of the force [N], ``reaction_force``, and of the moment [N m],
-        ``reaction_moment``."""
+        """Largest ``reaction_force`` [N] and ``reaction_moment`` [N m]."""
         return read_at(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:

@@ -55,7 +55,7 @@ class Run(Answer, Generic[ResultType]):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Return the stated errors of each number; None for motions in time.
+        """Stated errors of each number; None for motions in time.
 
         A curve has those of its largest response. They are computed when first requested
         (collective).
@@ -227,7 +227,7 @@ class Run(Answer, Generic[ResultType]):
 
 
 def check_motion(run: object) -> None:
-    """Raise InputError unless it is the run of a solution or of a time integration."""
+    """Raise InputError unless a run has a solution or a motion in time."""
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
         requirement = "what fc.solve(scene) or fc.integrate(scene) returns"
         raise InputError("run", type(getattr(run, "result", run)).__name__, requirement)

@@ -88,10 +88,10 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
 
 
 def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
-    """Return a run with the outcome of the motion from rest, if the verdict needs it (collective).
+    """Add the outcome of the motion from rest if the verdict needs it (collective).
 
-    It does if it is undecided, or no pair opens and closes: the multipliers of such a solution know
-    nothing of the contact that another motion meets.
+    An undecided verdict needs it, and one on a solution in which no pair opens and closes: its
+    multipliers know nothing of the contact that another motion meets.
     """
     solution, dof = run.result, run.watched_dof
     stability = solution.stability

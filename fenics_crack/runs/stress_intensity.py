@@ -63,12 +63,12 @@ class StressIntensity(Tabular):
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
-        """Each tip's K_max, K_min, delta_K, delta_K_effective, K_II_max, and K_III_max in a solid:
-        (n_tips,) [Pa m^1/2].
+        """Largest and smallest values and ranges of each tip: (n_tips,) [Pa m^1/2].
 
-        The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a
-        table ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the
-        load, makes the crack grow as much as all cycles of K_I do, counted by rain flow.
+        K_max, K_min, delta_K, delta_K_effective, K_II_max, and in a solid K_III_max. The effective
+        range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a table
+        ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the load, makes
+        the crack grow as much as all cycles of K_I do, counted by rain flow.
         """
         numbers = [tip.numbers() for tip in self._tip_histories]
         return {
@@ -92,7 +92,7 @@ class StressIntensity(Tabular):
 
     @property
     def leading(self) -> int:
-        """The tip whose effective range is the largest."""
+        """Index of the tip with the largest effective range."""
         return leading(self._tip_histories)
 
     @property
@@ -102,7 +102,7 @@ class StressIntensity(Tabular):
 
     @property
     def fronts(self) -> dict[str, list[int]]:
-        """The tips, of a solid the stations, of each front by its name."""
+        """Indices of each front's tips, of a solid stations, by its name."""
         return stations_of_fronts(self.tips)
 
     @property
@@ -120,7 +120,7 @@ class StressIntensity(Tabular):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Return the stated errors of the leading crack tip's numbers; None for motions in time.
+        """Stated errors of the leading tip's numbers; None for motions in time.
 
         They are computed when first requested (collective).
         """
