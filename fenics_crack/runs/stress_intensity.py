@@ -67,8 +67,8 @@ class StressIntensity(Tabular):
 
         K_max, K_min, delta_K, delta_K_effective, K_II_max, and in a solid K_III_max. The effective
         range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a table
-        ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the load, makes
-        the crack grow as much as all cycles of K_I do, counted by rain flow.
+        ``[growth]`` delta_K_equivalent, too: the range from 0 that makes the crack grow as much,
+        once a period of the load, as all cycles of K_I do, counted by rain flow.
         """
         numbers = [tip.numbers() for tip in self._tip_histories]
         return {
