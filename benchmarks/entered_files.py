@@ -43,20 +43,20 @@ COMMANDS = {"solve": [], "curve": [], "grow": [], "identify": ["measured.csv"]}
 
 def main() -> None:
     """Run it."""
-    common.run(__doc__, {"entered": entered})
+    common.run(__doc__, {"entered": print_entered_files})
 
 
-def entered(arguments: common.Arguments) -> None:
+def print_entered_files(arguments: common.Arguments) -> None:
     """Print the files of each command, by folder; each runs in a process of its own."""
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, max_tasks_per_child=1) as pool:
-        for command, paths in zip(COMMANDS, pool.map(files_entered, COMMANDS), strict=True):
+        for command, paths in zip(COMMANDS, pool.map(entered_files, COMMANDS), strict=True):
             folders = Counter(path.parts[0] for path in paths if len(path.parts) > 1)
             counts = ", ".join(f"{key} {count}" for key, count in folders.most_common())
             print(f"{command}: {len(paths)} files ({counts})")
 
 
-def files_entered(command: str) -> set[Path]:
+def entered_files(command: str) -> set[Path]:
     """Return the files of the package with a function that a command calls."""
     names = set()
 

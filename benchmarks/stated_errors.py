@@ -70,7 +70,7 @@ import fenics_crack as fc
 from fenics_crack.balance.error_report import error_against_reference
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.basics.causes import MESH_CAUSES
-from fenics_crack.errors.convergence import UNCHANGED
+from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
 from fenics_crack.model.reduced import ReducedStructure
@@ -668,7 +668,7 @@ def run_chosen(arguments: common.Arguments) -> None:
                 continue
             value, (stated, cause) = run.errors.values[key], run.errors.stated(key)
             off = abs(getattr(true, quantity) / value - 1.0)
-            if off > UNCHANGED:
+            if off > ROUNDING_SPREAD:
                 said = f"{structure.n_modes} modes, {'met' if met else status.split(';')[0]}"
                 rows.append((name, quantity, value, off, stated, off / stated, cause, said))
     columns = (*ANSWERED[:-1], "tolerance")

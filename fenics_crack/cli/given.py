@@ -285,10 +285,10 @@ class Console:
             LOGGER.info("%s", text)
 
     def remark(self, *remarks: object) -> None:
-        """Print what is unusual about a scene, likewise, and each remark once."""
-        new = [text for text in map(str, remarks) if text not in self.printed_remarks]
-        self.printed_remarks.update(new)
-        self.note(*(f"remark: {text}" for text in new))
+        """Print remarks on a scene, each once, unless quiet is requested."""
+        unprinted_texts = [text for text in map(str, remarks) if text not in self.printed_remarks]
+        self.printed_remarks.update(unprinted_texts)
+        self.note(*(f"remark: {text}" for text in unprinted_texts))
 
     def warn(self, *texts: str) -> None:
         """Print warnings, even if quiet."""

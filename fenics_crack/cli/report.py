@@ -1,8 +1,8 @@
-"""The commands ``plot`` and ``report``: pictures of results, of several curves in one, and an HTML
-page with pictures, errors and verdicts in words.
+"""Commands ``plot`` and ``report``: pictures of results, and an HTML page.
 
-Nothing is solved again: all of it follows from the files of the results, their scenes and their
-meshes. In the page stand the pictures themselves, and all words are escaped.
+The page has pictures, errors and verdicts in words. Nothing is solved again: pictures and words
+follow from the files of the results, their scenes and their meshes. The page holds the pictures
+themselves, and all words are escaped.
 """
 
 from __future__ import annotations
@@ -41,107 +41,121 @@ from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
 from fenics_crack.version import VERSION, packaged
 
-IN_SHORT = (
+LISTED_TABLES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
 """Tables of a scene whose keys are listed above its text."""
-WHEN = "%d %B %Y, %H:%M %Z"
+DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 
-def plot_results(given: Namespace, _: None, console: Console) -> None:
-    """Pictures of results, of several curves in one, or of a scene's mesh; by rank 0."""
-    first, labels = given.results[0], given.label
-    is_scene = first.suffix.lower() == ".toml"
-    folder = given.output or (Path("output") / first.stem if is_scene else first.parent)
-    if first.is_dir():
-        folder = given.output or first
+def plot_results(arguments: Namespace, _: None, console: Console) -> None:
+    """Draw results, several curves in one picture, or a scene's mesh, on rank 0."""
+    path, labels = arguments.results[0], arguments.label
+    is_scene = path.suffix.lower() == ".toml"
+    folder = arguments.output or (Path("output") / path.stem if is_scene else path.parent)
+    if path.is_dir():
+        folder = arguments.output or path
     make_writable(folder, console.comm)
 
     def work() -> list[str]:
-        if is_scene and len(given.results) == 1 and not labels:
-            return [str(draw_scene(Scene.load(first), folder, kind=console.pictures))]
-        stored, left = _results_in(given.results)
-        if not first.is_dir() and (len(stored) > 1 or labels):
-            return [str(_draw_curves(stored, labels, folder, console.pictures))]
-        drawn = Drawn(folder, console.pictures, meshes=True)
-        for file in stored:
-            draw(result_of(file), drawn)
-        return [*map(str, drawn.files), *dict.fromkeys(drawn.notes), left]
+        if is_scene and len(arguments.results) == 1 and not labels:
+            return [str(draw_scene(Scene.load(path), folder, kind=console.pictures))]
+        result_files, note = _read_result_files(arguments.results)
+        if not path.is_dir() and (len(result_files) > 1 or labels):
+            return [str(_draw_curves(result_files, labels, folder, console.pictures))]
+        pictures = Drawn(folder, console.pictures, meshes=True)
+        for file in result_files:
+            draw(result_of(file), pictures)
+        return [*map(str, pictures.files), *dict.fromkeys(pictures.notes), note]
 
     with console.stage("pictures"):
         lines = on_root(console.comm, work)
     console.note(*lines)
 
 
-def report(given: Namespace, _: None, console: Console) -> None:
-    """The page of some results, by rank 0."""
-    first = given.results[0]
-    target = given.output or (first if first.is_dir() else first.parent) / "report.html"
-    words = ["fenics-crack", *given.words]
+def report(arguments: Namespace, _: None, console: Console) -> None:
+    """Write the page of some results, on rank 0."""
+    path = arguments.results[0]
+    target = arguments.output or (path if path.is_dir() else path.parent) / "report.html"
+    words = ["fenics-crack", *arguments.words]
 
     def work() -> str:
-        stored, left = _results_in(given.results)
-        _write_report(stored, target, words)
-        return left
+        result_files, note = _read_result_files(arguments.results)
+        _write_report(result_files, target, words)
+        return note
 
     with console.stage("report"):
-        left = on_root(console.comm, work)
-    console.note(str(target), left)
+        note = on_root(console.comm, work)
+    console.note(str(target), note)
 
 
-def _results_in(paths: Sequence[Path]) -> tuple[list[Stored], str]:
-    """Results of files and folders, but for sweeps that are parts of other ones among them; and a
-    note on these.
+def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
+    """Read result files and those in folders, without sweeps that are parts of others.
+
+    Returns
+    -------
+    list of Stored
+        All files if there are only parts; structures that commands keep only if there are no other
+        files.
+    str
+        Note that names the files left out; empty without any.
 
     Raises
     ------
     InputError
         A file cannot be read, or there is no result in a folder.
     """
-    found: list[Stored] = []
+    result_files: list[Stored] = []
     for path in paths:
         files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
         if not files:
             raise InputError("result", str(path), "a folder with results, .h5 files")
-        found += map(read, files)
-    found = [file for file in found if file.kind != KEPT_KIND] or found
-    whole = [file for file in found if not is_part(file)]
-    left = ", ".join(str(file.path) for file in found if is_part(file)) if whole else ""
-    return whole or found, f"left out, as parts of other results: {left}" if left else ""
+        result_files += map(read, files)
+    result_files = [file for file in result_files if file.kind != KEPT_KIND] or result_files
+    whole_files = [file for file in result_files if not is_part(file)]
+    part_paths = (
+        ", ".join(str(file.path) for file in result_files if is_part(file)) if whole_files else ""
+    )
+    return (
+        whole_files or result_files,
+        f"left out, as parts of other results: {part_paths}" if part_paths else "",
+    )
 
 
-def _draw_curves(stored: Sequence[Stored], labels: Sequence[str], folder: Path, kind: str) -> Path:
+def _draw_curves(
+    result_files: Sequence[Stored], labels: Sequence[str], folder: Path, kind: str
+) -> Path:
     """Draw the responses of several curves on the same axes; return the file.
 
-    ``labels`` name the results; without any they are called by what differs between their scenes,
-    and by their files where nothing does.
+    ``labels`` name the results. Without labels the differences between the scenes name them, or the
+    files if two scenes have no difference.
 
     Raises
     ------
     InputError
         The files are no curves in the same parameter, or the labels are not as many.
     """
-    if labels and len(labels) != len(stored):
-        allowed = f"given {len(stored)} times, once for each result"
-        raise InputError("--label", list(labels), allowed)
-    paths = [file.path for file in stored]
-    if {file.kind for file in stored} != {ResponseCurve.KIND}:
-        kinds = [file.kind for file in stored]
+    if labels and len(labels) != len(result_files):
+        requirement = f"given {len(result_files)} times, once for each result"
+        raise InputError("--label", list(labels), requirement)
+    paths = [file.path for file in result_files]
+    if {file.kind for file in result_files} != {ResponseCurve.KIND}:
+        kinds = [file.kind for file in result_files]
         raise InputError("result", kinds, "curves, where several are drawn in one picture")
-    found: list[Any] = [*map(result_of, stored)]
-    names = list(labels) or differences([one.scene for one in found])
+    runs: list[Any] = [*map(result_of, result_files)]
+    names = list(labels) or differences([run.scene for run in runs])
     if len(set(names)) < len(names):
         places = [str(Path(path).with_suffix("")) for path in paths]
-        names = [", ".join(filter(None, both)) for both in zip(names, places, strict=True)]
+        names = [", ".join(filter(None, words)) for words in zip(names, places, strict=True)]
     if len(set(names)) < len(names):
         raise InputError("result", [str(path) for path in paths], "different files")
-    if len(parameters := {run.result.parameter for run in found}) > 1:
+    if len(parameters := {run.result.parameter for run in runs}) > 1:
         raise InputError("result", sorted(parameters), "curves in one parameter")
-    watched = {run.watched_name for run in found}
-    title = watched.pop() if len(watched) == 1 else None
+    watched_names = {run.watched_name for run in runs}
+    title = watched_names.pop() if len(watched_names) == 1 else None
     [panel] = picture = Picture(size=(7.0, 4.6), path=folder / f"overlay_curve.{kind}", title=title)
-    for label, run, colour in zip(names, found, distinct_colours(len(found)), strict=True):
+    for label, run, colour in zip(names, runs, distinct_colours(len(runs)), strict=True):
         look = {"label": label, "colour": colour, "in_hertz": run.scene.in_hertz}
         plot_curve.draw_curve(run.result, run.watched_dof, axes=panel, **look)
     picture.saved()
@@ -173,54 +187,64 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
     from jinja2 import Environment  # which plots do without
 
     order = list(KINDS)
-    both = [(file, result_of(file)) for file in {file.path: file for file in files}.values()]
-    both.sort(key=lambda one: (order.index(one[0].kind), one[1].scene is None))
-    scened = [result for _, result in both if result.scene is not None]  # or a record
-    differs = iter(differences([result.scene.replace({"reduction": None}) for result in scened]))
-    kinds, stems = [file.kind for file, _ in both], [file.path.stem for file, _ in both]
+    entries = [(file, result_of(file)) for file in {file.path: file for file in files}.values()]
+    entries.sort(key=lambda entry: (order.index(entry[0].kind), entry[1].scene is None))
+    scene_results = [result for _, result in entries if result.scene is not None]  # or a record
+    scene_differences = iter(
+        differences([result.scene.replace({"reduction": None}) for result in scene_results])
+    )
+    kinds, stems = [file.kind for file, _ in entries], [file.path.stem for file, _ in entries]
     folder = passing_folder()
-    page = _scene(scened[0], folder) if scened else {}
+    page = _describe_scene(scene_results[0], folder) if scene_results else {}
     parts = []
-    for number, (file, result) in enumerate(both):
-        part = _part(file, result, folder / str(number)) | {"differs": next(differs, "")}
+    for number, (file, result) in enumerate(entries):
+        part = _describe_result(file, result, folder / str(number)) | {
+            "differs": next(scene_differences, "")
+        }
         if kinds.count(file.kind) > 1:
-            alike = stems.count(file.path.stem) > 1
-            part["heading"] += f": {file.path.with_suffix('') if alike else file.path.stem}"
+            is_repeated = stems.count(file.path.stem) > 1
+            part["heading"] += f": {file.path.with_suffix('') if is_repeated else file.path.stem}"
         parts.append(part)
     page |= {
-        "title": f"Vibration of {both[0][0].path.resolve().parent.name}",
-        "under": f"{datetime.now(UTC).astimezone():{WHEN}}, fenics_crack {VERSION}",
+        "title": f"Vibration of {entries[0][0].path.resolve().parent.name}",
+        "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
         "parts": parts,
         "doubts": [f"{part['heading']}: {text}" for part in parts for text in part["doubts"]],
-        "versions": _versions([file for file, _ in both]),
+        "versions": _versions([file for file, _ in entries]),
         "command": shlex.join(command),
     }
-    form = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    write_whole(target, form.from_string(packaged("cli/report.html")).render(page), "--output")
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    write_whole(
+        target, environment.from_string(packaged("cli/report.html")).render(page), "--output"
+    )
 
 
-def _part(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
-    """A result as the page shows it."""
-    found, drawn = report_of(result), Drawn(folder)
+def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
+    """Return parts of the page about a result, by the template's names."""
+    summary, pictures = report_of(result), Drawn(folder)
     try:
-        draw(result, drawn)
+        draw(result, pictures)
     except WriteError:
         raise
     except InputError as error:  # a sweep over words
-        drawn.notes.append(f"no picture: {error}")
-    written = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
-    box = "bad" if not found.done else "doubtful" if found.missed or found.warnings else "good"
-    tables = found.tables or {"In numbers": printed(found)}
+        pictures.notes.append(f"no picture: {error}")
+    file_time = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
+    box = (
+        "bad" if not summary.done else "doubtful" if summary.missed or summary.warnings else "good"
+    )
+    tables = summary.tables or {"In numbers": printed(summary)}
     return {
         "heading": KINDS[file.kind].heading,
-        "closing": f"{_sentence(found.closing)}.",
+        "closing": f"{_sentence(summary.closing)}.",
         "box": box,
-        "notes": [*map(_sentence, filter(None, (*found.notes, *dict.fromkeys(drawn.notes))))],
-        "doubts": [*map(_sentence, found.warnings), *map(str, found.remarks)],  # with keys
-        "pictures": [_picture(path, words) for path, words in drawn.files.items() if path.exists()],
-        "tables": {**tables, **found.further},
+        "notes": [*map(_sentence, filter(None, (*summary.notes, *dict.fromkeys(pictures.notes))))],
+        "doubts": [*map(_sentence, summary.warnings), *map(str, summary.remarks)],  # with keys
+        "pictures": [
+            _picture(path, words) for path, words in pictures.files.items() if path.exists()
+        ],
+        "tables": {**tables, **summary.further},
         "path": file.path,
-        "written": f"{written:{WHEN}}",
+        "written": f"{file_time:{DATE_FORMAT}}",
     }
 
 
@@ -228,15 +252,15 @@ def _sentence(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def _scene(result: Any, folder: Path) -> dict[str, Any]:
-    """The scene of a result in short, its mesh if it has one, its text."""
+def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
+    """Return parts of the page about a scene: values, mesh, text."""
     scene, mesh = result.scene, None
     if scene.geometry is not None:
-        own = result.structure.whole if isinstance(result, Run) else None
-        mesh = _picture(draw_scene(scene, folder, own), "The mesh with its named parts.")
-    given = given_values(scene)
-    keys = [key for table in IN_SHORT for key in given if key.startswith(f"{table}.")]
-    rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, given[k])) for k in keys]
+        structure = result.structure.whole if isinstance(result, Run) else None
+        mesh = _picture(draw_scene(scene, folder, structure), "The mesh with its named parts.")
+    values_by_key = given_values(scene)
+    keys = [key for table in LISTED_TABLES for key in values_by_key if key.startswith(f"{table}.")]
+    rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, values_by_key[k])) for k in keys]
     if scene.excitation.order is not None:
         rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", harmonics_in_words(scene)))
@@ -244,7 +268,7 @@ def _scene(result: Any, folder: Path) -> dict[str, Any]:
 
 
 def _value(key: str, value: object) -> str:
-    """A value in words; of a vector both parts."""
+    """Return a scene's value in words, of a vector with all components."""
     if isinstance(value, list):
         return f"{value} {unit_of(key)}".rstrip()
     return value_in_words(key, value)
@@ -254,14 +278,14 @@ def _versions(files: Sequence[Stored]) -> Table:
     """List the versions that made the results, and those that made the page."""
     rows = []
     for file in files:
-        made = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"
-        rows.append((str(file.path), made))
-    drawn = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
-    rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))
+        file_versions = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"
+        rows.append((str(file.path), file_versions))
+    page_versions = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
+    rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
     return Table(("file", "made with"), rows)
 
 
 def _picture(path: Path, words: str) -> dict[str, str]:
-    """A picture file with the sentence below it."""
+    """Return a picture as data for the page, with the sentence below it."""
     data = base64.b64encode(content_of(path, None)).decode("ascii")
     return {"words": words, "data": f"data:image/{path.suffix[1:]};base64,{data}"}

@@ -38,7 +38,7 @@ from fenics_crack.model.modes import (
     bilinear_frequencies,
 )
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.runs.conclusion import said_of, unknown_error, unknown_of_solution
+from fenics_crack.runs.conclusion import conclusion_of, unknown_error, unknown_of_solution
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import asked_quantities
@@ -74,9 +74,9 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run), *incomplete_numbers]
     how["warnings"] = [*how.get("warnings", ()), *turning]
     if table.columns[0] != "name":
-        return Report(table, said_of(run), remarks=run.remarks, **how)
+        return Report(table, conclusion_of(run), remarks=run.remarks, **how)
     how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
-    report = Report(table, said_of(run), remarks=run.remarks, **how)
+    report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
     row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
     row += ["" for _ in table.columns[len(row) :]]
     return replace(report, table=Table(table.columns, [*table.rows, row]))

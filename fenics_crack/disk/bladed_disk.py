@@ -1,5 +1,4 @@
-"""A bladed disk in numbers: its blades side by side, its frequencies over the nodal diameter, and
-how much mistuning amplifies the response of one blade.
+"""Blades of a bladed disk, frequencies over the nodal diameter, amplification by mistuning.
 
 An engine order E excites, of the modes of a tuned wheel of N sectors, those of one nodal diameter:
 
@@ -42,15 +41,15 @@ from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
 
-PER_WIDTH = 8
-"""Frequencies in the half-power bandwidth of a mode at which a response is computed: the largest is
-then within 2e-3 of the peak of one mode, and a parabola through three within 1e-5."""
-WIDTHS = 1.5
+FREQUENCIES_PER_WIDTH = 8
+"""Frequencies per half-power bandwidth at which a response is computed. The largest amplitude is
+within 2e-3 of the peak of one mode, and a parabola through three within 1e-5."""
+SEARCH_WIDTHS = 1.5
 """Half-power bandwidths to either side of a natural frequency in which a peak is looked for."""
 
 
 def wheel_of(structure: Structure) -> Wheel:
-    """The whole wheel of a structure, reduced or not.
+    """Return the whole wheel of a structure, reduced or not.
 
     Raises
     ------
@@ -64,7 +63,7 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """How each blade of a bladed disk vibrates, at the dof that is watched of the first one.
+    """Vibration of each blade of a disk, at the same dof of all.
 
     Attributes
     ----------
@@ -98,7 +97,7 @@ class Blades(Tabular):
         return np.angle(self.fundamental)
 
     def to_dict(self) -> dict[str, Any]:
-        """A row for every blade."""
+        """Return columns with a row for every blade."""
         numbers = range(1, len(self.amplitude) + 1)
         return {
             "blade": list(numbers),
@@ -114,13 +113,13 @@ class Blades(Tabular):
         return {"amplitude": "m", "phase": "degrees", "frequency": "Hz"}
 
     def _title(self) -> str:
-        largest = int(np.argmax(self.amplitude))
-        size = f"{self.amplitude[largest]:.4g} m of blade {largest + 1}"
+        blade_index = int(np.argmax(self.amplitude))
+        size = f"{self.amplitude[blade_index]:.4g} m of blade {blade_index + 1}"
         return f"{counted(len(self.amplitude), 'blade')}, the largest amplitude {size}"
 
 
 def blades(found: Any, dof: int | None = None) -> Blades:
-    """The vibration of every blade of a bladed disk (collective).
+    """Find the vibration of every blade of a bladed disk (collective).
 
     Parameters
     ----------
@@ -144,23 +143,24 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     >>> fc.blades(fc.solve(disk)).amplitude.max()
     """
     result = getattr(found, "result", found)
-    on_one = isinstance(result, PeriodicSolution)
-    if not on_one and not isinstance(result, ResponseCurve):
+    is_solution = isinstance(result, PeriodicSolution)
+    if not is_solution and not isinstance(result, ResponseCurve):
         raise InputError("found", type(found).__name__, "a solution or a response curve")
     structure = result.structure
     wheel = wheel_of(structure)
     dofs = wheel.dofs_of_blades(int(wheel.check_dofs([dof])[0]))
-    solution_at = cache(lambda place: result if on_one else result.solution(place))
+    solution_at = cache(lambda place: result if is_solution else result.solution(place))
     values: list[tuple[float, complex, float, float]] = []
-    for seen, one in zip(result.measure(dofs), dofs, strict=True):
-        solution = solution_at(int(np.argmax(seen.amplitude)))
-        rows = to_complex(structure.values_at(solution.displacement_coefficients, [one]))[:, 0]
-        higher = abs(rows[2]) if len(rows) > 2 else 0.0
-        second = higher / abs(rows[1]) if rows[1] else 0.0
-        values.append((solution.amplitude(one), rows[1], second, solution.omega))
-    amplitude, fundamental, ratio, omega = map(np.array, zip(*values, strict=True))
-    cracked = tuple(place + 1 for place in wheel.cracked)
-    return Blades(amplitude, fundamental, ratio, omega, wheel.mistuning, cracked)
+    for indicators, blade_dof in zip(result.measure(dofs), dofs, strict=True):
+        solution = solution_at(int(np.argmax(indicators.amplitude)))
+        coefficients = structure.values_at(solution.displacement_coefficients, [blade_dof])
+        rows = to_complex(coefficients)[:, 0]
+        second_amplitude = abs(rows[2]) if len(rows) > 2 else 0.0
+        ratio = second_amplitude / abs(rows[1]) if rows[1] else 0.0
+        values.append((solution.amplitude(blade_dof), rows[1], ratio, solution.omega))
+    amplitude, fundamental, ratios, omega = map(np.array, zip(*values, strict=True))
+    cracked_numbers = tuple(place + 1 for place in wheel.cracked)
+    return Blades(amplitude, fundamental, ratios, omega, wheel.mistuning, cracked_numbers)
 
 
 # --- nodal diameters ------------------------------------------------------------------------------
@@ -200,34 +200,35 @@ class NodalDiameters(Saved):
         return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
-        """A row for every nodal diameter; frequencies of the families."""
-        found: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
+        """Return columns of frequencies and engine orders over the nodal diameter."""
+        columns: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family, omega in enumerate(self.omega.T, 1):
-            found[f"frequency_{family}"] = (omega / (2.0 * np.pi)).tolist()
-        return found | {"engine_orders": [self._orders(n) for n in range(len(self.omega))]}
+            columns[f"frequency_{family}"] = (omega / (2.0 * np.pi)).tolist()
+        return columns | {"engine_orders": [self._orders(n) for n in range(len(self.omega))]}
 
     def _orders(self, diameter: int) -> str:
-        """The lowest engine orders that excite a nodal diameter."""
-        first = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
-        return " ".join(map(str, first))
+        """Return the lowest engine orders that excite a nodal diameter."""
+        lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
+        return " ".join(map(str, lowest_orders))
 
     def _units(self) -> dict[str, str]:
         return {f"frequency_{family + 1}": "Hz" for family in range(self.omega.shape[1])}
 
     def said(self) -> Said:
-        """What the last sentence on the frequencies says."""
+        """Return the parts of the last sentence on the frequencies."""
         hertz = ", ".join(f"{omega / TURN:.6g}" for omega in self.omega[self.excited])
-        excited = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
-        others = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
-        return Said(f"{counted(len(self.omega), 'nodal diameter')} found", excited, others=others)
+        answer = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
+        remarks = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
+        return Said(f"{counted(len(self.omega), 'nodal diameter')} found", answer, others=remarks)
 
     def _title(self) -> str:
         return f"{counted(len(self.omega), 'nodal diameter')} of {self.sectors} sectors"
 
 
 def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiameters:
-    """Natural frequencies of a scene's bladed disk over the nodal diameter, without mistuning and
-    with bonded cracks; ranks share the nodal diameters (collective).
+    """Find natural frequencies of a bladed disk over the nodal diameter (collective).
+
+    The disk has no mistuning, and its cracks are bonded. Ranks share the nodal diameters.
 
     Parameters
     ----------
@@ -255,9 +256,9 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     return NodalDiameters(scene, np.array(wheel.cyclic_modes().omega))
 
 
-def report_of_diameters(found: NodalDiameters) -> Report:
-    """The frequencies, and those that the load excites."""
-    return Report(found.table(), found.said(), remarks=remarks_on_scene(found.scene))
+def report_of_diameters(diameters: NodalDiameters) -> Report:
+    """Report the frequencies, and those that the load excites."""
+    return Report(diameters.table(), diameters.said(), remarks=remarks_on_scene(diameters.scene))
 
 
 # --- patterns of mistuning ------------------------------------------------------------------------
@@ -299,16 +300,16 @@ class Amplification(Saved):
 
     @property
     def bound(self) -> float:
-        """Whitehead's: (1 + sqrt(N)) / 2."""
+        """Whitehead's bound of the factor: (1 + sqrt(N)) / 2."""
         return 0.5 * (1.0 + math.sqrt(self.scene.given("disk").sectors))
 
     def percentile(self, percent: float) -> float:
-        """The factor that so many of the patterns do not exceed [%]."""
+        """Return the factor that a percentage of the patterns does not exceed."""
         check_number("percent", percent, 0.0)
         return float(np.percentile(self.factor, min(percent, 100.0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """A row for every pattern."""
+        """Return columns with a row for every pattern."""
         seeds = range(self.seed, self.seed + len(self.factor))
         return {
             "seed": list(seeds),
@@ -321,10 +322,10 @@ class Amplification(Saved):
         return {"frequency": "Hz"}
 
     def said(self) -> Said:
-        """What the last sentence on the patterns says."""
-        known = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
-        known += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
-        return Said(f"{counted(len(self.factor), 'pattern')} solved", known)
+        """Return the parts of the last sentence on the patterns."""
+        answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
+        answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
+        return Said(f"{counted(len(self.factor), 'pattern')} solved", answer)
 
     def _title(self) -> str:
         size = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
@@ -339,7 +340,7 @@ def amplification(
     seed: int = 0,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> Amplification:
-    """Amplification factors of random patterns of mistuning of a bladed disk without a crack.
+    """Find amplification factors of random mistuning patterns of a disk without cracks.
 
     The family of modes is the one whose frequency at the nodal diameter of the engine order is
     nearest to the scene's load; what is watched is the scene's dof on every blade. Ranks share the
@@ -377,72 +378,81 @@ def amplification(
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")
-    of_pattern = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
-    bonded = scene.replace({"disk.cracked": [], **of_pattern})
-    wheel = wheel_of(assemble(bonded, comm))
-    largest = _largest_response(wheel, scene.excitation.omega)
-    tuned, tuned_omega, _ = largest(np.zeros(wheel.sector.count))
-    found = []
+    pattern_keys = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
+    bonded_scene = scene.replace({"disk.cracked": [], **pattern_keys})
+    wheel = wheel_of(assemble(bonded_scene, comm))
+    find_peak = _make_peak_finder(wheel, scene.excitation.omega)
+    tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.count))
+    rank_rows = []
     for number in range(comm.rank, patterns, comm.size):
-        own = bonded.replace({"disk.seed": seed + number})
-        found.append((number, *largest(own.given("disk").deviations)))
-    every = sorted(one for part in comm.allgather(found) for one in part)
-    _, sizes, omegas, numbers = map(np.array, zip(*every, strict=True))
-    largest_ones = sizes / tuned, omegas, numbers, tuned, tuned_omega
-    return Amplification(scene, *largest_ones, float(deviation), seed)
+        pattern_scene = bonded_scene.replace({"disk.seed": seed + number})
+        rank_rows.append((number, *find_peak(pattern_scene.given("disk").deviations)))
+    rows = sorted(row for part in comm.allgather(rank_rows) for row in part)
+    _, sizes, omegas, numbers = map(np.array, zip(*rows, strict=True))
+    columns = sizes / tuned_amplitude, omegas, numbers, tuned_amplitude, tuned_omega
+    return Amplification(scene, *columns, float(deviation), seed)
 
 
-def report_of_amplification(found: Amplification) -> Report:
-    """Amplification factors by shares of the patterns."""
+def report_of_amplification(factors: Amplification) -> Report:
+    """Report amplification factors by shares of the patterns."""
     shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
-    rows = [[share, found.percentile(share)] for share in shares]
-    tuned = f"{quantity(found.tuned, 'm')} at {found.tuned_omega / TURN:.6g} Hz"
-    shown = Table(["share of patterns [%]", "amplification factor"], rows)
-    notes = [f"the tuned wheel without a crack: {tuned}"]
-    return Report(found.table(), found.said(), shown=shown, notes=notes)
+    rows = [[share, factors.percentile(share)] for share in shares]
+    tuned_peak = f"{quantity(factors.tuned, 'm')} at {factors.tuned_omega / TURN:.6g} Hz"
+    share_table = Table(["share of patterns [%]", "amplification factor"], rows)
+    notes = [f"the tuned wheel without a crack: {tuned_peak}"]
+    return Report(factors.table(), factors.said(), shown=share_table, notes=notes)
 
 
-Largest = Callable[[np.ndarray], tuple[float, float, int]]
-"""Largest amplitude [m] of any blade without contact, its frequency [rad/s] and the number of the
-blade, of the relative deviations of all sectors' stiffness."""
+PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]
+"""Function of the sectors' relative deviations of stiffness (N,). Without contact, it returns the
+largest amplitude of any blade [m], its frequency [rad/s] and the number of the blade."""
 
 
-def _largest_response(wheel: Wheel, near: float) -> Largest:
-    """Return the largest response of a wheel, in the family of modes that its engine order excites
-    next to a frequency."""
-    few, count = WheelStructure(wheel, count_basis_families(wheel.families)), wheel.sector.count
-    (mass, tuned), damping = few.basis.tuned_matrices, wheel.damping
-    force = few.force[1] - 1j * few.force[2]
+def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
+    """Return the function that finds the largest response of a mistuned wheel.
+
+    It looks in the family of modes that the engine order excites next to the load's frequency.
+    """
+    structure = WheelStructure(wheel, count_basis_families(wheel.families))
+    count = wheel.sector.count
+    (mass, tuned_stiffness), damping = structure.basis.tuned_matrices, wheel.damping
+    force = structure.force[1] - 1j * structure.force[2]
     if not np.any(force):
         raise InputError("load", "steady", "one that changes in time: nothing vibrates")
     if not isinstance(damping, DampingRule):
         raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
     families = np.array(wheel.cyclic_modes().omega)
-    excited = families[excited_diameter(wheel.order, count)]
-    slower = families < excited[np.argmin(np.abs(excited - near))] * (1.0 - 1e-9)
-    below = round(count * float(wheel.sector.shares @ slower.sum(axis=1)))
+    excited_omega = families[excited_diameter(wheel.order, count)]
+    family_omega = excited_omega[np.argmin(np.abs(excited_omega - load_omega))]
+    is_slower = families < family_omega * (1.0 - 1e-9)
+    n_slower = round(count * float(wheel.sector.shares @ is_slower.sum(axis=1)))
     # Of the excited family all N modes are looked at, and as many around it.
-    around = slice(max(below - count, 0), max(below - count, 0) + 2 * count)
-    rows = few.values_at(np.eye(few.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
-    steps = np.arange(-WIDTHS, WIDTHS + 0.5 / PER_WIDTH, 1.0 / PER_WIDTH)
+    mode_range = slice(max(n_slower - count, 0), max(n_slower - count, 0) + 2 * count)
+    rows = structure.values_at(np.eye(structure.n_dofs), wheel.dofs_of_blades(wheel.watched_dof)).T
+    steps = np.arange(
+        -SEARCH_WIDTHS, SEARCH_WIDTHS + 0.5 / FREQUENCIES_PER_WIDTH, 1.0 / FREQUENCIES_PER_WIDTH
+    )
 
-    def largest(deviations: np.ndarray) -> tuple[float, float, int]:
-        stiffness = tuned + np.tensordot(deviations, few.basis.sector_stiffnesses, 1)
+    def find_peak(deviations: np.ndarray) -> tuple[float, float, int]:
+        stiffness = tuned_stiffness + np.tensordot(
+            deviations, structure.basis.sector_stiffnesses, 1
+        )
         squares, shapes = scipy.linalg.eigh(stiffness, mass)
-        natural, rate = np.sqrt(squares), damping.rate(squares)
-        pull, seen = shapes.T @ force, rows @ shapes
-        omega = np.sort((natural[around, None] + rate[around, None] * steps).ravel())
+        natural_omega, rate = np.sqrt(squares), damping.rate(squares)
+        modal_force, blade_shapes = shapes.T @ force, rows @ shapes
+        omega = np.sort((natural_omega[mode_range, None] + rate[mode_range, None] * steps).ravel())
 
-        def amplitudes(at: np.ndarray) -> np.ndarray:
-            change = squares - at[:, None] ** 2 + 1j * rate * at[:, None]
-            return np.abs((pull / change) @ seen.T)
+        def amplitudes(frequencies: np.ndarray) -> np.ndarray:
+            change = squares - frequencies[:, None] ** 2 + 1j * rate * frequencies[:, None]
+            return np.abs((modal_force / change) @ blade_shapes.T)
 
         sizes = amplitudes(omega)
         place, blade = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-        step = np.interp(omega[place], natural[around], rate[around]) / PER_WIDTH
-        finer = omega[place] + step * np.linspace(-1.0, 1.0, 41)
-        best = amplitudes(finer)[:, blade]
-        top = int(np.argmax(best))
-        return float(best[top]), float(finer[top]), int(blade) + 1
+        width = np.interp(omega[place], natural_omega[mode_range], rate[mode_range])
+        step = width / FREQUENCIES_PER_WIDTH
+        fine_omega = omega[place] + step * np.linspace(-1.0, 1.0, 41)
+        fine_sizes = amplitudes(fine_omega)[:, blade]
+        top = int(np.argmax(fine_sizes))
+        return float(fine_sizes[top]), float(fine_omega[top]), int(blade) + 1
 
-    return largest
+    return find_peak

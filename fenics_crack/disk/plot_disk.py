@@ -1,4 +1,4 @@
-"""Pictures of a bladed disk: its blades, its nodal diameters, and amplification by mistuning."""
+"""Pictures of a bladed disk: blades, nodal diameters, amplification by mistuning."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ FRAMES = 48
 
 
 def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
-    """Draw a bladed disk coloured by the amplitude of its vibration, with the numbers of its
-    blades (collective).
+    """Draw a bladed disk coloured by the amplitude of its vibration (collective).
 
     The shape is that of the instant at which the wheel moves most, magnified; the colour is the
-    largest displacement over the period, without its mean. Cracked blades have orange numbers.
+    largest displacement over the period, without its mean. Blades of a plane disk have numbers;
+    those of cracked blades are orange.
 
     Parameters
     ----------
@@ -54,43 +54,45 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     """
     wheel = wheel_of(solution.structure)
     mesh = NodalMesh(solution.structure)
-    moved = mesh.nodal_vectors(
+    displacements = mesh.nodal_vectors(
         solution.displacement_field(solution.period / FRAMES * np.arange(FRAMES))
     )
-    moved = moved - moved.mean(axis=0)
-    sizes = np.linalg.norm(moved, axis=2)
-    amplitude, largest = sizes.max(axis=0), moved[int(np.argmax(sizes.max(axis=1)))]
+    displacements = displacements - displacements.mean(axis=0)
+    sizes = np.linalg.norm(displacements, axis=2)
+    amplitude = sizes.max(axis=0)
+    largest_displacement = displacements[int(np.argmax(sizes.max(axis=1)))]
     [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
     factor, unit = readable(float(amplitude.max()), "m")
-    drawn = 0.5 * tenth(largest, mesh.size) * largest
-    shown = draw_moved(panel, mesh, drawn, factor * amplitude, of_wheel=True)
-    panel.figure.colorbar(shown, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
+    shape_displacement = 0.5 * tenth(largest_displacement, mesh.size) * largest_displacement
+    coloured_mesh = draw_moved(panel, mesh, shape_displacement, factor * amplitude, of_wheel=True)
+    panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
     if mesh.dimension == 2:
         _number_blades(panel, wheel)
     return picture.saved()
 
 
 def _number_blades(panel: Axes, wheel: Wheel) -> None:
-    """The number of each blade, beyond the node that is farthest from the axis."""
+    """Write the number of each blade outside the node farthest from the axis."""
     sector, nodes = wheel.sector, wheel.sector.structure.nodes
     assert nodes is not None
-    middle = nodes.points.mean(axis=0) - sector.center
+    sector_middle = nodes.points.mean(axis=0) - sector.center
     reach = 1.08 * float(np.linalg.norm(nodes.points - sector.center, axis=1).max())
     for place in range(sector.count):
-        at = sector.center + reach * sector.rotation_matrix(place) @ (
-            middle / np.linalg.norm(middle)
+        position = sector.center + reach * sector.rotation_matrix(place) @ (
+            sector_middle / np.linalg.norm(sector_middle)
         )
         colour, weight = ("orange", "bold") if place in wheel.cracked else ("grey", "normal")
         look = {"color": COLOURS[colour], "weight": weight, "ha": "center", "va": "center"}
-        panel.text(*at, str(place + 1), **look)
-        panel.update_datalim([at])
+        panel.text(*position, str(place + 1), **look)
+        panel.update_datalim([position])
 
 
 def draw_blades(
     curve: ResponseCurve, dof: int | None = None, *, in_hertz: bool = True, **where: Unpack[Where]
 ) -> Figure:
-    """Draw the response of every blade of a bladed disk along a curve; cracked blades are orange,
-    the whole blade with the largest response blue.
+    """Draw the response of every blade of a bladed disk along a curve.
+
+    Cracked blades are orange, the whole blade with the largest response blue.
 
     Parameters
     ----------
@@ -119,21 +121,23 @@ def draw_blades(
     """
     wheel = wheel_of(curve.problem_of(0).structure)
     dofs = wheel.dofs_of_blades(wheel.watched_dof if dof is None else dof)
-    lines = np.array([curve.amplitude(one) for one in dofs])
+    lines = np.array([curve.amplitude(blade_dof) for blade_dof in dofs])
     factor, *name = parameter_axis(curve.parameter, in_hertz)
     [panel] = picture = Picture(comm=wheel.comm, **where)
-    whole = [place for place in range(len(dofs)) if place not in wheel.cracked]
+    whole_blades = [place for place in range(len(dofs)) if place not in wheel.cracked]
     peaks = lines.max(axis=1)
-    for place in whole:
+    for place in whole_blades:
         panel.plot(factor * curve.values, lines[place], color="#b4b4b4", lw=0.8)
-    marked = [(max(whole, key=lambda place: peaks[place]), "blue", "")] if whole else []
-    marked += [(place, "orange", ", cracked") for place in wheel.cracked]
-    for place, colour, words in marked:
+    highlighted_blades = (
+        [(max(whole_blades, key=lambda place: peaks[place]), "blue", "")] if whole_blades else []
+    )
+    highlighted_blades += [(place, "orange", ", cracked") for place in wheel.cracked]
+    for place, colour, words in highlighted_blades:
         label = f"blade {place + 1}{words}, up to {quantity(float(peaks[place]), 'm')}"
         panel.plot(factor * curve.values, lines[place], color=COLOURS[colour], lw=1.5, label=label)
-    others = len(whole) - 1
-    if others > 0:
-        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {others} others")
+    n_grey = len(whole_blades) - 1
+    if n_grey > 0:
+        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {n_grey} others")
     panel.set_yscale("log")
     panel.set_xlabel(f"{name[0]} [{name[1]}]")
     label_axis(panel.yaxis, "amplitude", "m")
@@ -143,10 +147,11 @@ def draw_blades(
 def draw_nodal_diameters(
     found: NodalDiameters, *, families: int | None = None, **where: Unpack[Where]
 ) -> Figure:
-    """Draw natural frequencies over the nodal diameter (SAFE diagram, Singh and others 1988): dots
-    of each family; of a rotor, the frequency of each engine order at the nodal diameter that it
-    excites, which goes up and down between 0 and N/2. The order of the load has a ring on each
-    family.
+    """Draw natural frequencies over the nodal diameter (SAFE diagram).
+
+    Families are dots (Singh and others 1988). The order of the load has a ring on each family. A
+    rotor has the frequency of each engine order at the nodal diameter that the order excites, which
+    goes up and down between 0 and N/2.
 
     Parameters
     ----------
@@ -169,14 +174,18 @@ def draw_nodal_diameters(
     from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
 
     [panel] = picture = Picture(**where)
-    shown = found.omega[:, :families] / TURN
-    diameters = np.arange(len(shown))
-    for (family, row), colour in zip(enumerate(shown.T, 1), [*COLOURS.values()] * 99, strict=False):
+    frequencies = found.omega[:, :families] / TURN
+    diameters = np.arange(len(frequencies))
+    for (family, row), colour in zip(
+        enumerate(frequencies.T, 1), [*COLOURS.values()] * 99, strict=False
+    ):
         panel.plot(diameters, row, ".-", color=colour, ms=7, lw=0.8, label=f"family {family}")
     look = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
-    excited = shown[found.excited]
-    panel.plot(np.full(len(excited), found.excited), excited, "o", ms=10, **look)
-    top = 1.08 * float(shown.max())
+    excited_frequencies = frequencies[found.excited]
+    panel.plot(
+        np.full(len(excited_frequencies), found.excited), excited_frequencies, "o", ms=10, **look
+    )
+    top = 1.08 * float(frequencies.max())
     if (speed := found.scene.speed) > 0.0:
         hertz = speed / TURN
         orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
@@ -189,8 +198,9 @@ def draw_nodal_diameters(
 
 
 def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
-    """Draw the distribution of the amplification factors of random patterns of mistuning: a
-    histogram, the share of patterns below a factor, and Whitehead's bound.
+    """Draw the distribution of the amplification factors of mistuning patterns.
+
+    It has a histogram, the share of patterns below a factor, and Whitehead's bound.
 
     Parameters
     ----------
@@ -217,9 +227,11 @@ def draw_amplification(found: Amplification, **where: Unpack[Where]) -> Figure:
     percentile = found.percentile(95.0)
     label = f"95 % of patterns below {percentile:.3g}"
     panel.axvline(percentile, color=COLOURS["grey"], ls=":", label=label)
-    ranked = np.sort(found.factor)
-    other = panel.twinx()
-    other.plot(ranked, 100.0 * np.arange(1, count + 1) / count, color=COLOURS["orange"], lw=1.4)
-    other.set(ylabel="share below [%]", ylim=(0.0, 102.0))
-    other.yaxis.label.set_color(COLOURS["orange"])
+    sorted_factors = np.sort(found.factor)
+    share_axes = panel.twinx()
+    share_axes.plot(
+        sorted_factors, 100.0 * np.arange(1, count + 1) / count, color=COLOURS["orange"], lw=1.4
+    )
+    share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
+    share_axes.yaxis.label.set_color(COLOURS["orange"])
     return picture.finished()

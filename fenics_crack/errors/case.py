@@ -90,7 +90,7 @@ class Case:
     wave: PeriodicSolution
     numbers: Numbers
 
-    def values_of(
+    def compute_values(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
     ) -> dict[str, float]:
         """Return the numbers of a motion, by default of the answer's study (collective)."""
@@ -101,16 +101,16 @@ class Case:
 
     @cached_property
     def orbit_values(self) -> dict[str, float] | None:
-        """Numbers of the exact orbit that is accepted for the answer, or None (collective)."""
+        """Numbers of the exact orbit accepted for the answer, or None (collective)."""
         orbit = accepted_orbit(self.answer)
-        return None if orbit is None else self.values_of(orbit)
+        return None if orbit is None else self.compute_values(orbit)
 
     def distance_to_orbit(self, orbit_values: Mapping[str, float]) -> Varied:
         """Return the part of harmonics by the numbers of the exact orbit."""
         counts = self.answer.harmonics, many_harmonics(self.answer)
         sizes = 1.0 / counts[1], 1.0 / counts[0]
         parts = {}
-        for name, value in self.values_of(self.answer).items():
+        for name, value in self.compute_values(self.answer).items():
             limit = orbit_values.get(name, 0.0)
             parts[name] = GridConvergence(
                 sizes, (limit, value), "exact orbit", factor=1.0, extrapolated=limit
@@ -164,15 +164,17 @@ class Case:
         return FRICTION_MODES[:1] * 2, parts
 
     def _orbits_without_and_with(
-        self, count: int, whole: Structure, keys: Mapping[str, Any]
+        self, count: int, whole_structure: Structure, keys: Mapping[str, Any]
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Return exact orbits without friction and with it, and their numbers (collective).
 
         Keys of the scene describe the friction. The lists end at the first orbit that is not found.
         """
         study, answer, periods = self.study, self.answer, self.answer.subharmonic
-        count = min(count, whole.n_dofs // 2)
-        reduced_structure = reduce_structure(whole, modes=count, method="massless", reference=False)
+        count = min(count, whole_structure.n_dofs // 2)
+        reduced_structure = reduce_structure(
+            whole_structure, modes=count, method="massless", reference=False
+        )
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
         for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
@@ -189,20 +191,26 @@ class Case:
                 break
             twin = replace(study, structure=reduced_structure, contact=contact_law)
             orbits.append(orbit)
-            numbers.append(self.values_of(orbit, twin))
+            numbers.append(self.compute_values(orbit, twin))
         return orbits, numbers
 
     def _sliding_across_lines(self, friction: CoulombFriction) -> Varied:
         """Return the part of sliding across the lines of a solid's friction (collective)."""
         study, answer = self.study, self.answer
         structure, periods = study.structure, answer.subharmonic
-        free_motion = motion_without_friction(structure, answer.omega, friction.law, periods)
-        free_values = self.values_of(free_motion, replace(study, contact=friction.law))
-        turning, parts = find_sliding_lines(free_motion, friction.direction)[1], {}
+        frictionless_motion = motion_without_friction(
+            structure, answer.omega, friction.law, periods
+        )
+        frictionless_numbers = self.compute_values(
+            frictionless_motion, replace(study, contact=friction.law)
+        )
+        turning_ratio, parts = find_sliding_lines(frictionless_motion, friction.direction)[1], {}
         for name, value in self.answer_numbers.items():
-            turned_value = value + turning * (free_values.get(name, 0.0) - value)
+            value_with_turning = value + turning_ratio * (
+                frictionless_numbers.get(name, 0.0) - value
+            )
             parts[name] = GridConvergence(
-                (0.0, 1.0), (value, turned_value), "two coefficients", factor=TURNING_FACTOR
+                (0.0, 1.0), (value, value_with_turning), "two coefficients", factor=TURNING_FACTOR
             )
         return (structure.n_modes, structure.n_modes), parts
 
@@ -210,13 +218,13 @@ class Case:
 def _relative_change(
     name: str, numbers: Mapping[str, float], other_numbers: Mapping[str, float]
 ) -> float:
-    """Return the relative change of a number from one motion to another; 0 if it has none."""
+    """Return the relative change of a number between motions; 0 if the first is 0."""
     value = numbers.get(name, 0.0)
     return other_numbers.get(name, 0.0) / value - 1.0 if value else 0.0
 
 
 def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Verification:
-    """Add the part of each cause, or why it is not known (collective)."""
+    """Add each cause's part to the errors, or why it is unknown (collective)."""
     for cause, find_part in causes.items():
         try:
             errors = errors.with_part(cause, find_part())
@@ -229,7 +237,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
 
 
 def reason_of_failure(run: str, error: Exception) -> str:
-    """Return why another run gives no error: a key that it cannot have, or no solution."""
+    """Say why another run gives no error: a refused key, or no solution."""
     if isinstance(error, InputError):
         return f"{run} cannot be used, for its {error.key}"
     return f"{run} has no solution"
@@ -262,7 +270,7 @@ def solve_in_steps(
 
 
 def _solver(study: Study, omega: float, harmonics: int) -> Solver:
-    """Return the solver of a study, with friction along the lines of its own sliding."""
+    """Return the solver of a study, with friction along its sliding directions."""
     assert study.contact is not None
     law = slide_along_lines(study.structure, omega, study.contact)
     return Solver(Problem(study.structure, omega, law, harmonics))

@@ -1,4 +1,4 @@
-"""Grid convergence: the error of a number that is computed with two or three step sizes.
+"""Grid convergence: error of a number computed with two or three step sizes.
 
 Of values f_i with sizes h_1 < h_2 < h_3 it is assumed that f_i = f + C h_i^p (Roache's index). Then
 
@@ -37,8 +37,8 @@ from fenics_crack.scene.scene import Scene
 
 SAFE, CAUTIOUS = 1.25, 3.0
 """Factors of safety."""
-UNCHANGED = 1e-9
-"""Relative spread of values that differ by rounding only."""
+ROUNDING_SPREAD = 1e-9
+"""Largest relative spread of values that differ by rounding only."""
 TIP_ORDER, CLAMP_ORDER = 1.0, 1.5
 """Orders of convergence at a crack tip and at a clamp's ends."""
 MIN_ORDER = 0.5
@@ -80,7 +80,7 @@ class GridConvergence(Described):
 
     @property
     def is_asymptotic(self) -> bool:
-        """True if something could be extrapolated."""
+        """True if the error is the distance from the extrapolated value."""
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, place: int = 0) -> float:
@@ -151,8 +151,8 @@ def grid_convergence(
         raise InputError("sizes", sizes, "all different")
     if f.shape != h.shape or not np.all(np.isfinite(f)):
         raise InputError("values", values, f"{len(h)} finite numbers, one for each size")
-    ranking = np.argsort(h)
-    h, f = h[ranking], f[ranking]
+    ascending_indices = np.argsort(h)
+    h, f = h[ascending_indices], f[ascending_indices]
     behaviour, order, exponent = _classify(h, f, formal, highest)
     if behaviour == "unchanged":
         limit = float(f[0])
@@ -170,44 +170,50 @@ def grid_convergence(
 
 
 def _classify(
-    h: np.ndarray, f: np.ndarray, formal: float, highest: float
+    h: np.ndarray, f: np.ndarray, formal: float, scheme_order: float
 ) -> tuple[str, float, float]:
     """Return the behaviour of values, their observed order, and that of the extrapolation.
 
     The orders are nan if there are none.
     """
-    if np.ptp(f) <= UNCHANGED * np.abs(f).max():
+    if np.ptp(f) <= ROUNDING_SPREAD * np.abs(f).max():
         return "unchanged", math.nan, math.nan
     if len(h) == 2:
         return "two sizes", math.nan, formal
     oscillates = (f[2] - f[1]) * (f[1] - f[0]) < 0.0
     order = math.nan if oscillates else _observed_order(h, f)
-    if not 0.0 < order <= highest or math.isinf(order):
+    if not 0.0 < order <= scheme_order or math.isinf(order):
         return "irregular", order, math.nan
-    max_order = highest if math.isfinite(highest) else 1.5 * formal
+    max_order = scheme_order if math.isfinite(scheme_order) else 1.5 * formal
     behaviour = "asymptotic" if MIN_ORDER <= order <= max_order else "outside"
     return behaviour, order, min(max(order, MIN_ORDER), formal)
 
 
 def _observed_order(h: np.ndarray, f: np.ndarray) -> float:
     """Return p of three values that do not oscillate; negative if they diverge."""
-    fine, coarse = np.log(h[1] / h[0]), np.log(h[2] / h[1])
+    fine_log_ratio, coarse_log_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
     if f[1] == f[0] or f[2] == f[1]:
         return math.inf if f[1] == f[0] else -math.inf
     log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
 
     def excess(p: float) -> float:
-        """Return log of the ratio with an order, less that of the values; it rises with p."""
+        """Return log ratio of order p less that of the values; rising in p."""
         if p == 0.0:
-            return math.log(coarse / fine) - log_ratio
-        return p * fine + math.log(math.expm1(p * coarse) / math.expm1(p * fine)) - log_ratio
+            return math.log(coarse_log_ratio / fine_log_ratio) - log_ratio
+        return (
+            p * fine_log_ratio
+            + math.log(math.expm1(p * coarse_log_ratio) / math.expm1(p * fine_log_ratio))
+            - log_ratio
+        )
 
-    steepest = 0.5 * math.log(np.finfo(float).max) / max(fine, coarse)  # else expm1 overflows
-    if excess(steepest) < 0.0 or excess(-steepest) > 0.0:
+    largest_order = (
+        0.5 * math.log(np.finfo(float).max) / max(fine_log_ratio, coarse_log_ratio)
+    )  # else expm1 overflows
+    if excess(largest_order) < 0.0 or excess(-largest_order) > 0.0:
         return math.copysign(math.inf, log_ratio)
     import scipy.optimize  # takes a while, and is needed here alone
 
-    return float(scipy.optimize.brentq(excess, -steepest, steepest))
+    return float(scipy.optimize.brentq(excess, -largest_order, largest_order))
 
 
 # --- parts of a cause -----------------------------------------------------------------------------
@@ -228,13 +234,13 @@ def part_of(
     *,
     ratio: float | None = None,
     formal: float = TIP_ORDER,
-    highest: float = math.inf,
+    scheme_order: float = math.inf,
 ) -> Part:
-    """Return the part of a cause in each number of the answer, the first level.
+    """Return a cause's part in the error of each number of the answer.
 
-    Numbers that another level lacks count as 0. Two or three levels have the orders of
-    :func:`grid_convergence`. With a ratio of sizes, two levels give an error that is expected,
-    without a factor of safety.
+    The answer is the first level. Numbers that another level lacks count as 0. Two or three levels
+    are judged by :func:`grid_convergence`, with the orders of theory and of the scheme. With a
+    ratio of sizes, two levels give an expected error, without a factor of safety.
     """
     counts, runs = zip(*levels, strict=True)
     sizes = [_size_of(cause, count, scene) for count in counts]
@@ -243,7 +249,7 @@ def part_of(
     parts = {}
     for name in runs[0]:
         values = [run.get(name, 0.0) for run in runs]
-        convergence = grid_convergence(sizes, values, formal=formal, highest=highest)
+        convergence = grid_convergence(sizes, values, formal=formal, highest=scheme_order)
         parts[name] = convergence if ratio is None else replace(convergence, factor=1.0)
     return counts, parts
 

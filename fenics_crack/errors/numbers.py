@@ -1,4 +1,4 @@
-"""Numbers by which answers are compared, of solutions and of exact orbits next to them.
+"""Numbers that compare answers: solutions and exact orbits next to them.
 
 They are of watched points, crack faces, crack tips and the clamp, and natural frequencies.
 
@@ -30,7 +30,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
-from fenics_crack.errors.convergence import UNCHANGED
+from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KINDS, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Faces, Harmonics, ObservedMotion, Record, rows_of
@@ -81,14 +81,16 @@ def numbers_of(
     quantities = study.scene.quantities or names_of(where=STATED)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    displacements = motion.measure([watched.dof for watched in study.watched])
+    displacements = motion.measure([point.dof for point in study.watched])
     rounding = NEGLIGIBLE * min(  # of closed pairs
         indicators.amplitude + abs(indicators.mean) for indicators in displacements
     )
-    requested = (number for number in observe(study, motion) if number.name in quantities)
-    for number in sorted(requested, key=lambda number: quantities.index(number.name)):
+    requested_numbers = (number for number in observe(study, motion) if number.name in quantities)
+    for number in sorted(requested_numbers, key=lambda number: quantities.index(number.name)):
         place, value = QUANTITIES[number.name].of, float(number.value)
-        min_size = {"1": UNCHANGED, "m": rounding * (place is Place.FACES)}.get(number.unit, 0.0)
+        min_size = {"1": ROUNDING_SPREAD, "m": rounding * (place is Place.FACES)}.get(
+            number.unit, 0.0
+        )
         if abs(value) > min_size or (place.on_request and value == 0.0):
             values[number.column] = value
             units[number.column] = number.unit.replace("1", "")
@@ -129,10 +131,15 @@ def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
 
 
 def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
-    """Return order k and U_k / U_1 of the largest harmonic above the load's, if it is truncated.
+    """Find the largest harmonic of a dof if the solution lacks it (collective).
 
-    The harmonic is that of a dof in the solution's own exact orbit. None: the solution has it, or
-    there is no such orbit (collective).
+    Harmonics k above the load's are compared in the solution's own exact orbit. None: the solution
+    has the largest one, or no orbit of its own.
+
+    Returns
+    -------
+    int, float
+        Order k in multiples of the load's frequency, and U_k / U_1 of the amplitudes.
     """
     orbit = accepted_orbit(solution)
     if orbit is None:
@@ -145,10 +152,10 @@ def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] 
     return int(harmonics.largest_order), float(harmonics.ratio_largest)
 
 
-def as_changed(
+def add_changes(
     values: Mapping[str, float], start: Mapping[str, float], end: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return numbers, changed as they differ between two motions; 0 if a motion has none."""
+    """Add the change from one motion to another; absent numbers are 0."""
     return {
         name: value + end.get(name, 0.0) - start.get(name, 0.0) for name, value in values.items()
     }
@@ -248,7 +255,7 @@ def _ratios(record: Record) -> np.ndarray:
 
 
 def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, float]:
-    """Return the sizes of the changes of opening, crack force, shares and friction loss."""
+    """Return sizes of change: opening, crack force, shares, friction loss."""
     if not record.n_pairs:
         return {}
     faces, other_faces = Faces(record), Faces(other_record)
@@ -262,7 +269,7 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
 
 
 def _parts_of_pairs(record: Record, faces: Faces) -> dict[str, np.ndarray]:
-    """Return the part of each pair in the numbers that are sums over pairs, (n_pairs,) by name."""
+    """Return each pair's part in sums over pairs: (n_pairs,) by name."""
     parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
     if record.friction is None:
         return parts

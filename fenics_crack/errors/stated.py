@@ -69,9 +69,15 @@ from fenics_crack.errors.case import (
     solve_in_steps,
     vary,
 )
-from fenics_crack.errors.convergence import TIP_ORDER, UNCHANGED, GridConvergence, Varied, part_of
+from fenics_crack.errors.convergence import (
+    ROUNDING_SPREAD,
+    TIP_ORDER,
+    GridConvergence,
+    Varied,
+    part_of,
+)
 from fenics_crack.errors.numbers import (
-    as_changed,
+    add_changes,
     bilinear_of,
     natural_name,
     numbers_of,
@@ -165,7 +171,7 @@ def _errors_at_speed(
 
 def errors_of_natural(
     study: Study,
-    natural: Mapping[str, np.ndarray],
+    natural_frequencies: Mapping[str, np.ndarray],
     at_load: AtLoad = NOT_SOUGHT,
     slopes: np.ndarray | None = None,
 ) -> Verification:
@@ -175,7 +181,7 @@ def errors_of_natural(
     ----------
     study : Study
         Of the whole structure.
-    natural : dict of str to (m,) [rad/s]
+    natural_frequencies : dict of str to (m,) [rad/s]
         With crack faces "open" and "tied".
     at_load : AtLoad
         Of the same structure; its ``numbers`` are among those of the result.
@@ -198,18 +204,18 @@ def errors_of_natural(
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         twin, counts, ratio = coarse_mesh
-        n_modes = max(map(len, natural.values()))
-        frequencies = {"open": solve_modes(twin.structure, n_modes).omega}
-        if "tied" in natural:
-            frequencies["tied"] = solve_bonded_modes(twin.structure, n_modes).omega
-        coarse_values = by_name(frequencies)
+        n_modes = max(map(len, natural_frequencies.values()))
+        coarse_frequencies = {"open": solve_modes(twin.structure, n_modes).omega}
+        if "tied" in natural_frequencies:
+            coarse_frequencies["tied"] = solve_bonded_modes(twin.structure, n_modes).omega
+        coarse_mesh_numbers = by_name(coarse_frequencies)
         if at_load.numbers and slopes is not None:
-            estimates = BilinearFrequencies(frequencies["open"], frequencies["tied"])
-            coarse_values |= resonance_of(twin, estimates.omega_bilinear, slopes).numbers
-        levels = zip(counts, (values, coarse_values), strict=True)
+            estimates = BilinearFrequencies(coarse_frequencies["open"], coarse_frequencies["tied"])
+            coarse_mesh_numbers |= resonance_of(twin, estimates.omega_bilinear, slopes).numbers
+        levels = zip(counts, (values, coarse_mesh_numbers), strict=True)
         return part_of("mesh", [*levels], scene, ratio=ratio)
 
-    values = by_name(natural) | at_load.numbers
+    values = by_name(natural_frequencies) | at_load.numbers
     errors = Verification(scene, values, dict.fromkeys(values, unit))
     return vary(errors, {"mesh": mesh_error})
 
@@ -303,10 +309,10 @@ class StatedCase(Case):
         base_motion, motion = self._motions_with(larger_study)
         is_truncated = isinstance(motion, PeriodicSolution)
         base_values = None if is_truncated else self.orbit_values
-        changed_values = as_changed(
+        numbers_with_more_modes = add_changes(
             self.numbers.values,
-            base_values or self.values_of(base_motion),
-            self.values_of(motion, larger_study),
+            base_values or self.compute_values(base_motion),
+            self.compute_values(motion, larger_study),
         )
         min_sizes = sizes_of_change(self.study, base_motion, motion)
         if is_truncated and self._has_massless_flow and not isinstance(self.truncation, str):
@@ -314,8 +320,8 @@ class StatedCase(Case):
                 size = structure.share * part.uncertainty(-1)
                 min_sizes[name] = max(min_sizes.get(name, 0.0), size)
         counts, ratio = (len(structure.omega), len(reference.omega)), 1.0 - structure.share
-        levels = zip(counts, (self.numbers.values, changed_values), strict=True)
-        _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, UNCHANGED))
+        levels = zip(counts, (self.numbers.values, numbers_with_more_modes), strict=True)
+        _, parts = part_of("modes", [*levels], self.study.scene, ratio=max(ratio, ROUNDING_SPREAD))
         for name, size in min_sizes.items():
             error = parts[name].uncertainty(-1) if name in parts else 0.0
             if 0.0 < error < size / structure.share:
@@ -360,7 +366,7 @@ class StatedCase(Case):
         n_runs = 2 if self.answer.report.truncation > LARGE_ERROR else 1
         for factor in HARMONIC_FACTORS[:n_runs]:
             solution = solve_again(self.study, self.wave.omega, factor * count, solution)
-            levels = (count, self.numbers.values), (factor * count, self.values_of(solution))
+            levels = (count, self.numbers.values), (factor * count, self.compute_values(solution))
             _, parts = part_of("harmonics", levels, self.study.scene, ratio=1.0 / factor)
             parts_by_factor.append(parts)
         select_largest = partial(max, key=methodcaller("uncertainty"))
@@ -377,10 +383,10 @@ class StatedCase(Case):
     def mesh(self) -> Varied:
         """Judge by a coarser mesh, with at most :data:`MESH_MODES` modes (collective)."""
         few_modes = self._with_few_modes()
-        varied = few_modes._judge_by_coarser_mesh()
-        if few_modes is self or isinstance(varied, str):
-            return varied
-        counts, few_mode_parts = varied
+        mesh_part = few_modes._judge_by_coarser_mesh()
+        if few_modes is self or isinstance(mesh_part, str):
+            return mesh_part
+        counts, few_mode_parts = mesh_part
         parts = {}
         for name, value in self.numbers.values.items():
             if (part := few_mode_parts.get(name)) is None:
@@ -420,26 +426,26 @@ class StatedCase(Case):
         frequency_ratio = bilinear_of(coarse_study.structure, mode)
         frequency_ratio /= bilinear_of(study.structure, mode)
         coarse_wave = solve_in_steps(coarse_study, wave.omega * frequency_ratio, wave.harmonics)
-        coarse_values = self.values_of(coarse_wave, coarse_study)
-        levels = zip(counts, (self.numbers.values, coarse_values), strict=True)
+        coarse_mesh_numbers = self.compute_values(coarse_wave, coarse_study)
+        levels = zip(counts, (self.numbers.values, coarse_mesh_numbers), strict=True)
         _, parts = part_of("mesh", [*levels], study.scene, ratio=ratio)
         orders = 2.0 * study.scene.mesh.order, TIP_ORDER
         ends = tuple(1.0 / (ratio**order - 1.0) for order in orders)
         shift_range = abs(1.0 - frequency_ratio) * (ends[1] - ends[0])
         factors = np.linspace(*ends, self._n_extrapolated(shift_range, mode))
-        shifted_values = self._values_at_shifts(factors * (1.0 - frequency_ratio))
-        moved_values = self._values_with_shifted_clearance()
+        numbers_by_shift = self._values_at_shifts(factors * (1.0 - frequency_ratio))
+        numbers_with_clearance_shift = self._values_with_shifted_clearance()
         dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
         closed_errors, front_changes = errors_along_fronts(study, wave, coarse_study, coarse_wave)
         for name, part in parts.items():
-            value, coarse_value = part.values
-            shape_errors = factors * (value - coarse_value)
-            shift_errors = np.array([values.get(name, 0.0) for values in shifted_values]) - value
-            cancelling = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
+            value, coarse_mesh_number = part.values
+            shape_errors = factors * (value - coarse_mesh_number)
+            shift_errors = np.array([values.get(name, 0.0) for values in numbers_by_shift]) - value
+            cancelling_size = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
             error = math.hypot(
                 np.abs(shape_errors + shift_errors).max(),
-                CANCELLING_FRACTION * cancelling,
-                moved_values.get(name, value) - value,
+                CANCELLING_FRACTION * cancelling_size,
+                numbers_with_clearance_shift.get(name, value) - value,
                 closed_errors.get(name, 0.0),
                 dents.get(name, 0.0) * value,
             )
@@ -448,7 +454,7 @@ class StatedCase(Case):
         return counts, parts
 
     def _values_at_shifts(self, shifts: np.ndarray) -> list[dict[str, float]]:
-        """Return the numbers at shifted resonances, by relative shifts; of a peak they stay.
+        """Return the numbers at relative shifts of the resonance; unchanged for peaks.
 
         Each solution is found from rest, as on a finer mesh, which may reach another motion.
         """
@@ -458,17 +464,19 @@ class StatedCase(Case):
         solutions = (
             solve_in_steps(self.study, float(omega), self.wave.harmonics) for omega in frequencies
         )
-        return [self.values_of(solution) for solution in solutions]
+        return [self.compute_values(solution) for solution in solutions]
 
     def _n_extrapolated(self, shift_range: float, mode: int) -> int:
-        """Return the number of resonances to look at, within a range of relative shifts.
+        """Return the number of extrapolated resonances in a range of relative shifts.
 
         They are the ends, the middle, and so many that a peak's half-power width has four.
         """
         modes = all_modes(self.study.structure)
         rates = modes.damping if modes.damping.ndim == 1 else np.diag(modes.damping)
         omega = math.sqrt(max(modes.squares[mode - 1], sys.float_info.min))
-        n_steps = math.ceil(4.0 * shift_range * omega / max(rates[mode - 1], UNCHANGED * omega))
+        n_steps = math.ceil(
+            4.0 * shift_range * omega / max(rates[mode - 1], ROUNDING_SPREAD * omega)
+        )
         return min(max(1 + n_steps, MIN_EXTRAPOLATED), MAX_EXTRAPOLATED)
 
     def _mode_of_shift(self) -> int:
@@ -478,16 +486,16 @@ class StatedCase(Case):
         relative shift.
         """
         wave = self.wave
-        rows = wave.coefficients_at([watched.dof for watched in self.study.watched])
+        rows = wave.coefficients_at([point.dof for point in self.study.watched])
         sizes = np.hypot(rows[1::2], rows[2::2]).max(axis=1)
         harmonics = np.arange(1, wave.harmonics + 1)
         omega = bilinear_frequencies(self.study.structure).omega_bilinear
         distances = np.abs(1.0 - (harmonics * wave.omega / omega[:, None]) ** 2)
-        return int(np.argmax((sizes / np.maximum(distances, UNCHANGED)).max(axis=1))) + 1
+        return int(np.argmax((sizes / np.maximum(distances, ROUNDING_SPREAD)).max(axis=1))) + 1
 
     @property
     def _relative_dent(self) -> float:
-        """Relative amplitude that half as long elements add under a force at a watched point."""
+        """Relative amplitude that half as long elements add under a point force."""
         if self.study.scene.points:
             return 0.0
         amplitude = self.wave.amplitude(self.study.watched[0].dof)
@@ -513,11 +521,11 @@ class StatedCase(Case):
             shifts[is_of_crack] = 0.5 * np.ptp(extreme_gaps) / n_along * np.ptp(closed_shares)
         shifted_study = replace(study, structure=study.structure.varied(clearance=shifts))
         solution = solve_in_steps(shifted_study, wave.omega, wave.harmonics, wave)
-        return self.values_of(solution, shifted_study)
+        return self.compute_values(solution, shifted_study)
 
 
 def _with_known_numbers(study: Study) -> Study:
-    """Return a study without stress intensities if its elements are too long for them."""
+    """Drop stress intensities from a study if its elements are too long."""
     try:
         rows_requested(study)
     except InputError:

@@ -1,4 +1,4 @@
-"""Contributions of each cause to the error of a result's numbers: storage, text and files.
+"""Errors of a result's numbers by cause: storage, text and files.
 
 :func:`fenics_crack.verify` finds them with finer meshes, more modes, harmonics and samples
 (:mod:`verify`); each command with one other run for each cause (:mod:`stated`).
@@ -91,7 +91,7 @@ class Verification(Saved):
     KIND: ClassVar[str] = "verification"
 
     def with_part(self, cause: str, part: Varied) -> Verification:
-        """Return the verification with the part of a cause, or why it was not varied.
+        """Add the part of a cause, or the reason why it was not varied.
 
         An optional cause that is not varied is unknown; other causes then contribute nothing.
         """
@@ -107,13 +107,13 @@ class Verification(Saved):
         return replace(self, absent=self.absent | {cause: part})
 
     def with_unknown(self, cause: str, reason: str) -> Verification:
-        """Return the verification with a cause whose contribution is unknown, and why."""
+        """Add a cause whose contribution is unknown, and the reason."""
         return replace(self, unknown=self.unknown | {cause: reason})
 
     # --- files ------------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """All of it but the scene, as a dataset of a file."""
+        """Return everything but the scene as text, a dataset of a file."""
         return text_of(self, "", {})
 
     def _packed(self) -> Parts:
@@ -131,7 +131,9 @@ class Verification(Saved):
         return tuple(self.parts)
 
     def contributions(self, quantity: str) -> dict[str, float]:
-        """Uncertainty of a quantity by each cause that has a part for it, in its unit.
+        """Return the uncertainty of a quantity by cause, in the quantity's unit.
+
+        Causes without a part for the quantity have no entry.
 
         Raises
         ------
@@ -141,14 +143,14 @@ class Verification(Saved):
         check_choice("quantity", quantity, self.values)
         return {
             # Sizes are in the order of the smallest; the scene's own choice is the first count.
-            cause: found[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
-            for cause, found in self.parts.items()
-            if quantity in found
+            cause: cause_parts[quantity].uncertainty(sorted(counts, reverse=True).index(counts[0]))
+            for cause, cause_parts in self.parts.items()
+            if quantity in cause_parts
             for counts in [self.counts[cause]]
         }
 
     def missing_causes(self, quantity: str) -> dict[str, str]:
-        """Return the causes that were varied without a part for a quantity, and why."""
+        """Return varied causes that have no part for a quantity, with reasons."""
         return {
             cause: MISSING_PART_REASONS.get(cause, "the other run has no such number")
             for cause, parts in self.parts.items()
@@ -156,36 +158,43 @@ class Verification(Saved):
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
-        """Root of the sum of squares of the contributions to a quantity, or their sum; those of the
-        mesh, which belong together, are added before."""
-        found = self._parts(quantity).values()
-        return math.hypot(*found) if independent else sum(found)
+        """Return the error of a quantity by all causes, in the quantity's unit.
+
+        Contributions by the mesh and by its shift are added first. The total is the root of the sum
+        of squares; if the causes are not ``independent``, it is the sum.
+        """
+        contributions = self._parts(quantity).values()
+        return math.hypot(*contributions) if independent else sum(contributions)
 
     def _parts(self, quantity: str) -> dict[str, float]:
-        """Contributions with one by the mesh."""
+        """Return contributions with both causes of the mesh added up as "mesh"."""
         parts = self.contributions(quantity)
         mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:
-        """The value with the corrections by all causes from which one is extrapolated."""
-        own = self.values[quantity]
+        """Return a value corrected by all causes with a finite limit."""
+        scene_number = self.values[quantity]
         parts_with_quantity = (parts for parts in self.parts.values() if quantity in parts)
-        found = (parts[quantity].extrapolated for parts in parts_with_quantity)
-        return own + sum(value - own for value in found if math.isfinite(value))
+        limits = (parts[quantity].extrapolated for parts in parts_with_quantity)
+        return scene_number + sum(limit - scene_number for limit in limits if math.isfinite(limit))
 
     def relative(self, quantity: str, error: float) -> float:
-        """An error over the size of a quantity; nan where that is 0."""
+        """Divide an error by a quantity's size; nan if the quantity is 0."""
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """The error of a quantity, relative to it, by all causes (:meth:`total`).
+        """Return the relative error of a quantity by all causes (:meth:`total`).
 
-        The second value is the largest of them: "mesh", "modes", "harmonics", "friction",
-        "samples". Not known: nan, also where the part of the harmonics or the modes is not, the
-        other mesh failed, or nothing that was varied changes it and something else was not.
-        Infinite where the estimate is as large as the quantity, as of a mesh that is too coarse.
+        Returns
+        -------
+        float
+            Total over the quantity. It is nan without any part, if harmonics or modes are unknown
+            causes, or if the other mesh failed. It is nan, too, if the total is 0 and another cause
+            is unknown or lacks a part. It is inf if the estimate is as large as the quantity.
+        str
+            Cause of the largest part: "mesh", "modes", "harmonics", "friction" or "samples".
         """
         unknown = any(cause in self.unknown for cause in (*REQUIRED_CAUSES, *self.failed_causes))
         parts = self._parts(quantity) if quantity in self.values else {}
@@ -194,44 +203,51 @@ class Verification(Saved):
         total = self.relative(quantity, self.total(quantity))
         if total == 0.0 and (self.unknown or self.missing_causes(quantity)):
             return math.nan, ""
-        cause = max(parts, key=lambda one: parts[one])
+        cause = max(parts, key=lambda part_cause: parts[part_cause])
         return math.inf if total >= 1.0 else total, cause
 
     def doubt(self, quantity: str) -> str:
-        """Return why the error of a quantity is unknown; empty where it is known, or was left out
-        by choice."""
+        """Return why the error of a quantity is unknown.
+
+        Empty if the error is known, or was left out by choice.
+        """
         for cause in (*REQUIRED_CAUSES, *self.failed_causes):
             if cause in self.unknown:
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
         if math.isinf(error):
-            coarse = "the mesh is too coarse; " if cause == "mesh" else ""
-            return f"{coarse}the estimate is as large as the value, mostly due to the {cause}"
+            mesh_remark = "the mesh is too coarse; " if cause == "mesh" else ""
+            return f"{mesh_remark}the estimate is as large as the value, mostly due to the {cause}"
         return ""
 
     @property
     def resonance(self) -> str:
-        """Name of the resonance that the result lies next to, in a run-up the speed at which it is
-        met; empty without crack faces."""
+        """Name of the resonance next to the result; empty without crack faces.
+
+        In a run-up it is "speed", at which the resonance is met.
+        """
         resonances = (name for name in self.values if "_bilinear_" in name)
         return "speed" if "speed" in self.values else next(resonances, "")
 
     @property
     def without(self) -> str:
-        """The causes that are missing: "error due to the mesh not included"; empty without any."""
+        """Missing causes in words: "error due to the mesh not included"; else empty."""
         return without_causes(self.unknown)
 
     @property
     def left_out(self) -> str:
-        """:attr:`without`, and the reason, "mesh.error = false"; empty likewise."""
-        why = "; ".join(dict.fromkeys(self.unknown.values()))
-        return f"{self.without}: {why}" if self.unknown else ""
+        """The missing causes (:attr:`without`) and the reasons; empty without any."""
+        reasons = "; ".join(dict.fromkeys(self.unknown.values()))
+        return f"{self.without}: {reasons}" if self.unknown else ""
 
     # --- tables -----------------------------------------------------------------------------------
 
     def totals(self) -> Table:
-        """A row for each quantity: value, contributions and totals relative to it in per cent, to
-        three digits, the observed order of the mesh, and the extrapolated value."""
+        """Return a table of all quantities with their errors.
+
+        A row has the value, contributions and totals relative to it in per cent, to three digits,
+        the observed order of the mesh, and the extrapolated value.
+        """
         rows = []
         for name, value in self.values.items():
             contributions = self.contributions(name)
@@ -242,87 +258,94 @@ class Verification(Saved):
             order = mesh[name].order if name in mesh else math.nan
             quantity = with_unit(name, self.units[name])
             rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
-        columns = [f"{what} [%]" for what in (*self.causes, "total", "sum")]
+        columns = [f"{label} [%]" for label in (*self.causes, "total", "sum")]
         return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for each quantity and cause, and for its totals: what was varied, the
-        three values, what follows from them, and the uncertainty of the first."""
+        """Return columns with a row for each quantity and cause, and for totals.
+
+        A row has the counts that were varied, up to three values, the order and the factor that
+        follow from them, and the uncertainty of the first value.
+        """
         rows = [row for name in self.values for row in self._rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
 
     def _rows(self, name: str) -> Iterator[dict[str, Any]]:
-        shared = {"quantity": name, "unit": self.units[name]}
+        quantity_entries = {"quantity": name, "unit": self.units[name]}
         for cause in self.contributions(name):
             part, counts = self.parts[cause][name], self.counts[cause]
-            row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
+            row: dict[str, Any] = quantity_entries | {"cause": cause, "behaviour": part.behaviour}
             row |= {f"{key}_{n}": math.nan for key in ("count", "value") for n in (1, 2, 3)}
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
             by_count = dict(zip(sorted(counts, reverse=True), part.values, strict=True))
             row |= {f"value_{n}": by_count[count] for n, count in enumerate(counts, 1)}
             numbers = "order", "exponent", "factor", "extrapolated"
             row |= {key: getattr(part, key) for key in numbers} | {"gci_finest": part.gci}
-            yield row | _sized(self, name, self.contributions(name)[cause])
+            yield row | _uncertainty_entries(self, name, self.contributions(name)[cause])
         for cause, independent in (("total", True), ("sum", False)):
-            known = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
-            total = _sized(self, name, self.total(name, independent=independent))
-            yield shared | {"cause": cause, "behaviour": ""} | known | total
+            value_entries = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
+            total = _uncertainty_entries(self, name, self.total(name, independent=independent))
+            yield quantity_entries | {"cause": cause, "behaviour": ""} | value_entries | total
 
     def _title(self) -> str:
         return self.statement[0]
 
     def said(self) -> Said:
-        """What the last sentence on the study says."""
+        """Return the parts of the last sentence on the study."""
         name = next(iter(self.values))
         words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
         error, cause = self.stated(name)
         value = f"{words} {quantity(self.values[name], self.units[name])}"
-        known = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
-        known += f"to the {cause}"
+        answer = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
+        answer += f"to the {cause}"
         if math.isnan(error):
-            known = f"{value}; nothing that was varied changes the numbers"
+            answer = f"{value}; nothing that was varied changes the numbers"
         doubt = self.doubt(name)
         verdicts = (f"{run}: {verdict}" for run, verdict in self.verdicts.items())
-        return Said("verified", value if doubt else known, doubt, [self.without, *verdicts])
+        return Said("verified", value if doubt else answer, doubt, [self.without, *verdicts])
 
     # --- words ------------------------------------------------------------------------------------
 
     @property
     def statement(self) -> tuple[str, ...]:
         """Sentences on the errors, with those that are unknown or doubtful."""
-        first = next(iter(self.values))
+        main_quantity = next(iter(self.values))
         shares = {name: self.relative(name, self.total(name)) for name in self.values}
-        worst = max(shares, key=lambda name: shares[name])
-        found = [self._in_words(first)]
-        if worst != first:
-            found.append(f"largest of all: {self._in_words(worst)}")
-        found += [f"{cause}, no contribution: {why}" for cause, why in self.absent.items()]
-        return (*found, *self.warnings)
+        worst_quantity = max(shares, key=lambda name: shares[name])
+        sentences = [self._in_words(main_quantity)]
+        if worst_quantity != main_quantity:
+            sentences.append(f"largest of all: {self._in_words(worst_quantity)}")
+        sentences += [
+            f"{cause}, no contribution: {reason}" for cause, reason in self.absent.items()
+        ]
+        return (*sentences, *self.warnings)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences that cast doubt on the numbers."""
-        found = [
-            f"{cause} not varied, so it is missing in the totals: {why}"
-            for cause, why in self.unknown.items()
+        sentences = [
+            f"{cause} not varied, so it is missing in the totals: {reason}"
+            for cause, reason in self.unknown.items()
         ]
-        found += self.incomplete
-        found += [f"failed, {text}" for text in self.failures]
-        found += [f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()]
+        sentences += self.incomplete
+        sentences += [f"failed, {text}" for text in self.failures]
+        sentences += [
+            f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()
+        ]
         for cause, parts in self.parts.items():
-            for kind, what in DOUBTS.items():
+            for kind, doubt in DOUBTS.items():
                 names = [n for n in parts if parts[n].behaviour == kind and self._matters(n, cause)]
                 if names:
-                    found.append(f"{cause}, {', '.join(names)}: {what}")
-        found += self.dents
+                    sentences.append(f"{cause}, {', '.join(names)}: {doubt}")
+        sentences += self.dents
         contact = self.scene.contact if self.resonance else None  # of crack faces
         if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
-            found.append(
+            sentences.append(
                 "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
                 "changes the law, too; contact.stiffness_per_area stays the same law"
             )
-        return tuple(found)
+        return tuple(sentences)
 
     @property
     def incomplete(self) -> tuple[str, ...]:
@@ -336,40 +359,52 @@ class Verification(Saved):
 
     @property
     def dents(self) -> tuple[str, ...]:
-        """Warning that the displacement under a point force has no limit, if elements half as long
-        add much to it."""
+        """Warning that the displacement under a point force has no limit.
+
+        It is given if elements half as long add much to the amplitude.
+        """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
-        added = dent_by_force(scene)
-        if scene.points or not added > TOLERANCE * amplitude > 0.0:
+        dent = dent_by_force(scene)
+        if scene.points or not dent > TOLERANCE * amplitude > 0.0:
             return ()
         growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         return (
             "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth}, by about {percent(added / amplitude)} with elements half as long; "
+            f"{growth}, by about {percent(dent / amplitude)} with elements half as long; "
             f"watch another place (output.points), or load {side} (loads)",
         )
 
     def _matters(self, name: str, cause: str) -> bool:
-        """Return True if a contribution is so large that a doubt about it is reported."""
+        """Return True if doubts about a contribution are reported.
+
+        It must be at least a tenth of the total, and of the value times TOLERANCE.
+        """
         size = max(self.total(name), TOLERANCE * abs(self.values[name]))
         return self.contributions(name)[cause] >= 0.1 * size
 
     def _in_words(self, name: str) -> str:
-        """A quantity with its uncertainty, and where most of that is from."""
+        """Return a quantity, its uncertainty and the largest cause in words."""
         parts = self.contributions(name)
         text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
         if not any(parts.values()):
             return f"{text}: nothing that was varied changes it"
-        shares = (self.relative(name, self.total(name, independent=way)) for way in (True, False))
+        shares = (
+            self.relative(name, self.total(name, independent=is_independent))
+            for is_independent in (True, False)
+        )
         share, bound = map(percent, shares)
-        cause = max(parts, key=lambda one: parts[one])
-        most = self.parts[cause][name]
-        how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
-        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {how}"
+        cause = max(parts, key=lambda part_cause: parts[part_cause])
+        largest_part = self.parts[cause][name]
+        order_words = (
+            f"observed order {largest_part.order:.2g}"
+            if math.isfinite(largest_part.order)
+            else largest_part.behaviour
+        )
+        text += f" +- {share} (sum of all: {bound}), mostly due to {cause}, {order_words}"
         return f"{text}; extrapolated {self.extrapolated(name):.5g}"
 
 
-def verification_of(stored: Stored) -> Verification | None:
+def verification_of(result_file: Stored) -> Verification | None:
     """Return the verification in the file of a result; None: none.
 
     Raises
@@ -377,16 +412,18 @@ def verification_of(stored: Stored) -> Verification | None:
     InputError
         It does not fit.
     """
-    with stored.taken() as parts:
+    with result_file.taken() as parts:
         if "verification" not in parts:
             return None
-        found = from_text(Verification, parts["verification"], stored.scene())
-        found.to_dict()  # whose rows have every part
-        return found
+        verification = from_text(Verification, parts["verification"], result_file.scene())
+        verification.to_dict()  # whose rows have every part
+        return verification
 
 
 def dent_by_force(scene: Scene) -> float:
-    """Return the displacement that elements half as long add under a force F at a point [m].
+    """Estimate the displacement that elements half as long add under a force [m].
+
+    The force F acts at a point. Without such a force the displacement is 0.
 
     Of a plate F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)) in a corner of the angle a, along
     one of its edges; a = pi on an edge, and 2 pi inside, about. Of a solid F / (E h), about.
@@ -409,6 +446,6 @@ def dent_by_force(scene: Scene) -> float:
     return force / thickness * math.log(2.0) * wedge
 
 
-def _sized(found: Verification, name: str, error: float) -> dict[str, float]:
-    """An error of a quantity, absolute and relative."""
-    return {"uncertainty": error, "relative": found.relative(name, error)}
+def _uncertainty_entries(verification: Verification, name: str, error: float) -> dict[str, float]:
+    """Return the columns of an error of a quantity, absolute and relative."""
+    return {"uncertainty": error, "relative": verification.relative(name, error)}

@@ -29,7 +29,7 @@ from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError
 from fenics_crack.basics.progress import within
 from fenics_crack.errors.case import CAUSE_WITHOUT_CONTACT, Case, solve_again, vary
 from fenics_crack.errors.convergence import CLAMP_ORDER, TIP_ORDER, Level, Varied, part_of
-from fenics_crack.errors.numbers import accepted_orbit, as_changed, bilinear_of, numbers_of
+from fenics_crack.errors.numbers import accepted_orbit, add_changes, bilinear_of, numbers_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
@@ -82,18 +82,18 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     >>> percent = found.total("amplitude")
     """
     with within(SCENE_CHOICE):
-        whole = prepare(scene, comm, whole=True)
-        solved = solve_prepared(whole)
-        if scene.harmonic_balance.tolerance is not None and solved.result.converged:
-            solved = solve_prepared(replace(solved, scene=_settled_scene(solved)), solved.result)
-    answer = solved.result
+        whole_study = prepare(scene, comm, whole=True)
+        run = solve_prepared(whole_study)
+        if scene.harmonic_balance.tolerance is not None and run.result.converged:
+            run = solve_prepared(replace(run, scene=_settled_scene(run)), run.result)
+    answer = run.result
     if not answer.converged:
         raise ConvergenceError(f"{SCENE_CHOICE}: {answer.status}")
-    whole = replace(whole, scene=_settled_scene(solved))
-    numbers = numbers_of(solved, answer)
-    case = _VerifiedCase(solved, answer, numbers.values, answer, numbers, whole)
-    case.note_verdict(SCENE_CHOICE, solved)
-    errors = Verification(whole.scene, numbers.values, numbers.units)
+    whole_study = replace(whole_study, scene=_settled_scene(run))
+    numbers = numbers_of(run, answer)
+    case = _VerifiedCase(run, answer, numbers.values, answer, numbers, whole_study)
+    case.note_verdict(SCENE_CHOICE, run)
+    errors = Verification(whole_study.scene, numbers.values, numbers.units)
     errors = vary(errors, {"mesh": case.mesh})
     causes: dict[str, Callable[[], Varied]] = {
         "shift": partial(case.shift, errors),
@@ -106,20 +106,20 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     return replace(errors, failures=tuple(case.failures), verdicts=case.verdicts)
 
 
-def _settled_scene(solved: Solved) -> Scene:
+def _settled_scene(run: Solved) -> Scene:
     """Return the scene of a solution with what was chosen for it.
 
     If all modes are kept, it is not reduced, so that none is left out on a finer mesh.
     """
-    scene, whole = solved.scene, solved.structure.whole
+    scene, whole_structure = run.scene, run.structure.whole
     changes: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is not None:
         changes["harmonic_balance.tolerance"] = None
-        changes["harmonic_balance.harmonics"] = solved.result.harmonics
+        changes["harmonic_balance.harmonics"] = run.result.harmonics
     if scene.disk is not None:
         return scene.replace(changes)
-    reduction = reduction_of(scene, whole)
-    if reduction is None or reduction.modes >= whole.n_dofs:
+    reduction = reduction_of(scene, whole_structure)
+    if reduction is None or reduction.modes >= whole_structure.n_dofs:
         changes |= {"reduction.method": "off", "reduction.modes": None}
     else:
         changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.modes}
@@ -127,7 +127,7 @@ def _settled_scene(solved: Solved) -> Scene:
 
 
 def _kept_modes(study: Study) -> tuple[int, int] | str:
-    """Return the number of kept modes and the largest; or why they cannot be varied."""
+    """Return kept and possible numbers of modes, or why they are not varied."""
     disk, reduction = study.scene.disk, reduction_of(study.scene, study.structure)
     if disk is not None:
         return disk.families, study.structure.n_dofs // disk.sectors
@@ -143,7 +143,7 @@ class _VerifiedCase(Case):
 
     Attributes
     ----------
-    whole : Study
+    whole_study : Study
         Settled scene with its whole structure.
     failures : list of str
         Finer runs that failed.
@@ -151,7 +151,7 @@ class _VerifiedCase(Case):
         Verdicts of runs that are not known to be stable.
     """
 
-    whole: Study
+    whole_study: Study
     failures: list[str] = field(default_factory=list)
     verdicts: dict[str, str] = field(default_factory=dict)
 
@@ -168,8 +168,8 @@ class _VerifiedCase(Case):
         count: int,
         formal: float,
         *,
-        shared: Study | None = None,
-        highest: float = math.inf,
+        shared_study: Study | None = None,
+        scheme_order: float = math.inf,
     ) -> Varied:
         """Return the part of a cause by finer runs (collective).
 
@@ -180,16 +180,16 @@ class _VerifiedCase(Case):
             The count is None of a mesh, whose elements are counted when it is made.
         count : int
             That of the answer.
-        formal, highest : float
+        formal, scheme_order : float
             Orders of theory, and of the scheme.
-        shared : Study, optional
+        shared_study : Study, optional
             Study of all runs but those of a mesh.
         """
         levels: list[Level] = [(count, self.numbers.values)]
         for name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
             with within(name):
                 try:
-                    run = self._run(scene, shared)
+                    run = self._run(scene, shared_study)
                 except REFUSALS as error:
                     self.failures.append(f"{name}: {error}")
                     continue
@@ -200,18 +200,20 @@ class _VerifiedCase(Case):
             raise ConvergenceError(cause)
         if len({level_count for level_count, _ in levels}) < len(levels):
             return "finer ones have as many elements, as mesh.size is that of the plate"
-        return part_of(cause, levels, self.whole.scene, formal=formal, highest=highest)
+        return part_of(
+            cause, levels, self.whole_study.scene, formal=formal, scheme_order=scheme_order
+        )
 
-    def _run(self, scene: Scene, shared: Study | None) -> Solved:
+    def _run(self, scene: Scene, shared_study: Study | None) -> Solved:
         """Solve a finer scene (collective).
 
         It begins at the answer if it shares its structure. On another mesh the load is as far from
         the resonance of a mode.
         """
         study, mode = self.study, self.numbers.mode
-        initial, omega = self.answer if shared is study else None, self.answer.omega
-        if shared is not None:
-            finer_study = reduced(replace(shared, scene=scene), judged=False)
+        initial, omega = self.answer if shared_study is study else None, self.answer.omega
+        if shared_study is not None:
+            finer_study = reduced(replace(shared_study, scene=scene), judged=False)
         else:
             finer_study = prepare(scene, study.structure.comm, judged=False)
             omega *= bilinear_of(finer_study.structure, mode) / bilinear_of(study.structure, mode)
@@ -229,32 +231,32 @@ class _VerifiedCase(Case):
         if cause == "modes" and self.orbit_values is not None:
             orbit = accepted_orbit(run.result)
             if orbit is not None:
-                orbit_values = self.values_of(orbit, run)
-                return as_changed(self.numbers.values, self.orbit_values, orbit_values)
-        return self.values_of(run.result, run)
+                orbit_values = self.compute_values(orbit, run)
+                return add_changes(self.numbers.values, self.orbit_values, orbit_values)
+        return self.compute_values(run.result, run)
 
     def _judge_by_more(
         self,
         cause: str,
-        shared: Study,
+        shared_study: Study,
         scene: Scene,
         key: str,
         count: int,
         max_count: int,
         formal: float,
     ) -> Varied:
-        """Return the part of a cause by twice and four times the count of a key (collective)."""
+        """Judge by twice and four times the count of a key (collective)."""
         counts = sorted({min(factor * count, max_count) for factor in REFINEMENT_FACTORS})
         name = key.rpartition(".")[2]
         finer_scenes = [
             (f"{finer_count} {name}", finer_count, scene.replace({key: finer_count}))
             for finer_count in counts[1:]
         ]
-        return self._judge_by(cause, finer_scenes, count, formal, shared=shared)
+        return self._judge_by(cause, finer_scenes, count, formal, shared_study=shared_study)
 
     def mesh(self) -> Varied:
         """Judge by finer meshes (collective)."""
-        scene = self.whole.scene
+        scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
         factors = (1.5, 2.0) if is_even(scene) else (2.0, 3.0)
@@ -268,15 +270,15 @@ class _VerifiedCase(Case):
                 "mesh.file is one mesh; solve states its part by mesh.coarser, and "
                 "fc.grid_convergence compares several"
             )
-        formal = TIP_ORDER if self.whole.structure.n_pairs else CLAMP_ORDER
-        count, highest = n_elements(self.study.structure), 2.0 * scene.mesh.order
-        return self._judge_by("mesh", finer_scenes, count, formal, highest=highest)
+        formal = TIP_ORDER if self.whole_study.structure.n_pairs else CLAMP_ORDER
+        count, scheme_order = n_elements(self.study.structure), 2.0 * scene.mesh.order
+        return self._judge_by("mesh", finer_scenes, count, formal, scheme_order=scheme_order)
 
     def shift(self, errors: Verification) -> Varied:
-        """Judge by the change of each number due to the mesh's shift of the resonance (collective).
+        """Judge by the mesh's shift of the resonance (collective).
 
-        It is the largest change at any shift within the resonance's uncertainty, as peaks may lie
-        there, and at its extrapolated value.
+        The part is the largest change of a number at three shifts: half of the resonance's
+        uncertainty, all of it, and the shift to the extrapolated value. Peaks may lie between.
         """
         if "mesh" not in errors.parts:
             return ""
@@ -289,20 +291,20 @@ class _VerifiedCase(Case):
         factors = [(1.0 + relative_error * fraction) ** exponent for fraction in (0.5, 1.0)]
         if is_extrapolated:
             factors.append(frequency / resonance.extrapolated)
-        solution, shifted_values = self.answer, []
+        solution, numbers_by_shift = self.answer, []
         for factor in factors:  # each is sought from the one before
             omega = self.answer.omega * factor
             solution = solve_again(self.study, omega, self.answer.harmonics, solution)
-            shifted_values.append(self.values_of(solution))
+            numbers_by_shift.append(self.compute_values(solution))
         parts = {}
         for name, value in self.numbers.values.items():
-            values = [numbers.get(name, 0.0) for numbers in shifted_values]
-            farthest_value = max(values, key=lambda shifted: abs(shifted - value))
+            values = [numbers.get(name, 0.0) for numbers in numbers_by_shift]
+            extreme_number = max(values, key=lambda candidate: abs(candidate - value))
             parts[name] = replace(
                 resonance,
                 sizes=(resonance.sizes[0], resonance.sizes[-1]),
                 factor=1.0,
-                values=(farthest_value, value),
+                values=(extreme_number, value),
                 behaviour="carried",
                 extrapolated=values[-1] if is_extrapolated else math.nan,
             )
@@ -310,16 +312,21 @@ class _VerifiedCase(Case):
 
     def modes(self) -> Varied:
         """Judge by more modes (collective)."""
-        whole, kept_modes = self.whole, _kept_modes(self.whole)
+        whole_study, kept_modes = self.whole_study, _kept_modes(self.whole_study)
         if isinstance(kept_modes, str):
             return kept_modes
         return self._judge_by_more(
-            "modes", whole, whole.scene, whole.scene.modes_key, *kept_modes, TIP_ORDER
+            "modes",
+            whole_study,
+            whole_study.scene,
+            whole_study.scene.modes_key,
+            *kept_modes,
+            TIP_ORDER,
         )
 
     def harmonics(self) -> Varied:
         """Judge by the exact orbit, or by more harmonics (collective)."""
-        scene = self.whole.scene
+        scene = self.whole_study.scene
         table = scene.harmonic_balance
         if self.study.contact is None:
             return CAUSE_WITHOUT_CONTACT
@@ -336,7 +343,7 @@ class _VerifiedCase(Case):
 
     def samples(self) -> Varied:
         """Judge by more samples of the contact force (collective)."""
-        scene, law = self.whole.scene, self.study.contact
+        scene, law = self.whole_study.scene, self.study.contact
         table, key = scene.harmonic_balance, "harmonic_balance.samples"
         if law is None:
             return "without contact there are none"

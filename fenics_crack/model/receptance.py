@@ -191,13 +191,13 @@ def _with_load(structure: Structure, known_receptance: Receptance) -> Receptance
     )
 
 
-def check_matrices(structure: Structure, missing_result: str) -> None:
+def check_matrices(structure: Structure, result_name: str) -> None:
     """Raise InputError if a structure from a file lacks its matrices.
 
-    ``missing_result`` names what they are needed for.
+    ``result_name`` names what they are needed for.
     """
     if not structure.has_matrices:
-        raise AbsentMatrix.input_error(missing_result)
+        raise AbsentMatrix.input_error(result_name)
 
 
 def sources_of(structure: Structure) -> sparse.csr_matrix:

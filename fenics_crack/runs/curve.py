@@ -79,8 +79,8 @@ def curve(
     if friction_of(required_law(study)) is not None:
         omega = _first_resonance(study, start, stop) if parameter == "omega" else None
         study = with_lines(study, omega or scene.excitation.omega)
-    whole = replace(study, scene=scene, structure=study.structure.whole)
-    if parameter == "speed" or not modes_chosen(whole):
+    unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
+    if parameter == "speed" or not modes_chosen(unreduced_study):
         return Run(**vars(study), result=_follow(study, scene, progress))
     if parameter == "omega":
         study = _first_with_enough_modes(study, studies, start, stop)
@@ -100,14 +100,16 @@ def curve(
 
 
 def _check_curve(study: Study) -> None:
-    """Raise InputError if a study has no load that vibrates, or no law for a curve."""
+    """Raise InputError if no load vibrates, or the law suits no curve."""
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
-        allowed = "one that changes in time, for a curve: nothing vibrates"
-        raise InputError("load", "steady", allowed)
+        requirement = "one that changes in time, for a curve: nothing vibrates"
+        raise InputError("load", "steady", requirement)
     if is_rigid(required_law(study)) and not structure.light_lips:
-        allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
-        raise InputError("contact.law", "unilateral", allowed)
+        requirement = (
+            "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
+        )
+        raise InputError("contact.law", "unilateral", requirement)
 
 
 def _follow(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
@@ -145,23 +147,24 @@ def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     """
     scene = source.scene if isinstance(source, Study) else source
     parameter, start, stop = scene.given("curve").followed
-    whole = whole_study(source, comm)
+    unreduced_study = whole_study(source, comm)
     if parameter != "speed":
-        yield from with_more_modes(whole, MOST_OF_MANY)
+        yield from with_more_modes(unreduced_study, MOST_OF_MANY)
         return
     if scene.reduction is not None:
-        allowed = "'massless', or left out, for a run-up: it has one basis for all speeds"
-        scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
-    check_memory_of(scene, whole.structure, run_up=True)
-    if modes_chosen(whole):
-        studies, order = with_more_modes(whole, MOST_OF_MANY), scene.excitation.omega / scene.speed
+        requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
+        scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
+    check_memory_of(scene, unreduced_study.structure, run_up=True)
+    if modes_chosen(unreduced_study):
+        order = scene.excitation.omega / scene.speed
+        studies = with_more_modes(unreduced_study, MOST_OF_MANY)
         study = _first_with_enough_modes(next(studies), studies, order * start, order * stop)
-        whole = replace(whole, scene=study.scene)
-    reduction = reduction_of(whole.scene, whole.structure)
-    default_modes = min(DEFAULT_LARGE_MODES, whole.structure.n_dofs)
+        unreduced_study = replace(unreduced_study, scene=study.scene)
+    reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
+    default_modes = min(DEFAULT_LARGE_MODES, unreduced_study.structure.n_dofs)
     n_modes = default_modes if reduction is None else reduction.modes
-    structure = run_up_structure(whole.structure, start, stop, n_modes)
-    yield replace(whole, structure=structure.at_speed(start))
+    structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)
+    yield replace(unreduced_study, structure=structure.at_speed(start))
 
 
 def _first_with_enough_modes(
@@ -194,7 +197,7 @@ def _first_resonance(study: Study, start: float, stop: float) -> float:
 
 
 def _modes_in_words(study: Study, error: float) -> str:
-    """Say that the modes of a curve meet its tolerance, or by how much they miss it."""
+    """Say whether the modes of a curve meet its tolerance, with their error."""
     scene = study.scene
     tolerance, modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
     if error <= tolerance:

@@ -77,7 +77,7 @@ def integrate(
         min_harmonics = least_harmonics(static_structure, 1)
         initial = solve_harmonic_balance(static_structure, omega, law, harmonics=min_harmonics)
     elif earlier_file is not None:
-        state = _state_of(run_of(earlier_file, comm, judged=False), structure, table)
+        state = _state_of(run_of(earlier_file, comm, with_reference=False), structure, table)
         initial = state if friction_of(law) is not None else state[:2]
     if table.free:
         study = free_study(study)
@@ -118,12 +118,12 @@ def _march_of(
 def _read_initial(path: str, comm: MPI.Comm) -> Stored:
     """Read the file of an earlier motion, named by ``integration.initial`` (collective)."""
     try:
-        stored = read(path, comm)
+        motion_file = read(path, comm)
     except InputError as error:
         raise InputError("integration.initial", error.value, error.allowed) from None
-    if stored.kind not in (PeriodicSolution.KIND, TimeHistory.KIND):
+    if motion_file.kind not in (PeriodicSolution.KIND, TimeHistory.KIND):
         raise InputError("integration.initial", path, "the file of a solution or an integration")
-    return stored
+    return motion_file
 
 
 def _state_of(
@@ -140,7 +140,7 @@ def _state_of(
     places : (n_pairs,) [m]
         Only with friction.
     """
-    motion, whole = earlier_run.result, structure.whole
+    motion, whole_structure = earlier_run.result, structure.whole
     if isinstance(motion, TimeHistory):
         state = motion.final_state
     else:
@@ -148,14 +148,14 @@ def _state_of(
     local_states = motion.structure.expand(np.array(state[:2]))
     points = [
         np.zeros((mesh.n_local, 1)) if mesh.nodes is None else mesh.nodes.points
-        for mesh in (whole, motion.structure.whole)
+        for mesh in (whole_structure, motion.structure.whole)
     ]
-    is_same = local_states.shape[1] == whole.n_local and np.array_equal(*points)
-    if not all(whole.comm.allgather(is_same)):
+    is_same = local_states.shape[1] == whole_structure.n_local and np.array_equal(*points)
+    if not all(whole_structure.comm.allgather(is_same)):
         table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
-        momentum = multiply(whole.mass, local_states.T).T
-        modal_states = whole.sum_over_ranks(momentum @ structure.basis)
+        momentum = multiply(whole_structure.mass, local_states.T).T
+        modal_states = whole_structure.sum_over_ranks(momentum @ structure.basis)
         n_missing = structure.n_dofs - modal_states.shape[1]
         local_states = np.pad(modal_states, ((0, 0), (0, n_missing)))
     return local_states[0], local_states[1], *state[2:]
@@ -163,21 +163,23 @@ def _state_of(
 
 def _choose_method(study: Study, table: Integration, law: ContactLaw) -> str:
     """Return the integration method, the table's or the default; InputError if unusable."""
-    structure, contact, allowed = study.structure, study.scene.contact, ""
+    structure, contact, requirement = study.structure, study.scene.contact, ""
     lips = structure.light_lips
     method = table.method or ("exponential" if lips else "central_difference")
     closed_form = method in ("events", "exponential")
     if lips and not closed_form:
-        allowed = "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
-        allowed += "'free_interface'"
+        requirement = (
+            "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
+        )
+        requirement += "'free_interface'"
     elif closed_form and not is_small(structure):
-        allowed = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
+        requirement = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
     elif closed_form and is_rigid(law) and not lips:
-        allowed = "'central_difference' with contact.law = 'unilateral', or reduction.method = "
-        allowed += "'massless'"
-    if allowed:
-        raise InputError("integration.method", method, allowed)
+        requirement = "'central_difference' with contact.law = 'unilateral', or reduction.method = "
+        requirement += "'massless'"
+    if requirement:
+        raise InputError("integration.method", method, requirement)
     if closed_form and not is_unilateral(law):
-        allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
-        raise InputError("contact.law", contact and contact.law, allowed)
+        requirement = f"'penalty' or 'unilateral' with integration.method = {method!r}"
+        raise InputError("contact.law", contact and contact.law, requirement)
     return method

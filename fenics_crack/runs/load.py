@@ -58,41 +58,45 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     return run_of(read(path, comm), comm)
 
 
-def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, judged: bool = True) -> Run[Result]:
+def run_of(
+    result_file: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
+) -> Run[Result]:
     """Return the run of a file that has been read (collective).
 
-    A reduction has its reference if ``judged``. Raises as :func:`load_run`.
+    A reduction has its reference if ``with_reference``. Raises as :func:`load_run`.
     """
-    kind, scene = type_of(stored), stored.scene()
+    kind, scene = type_of(result_file), result_file.scene()
     if scene is None:
-        raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
-    on_root(comm, lambda: stored.check_files(scene))
+        raise InputError("path", str(result_file.path), f"a {kind.KIND} saved with its scene")
+    on_root(comm, lambda: result_file.check_files(scene))
     if issubclass(kind, ResponseCurve) and scene.curve is not None:
         study = next(studies_of_curve(scene, comm))
     else:
-        study = prepare(scene, comm, whole=kind is Modes, judged=judged)
+        study = prepare(scene, comm, whole=kind is Modes, judged=with_reference)
     if kind is TimeHistory and scene.integration is not None and scene.integration.free:
         study = free_study(study)
     try:
-        result = unpack(stored, study.structure, study.contact)
+        result = unpack(result_file, study.structure, study.contact)
     except InputError as error:
         if error.key == "path":
             raise
         difference = f"{error.key} {error.allowed}"
-        allowed = f"a result of this version's structure ({difference}); compute it again"
-        raise InputError("path", str(stored.path), allowed) from None
+        requirement = f"a result of this version's structure ({difference}); compute it again"
+        raise InputError("path", str(result_file.path), requirement) from None
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:
         study = replace(study, contact=law)  # along the lines of the file
-    return Run(**vars(study), result=result, stated=verification_of(stored))
+    return Run(**vars(study), result=result, stated=verification_of(result_file))
 
 
-def read_run(stored: Stored) -> Run[Result]:
+def read_run(result_file: Stored) -> Run[Result]:
     """Return the run of a file that one rank has read.
 
-    The errors of a solution are in the file: it needs no reference.
+    A solution's structure gets no reference, as the stated errors are in the file.
     """
-    return run_of(stored, MPI.COMM_SELF, judged=stored.kind != PeriodicSolution.KIND)
+    return run_of(
+        result_file, MPI.COMM_SELF, with_reference=result_file.kind != PeriodicSolution.KIND
+    )
 
 
 def free_study(study: Study) -> Study:
@@ -102,7 +106,10 @@ def free_study(study: Study) -> Study:
 
 
 def structure_under_static_load(structure: Structure, fraction: float) -> Structure:
-    """Return a structure under its mean load and a fraction of the first harmonic's amplitude."""
+    """Return a structure under a static load.
+
+    It is the mean load, plus a fraction of the first harmonic's cosine part and of its sine part.
+    """
     weights = np.zeros((len(structure.force),) * 2)
     weights[0, :3] = 1.0, fraction, fraction
     return structure.varied(load=weights)

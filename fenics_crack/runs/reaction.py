@@ -20,7 +20,7 @@ from fenics_crack.time.march import TimeHistory
 
 @dataclass(frozen=True, repr=False)
 class Reaction(Tabular):
-    """Forces and moments of the clamp on a plate or a solid over a motion.
+    """Forces and moments of a plate's or solid's clamp over a motion.
 
     Attributes
     ----------
@@ -41,17 +41,18 @@ class Reaction(Tabular):
 
     @property
     def numbers(self) -> Mapping[str, float]:
-        """Largest size of the force [N], ``reaction_force``, and of the moment [N m],
-        ``reaction_moment``."""
+        """Largest ``reaction_force`` [N] and ``reaction_moment`` [N m]."""
         return read_at(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every instant."""
-        found = {"time": self.time.tolist()}
-        axes, about = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
-        names = [f"force_{axis}" for axis in axes] + [f"moment_{axis}" for axis in about]
+        """Return time, forces and moments as columns, a row for every instant."""
+        time_column = {"time": self.time.tolist()}
+        force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
+        names = [f"force_{axis}" for axis in force_axes] + [
+            f"moment_{axis}" for axis in moment_axes
+        ]
         columns = np.hstack([self.force, self.moment]).T.tolist()
-        return found | dict(zip(names, columns, strict=True))
+        return time_column | dict(zip(names, columns, strict=True))
 
     def _units(self) -> Mapping[str, str]:
         units = {"time": "s", "force": "N", "moment": "N m"}

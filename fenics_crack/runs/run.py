@@ -20,10 +20,10 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.files.results import Result, save
 from fenics_crack.model.modes import Modes
 from fenics_crack.motion.motions import ObservedMotion
-from fenics_crack.runs.conclusion import Answer, said_of
+from fenics_crack.runs.conclusion import Answer, conclusion_of
 from fenics_crack.time.march import TimeHistory
 
-Found = TypeVar("Found", bound=Result, covariant=True)
+ResultType = TypeVar("ResultType", bound=Result, covariant=True)
 
 
 class ResultAttribute:
@@ -37,7 +37,7 @@ class ResultAttribute:
 
 
 @dataclass(frozen=True, repr=False)
-class Run(Answer, Generic[Found]):
+class Run(Answer, Generic[ResultType]):
     """A study with its result, whose attributes are also its own: ``run.peak()``.
 
     Attributes
@@ -50,12 +50,12 @@ class Run(Answer, Generic[Found]):
         Its :attr:`errors`, where they were computed with it.
     """
 
-    result: Found
+    result: ResultType
     stated: Verification | None = None
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Return the stated errors of each number; None for motions in time.
+        """Stated errors of each number; None for motions in time.
 
         A curve has those of its largest response. They are computed when first requested
         (collective).
@@ -63,7 +63,7 @@ class Run(Answer, Generic[Found]):
         return self.stated or errors_of(self, self.result)
 
     def __str__(self) -> str:
-        return f"{self.result!r}: {said_of(self).closing()}"
+        return f"{self.result!r}: {conclusion_of(self).closing()}"
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
@@ -96,13 +96,13 @@ class Run(Answer, Generic[Found]):
         A solution has coefficients (2H+1,), a curve (n, 2H+1), a motion in time displacements (n,),
         and modes have none.
         """
-        result, dofs = self.result, [watched.dof for watched in self.watched]
+        result, dofs = self.result, [point.dof for point in self.watched]
         columns: list[np.ndarray] = []
         if isinstance(result, TimeHistory):
             columns = list(result.displacement(dofs).T)
         elif isinstance(result, ObservedMotion):
             columns = [displacement.coefficients for displacement in result.observe(dofs)[0]]
-        return dict(zip((watched.words for watched in self.watched), columns, strict=False))
+        return dict(zip((point.words for point in self.watched), columns, strict=False))
 
     def save(self, path: str | Path) -> None:
         """Write the result with its scene, stated errors and watched motion (collective).
@@ -227,7 +227,7 @@ class Run(Answer, Generic[Found]):
 
 
 def check_motion(run: object) -> None:
-    """Raise InputError unless it is the run of a solution or of a time integration."""
+    """Raise InputError unless a run has a solution or a motion in time."""
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
-        allowed = "what fc.solve(scene) or fc.integrate(scene) returns"
-        raise InputError("run", type(getattr(run, "result", run)).__name__, allowed)
+        requirement = "what fc.solve(scene) or fc.integrate(scene) returns"
+        raise InputError("run", type(getattr(run, "result", run)).__name__, requirement)

@@ -83,15 +83,15 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved = solve_prepared(whole_study(scene, comm))
-    return _with_motion_from_rest(Run(**vars(solved)))
+    solved_study = solve_prepared(whole_study(scene, comm))
+    return _with_motion_from_rest(Run(**vars(solved_study)))
 
 
 def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
-    """Return a run with the outcome of the motion from rest, if the verdict needs it (collective).
+    """Add the outcome of the motion from rest if the verdict needs it (collective).
 
-    It does if it is undecided, or no pair opens and closes: the multipliers of such a solution know
-    nothing of the contact that another motion meets.
+    An undecided verdict needs it, and one on a solution in which no pair opens and closes: its
+    multipliers know nothing of the contact that another motion meets.
     """
     solution, dof = run.result, run.watched_dof
     stability = solution.stability

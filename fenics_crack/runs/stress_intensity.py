@@ -22,8 +22,9 @@ from fenics_crack.time.march import TimeHistory
 
 @dataclass(frozen=True, repr=False)
 class StressIntensity(Tabular):
-    """K_I and K_II at the tips of a plate's cracks over a motion; K_III, too, at stations along the
-    fronts of a solid's, in turn.
+    """K_I and K_II at the tips of a plate's cracks over a motion.
+
+    At stations along the fronts of a solid's cracks there is K_III, too; front follows front.
 
     Attributes
     ----------
@@ -58,19 +59,21 @@ class StressIntensity(Tabular):
     three: np.ndarray | None
     closed: np.ndarray
     _run: Run[Any] = field(compare=False)
-    _seen: list[AtTip] = field(compare=False)
+    _tip_histories: list[AtTip] = field(compare=False)
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
-        """Each tip's K_max, K_min, delta_K, delta_K_effective, K_II_max, and K_III_max in a solid:
-        (n_tips,) [Pa m^1/2].
+        """Largest and smallest values and ranges of each tip: (n_tips,) [Pa m^1/2].
 
-        The effective range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a
-        table ``[growth]`` delta_K_equivalent, too: the range from 0 that, once a period of the
-        load, makes the crack grow as much as all cycles of K_I do, counted by rain flow.
+        K_max, K_min, delta_K, delta_K_effective, K_II_max, and in a solid K_III_max. The effective
+        range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a table
+        ``[growth]`` delta_K_equivalent, too: the range from 0 that makes the crack grow as much,
+        once a period of the load, as all cycles of K_I do, counted by rain flow.
         """
-        numbers = [tip.numbers() for tip in self._seen]
-        return {name: np.array([one[name] for one in numbers]) for name in numbers[0]}
+        numbers = [tip.numbers() for tip in self._tip_histories]
+        return {
+            name: np.array([tip_numbers[name] for tip_numbers in numbers]) for name in numbers[0]
+        }
 
     @property
     def largest(self) -> np.ndarray:
@@ -89,8 +92,8 @@ class StressIntensity(Tabular):
 
     @property
     def leading(self) -> int:
-        """The tip whose effective range is the largest."""
-        return leading(self._seen)
+        """Index of the tip with the largest effective range."""
+        return leading(self._tip_histories)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -99,26 +102,25 @@ class StressIntensity(Tabular):
 
     @property
     def fronts(self) -> dict[str, list[int]]:
-        """The tips, of a solid the stations, of each front by its name."""
+        """Indices of each front's tips, of a solid stations, by its name."""
         return stations_of_fronts(self.tips)
 
     @property
     def turn(self) -> np.ndarray:
-        """Angle by which each crack would turn at its largest K_I, to the left, where the hoop
-        stress is largest: (n_tips,) [rad].
+        """Angle to the left by which each crack turns at its largest K_I: (n_tips,) [rad].
 
-        K_I sin(theta) + K_II (3 cos(theta) - 1) = 0 (Erdogan, Sih, Journal of Basic Engineering 85,
-        1963, 519); nan where K_I is never positive.
+        The hoop stress is largest there: K_I sin(theta) + K_II (3 cos(theta) - 1) = 0 (Erdogan,
+        Sih, Journal of Basic Engineering 85, 1963, 519); nan where K_I is never positive.
         """
         place = self.one.argmax(axis=0)[None]
-        one = np.take_along_axis(self.one, place, axis=0)[0]
-        two = np.take_along_axis(self.two, place, axis=0)[0]
-        found = -2.0 * np.arctan(2.0 * two / (one + np.sqrt(one**2 + 8.0 * two**2)))
-        return np.where(one > 0.0, found, np.nan)
+        K_I = np.take_along_axis(self.one, place, axis=0)[0]
+        K_II = np.take_along_axis(self.two, place, axis=0)[0]
+        angles = -2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
+        return np.where(K_I > 0.0, angles, np.nan)
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Return the stated errors of the leading crack tip's numbers; None for motions in time.
+        """Stated errors of the leading tip's numbers; None for motions in time.
 
         They are computed when first requested (collective).
         """
@@ -126,14 +128,14 @@ class StressIntensity(Tabular):
         return errors_of(replace(self._run, scene=scene, stated=None), self._run.result)
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every instant: K_I and K_II of each tip."""
-        found = {"time": self.time.tolist()}
+        """Return time and the stress intensities of each tip, a row for every instant."""
+        columns = {"time": self.time.tolist()}
         kinds = {"K_I": self.one, "K_II": self.two} | (
             {} if self.three is None else {"K_III": self.three}
         )
         for number, tip in enumerate(self.tips):
-            found |= {f"{name}, {tip}": rows[:, number].tolist() for name, rows in kinds.items()}
-        return found
+            columns |= {f"{name}, {tip}": rows[:, number].tolist() for name, rows in kinds.items()}
+        return columns
 
     def _units(self) -> Mapping[str, str]:
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
@@ -183,18 +185,18 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     check_known(without_tips(run.scene), "run", repr(run))
     tips, rows, of_forces = tip_rows(run)
     [record] = run.result.records(rows)
-    seen = at_tips(record, tips, of_forces, run.scene.growth)
-    three = [one.three for one in seen if one.three is not None]
+    tip_histories = at_tips(record, tips, of_forces, run.scene.growth)
+    three = [tip_history.three for tip_history in tip_histories if tip_history.three is not None]
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
         np.array([tip.arc_length for tip in tips]),
         np.array([tip.point for tip in tips]),
         np.array([tip.growth_direction for tip in tips]),
-        np.column_stack([one.one for one in seen]),
-        np.column_stack([one.two for one in seen]),
+        np.column_stack([tip_history.one for tip_history in tip_histories]),
+        np.column_stack([tip_history.two for tip_history in tip_histories]),
         np.column_stack(three) if three else None,
-        np.array([one.closed for one in seen]),
+        np.array([tip_history.closed for tip_history in tip_histories]),
         run,
-        seen,
+        tip_histories,
     )

@@ -375,11 +375,11 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
 
 
 def without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Loads of a scene but for the amplitudes of the excitation."""
+    """Return the loads of a scene without the amplitudes of its excitation."""
     excitation, *other_loads = loads
     of_parts = ("force_mean", "force_cos", "force_sin", "harmonics")
-    reduced = excitation and {key: load for key, load in excitation.items() if key not in of_parts}
-    return reduced, *other_loads
+    entries = excitation and {key: load for key, load in excitation.items() if key not in of_parts}
+    return entries, *other_loads
 
 
 def _weights(known: Scene, scene: Scene) -> np.ndarray:

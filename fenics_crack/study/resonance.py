@@ -131,8 +131,8 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     scene, whole, law = study.scene, study.structure, study.contact
     if law is None:
         return AtLoad(unknown="there is no crack")
-    order, kept = scene.excitation.order, reduction_of(scene, whole)
-    n_modes = min(SOUGHT_MODES, whole.n_dofs if kept is None else kept.modes)
+    order, reduction = scene.excitation.order, reduction_of(scene, whole)
+    n_modes = min(SOUGHT_MODES, whole.n_dofs if reduction is None else reduction.modes)
     mode = int(np.argmin(np.abs(estimates - scene.excitation.omega)))
     omega = float(estimates[mode])
     try:
@@ -142,7 +142,7 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
                 raise ConvergenceError(f"engine order {order} does not meet it")
             rotor = RunUpStructure(Ritz.of_range(whole, speed, speed, n_modes), speed)
             return at_load(scene, law, rotor, order * speed, "speed", with_rest=True)
-        if scene.disk is not None or (kept is None and is_small(whole)):
+        if scene.disk is not None or (reduction is None and is_small(whole)):
             structure = reduced(study, judged=False).structure
         else:
             structure = reduce_structure(whole, modes=n_modes, method="massless", reference=False)

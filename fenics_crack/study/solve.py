@@ -90,17 +90,19 @@ def required_law(study: Study) -> ContactLaw:
     """Return the contact law of a study; InputError if it has none."""
     if study.contact is None:
         if study.scene.structure is not None:
-            allowed = "given for this command: the path of a Matrix Market file"
-            raise InputError("structure.gap", None, allowed)
+            requirement = "given for this command: the path of a Matrix Market file"
+            raise InputError("structure.gap", None, requirement)
         # The crack of a file is no table.
-        missing = "contact" if study.scene.mesh.layout == "file" else "crack"
-        raise InputError(missing, None, "given for this command: a table")
+        table_name = "contact" if study.scene.mesh.layout == "file" else "crack"
+        raise InputError(table_name, None, "given for this command: a table")
     return study.contact
 
 
 def with_lines(study: Study, omega: float) -> Study:
-    """A study with friction along lines, where it is that of a solid, as pairs slide without it at
-    a frequency [rad/s] (collective)."""
+    """Return a study with friction of a solid along lines (collective).
+
+    Along them pairs slide without friction at a frequency [rad/s].
+    """
     if study.contact is None:
         return study
     return replace(study, contact=slide_along_lines(study.structure, omega, study.contact))
