@@ -21,7 +21,16 @@ from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit, wanted
 from fenics_crack.arrivals.robust import FREEDOMS, LEVELS
-from fenics_crack.arrivals.transient import DAMPED, WIDTH, Fit, Follows, Mode, Record, Run, pole
+from fenics_crack.arrivals.transient import (
+    DAMPING_BOUNDS,
+    WIDTH,
+    Fit,
+    Follows,
+    Mode,
+    Record,
+    Run,
+    pole,
+)
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin as begin_stage
 from fenics_crack.basics.tables import RPM, Tabular, counted, hertz_of, quantity
@@ -188,8 +197,8 @@ class PassageFit(Tabular):
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
             run = Run(record, arrivals.displacement, int(begin), int(end))
             motion = (force * run.wave(Mode(self.order, root))).real
-            left = run.without_drifts(run.values - motion, run.seen.astype(float))
-            found.append((run.speed, np.where(run.seen, left + motion, np.nan), motion))
+            left = run.without_drifts(run.values - motion, run.has_arrival.astype(float))
+            found.append((run.speed, np.where(run.has_arrival, left + motion, np.nan), motion))
         return found
 
     def to_dict(self) -> dict[str, Any]:
@@ -267,7 +276,7 @@ def fit_passage(
         allowed = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
         raise InputError("speed", speed, f"{allowed}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
     found = _Compared(runs, speed, tried)
-    if len(blind := found.best.blind):
+    if len(blind := found.best.blind_probes):
         others = arrivals.without(blind)
         fit = fit_passage(others, speed, tried, stiffening=stiffening)
         return replace(fit, blind=(*arrivals.probes[blind].tolist(), *fit.blind))
@@ -328,7 +337,7 @@ def find_passages(
     # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
     # them lines are found, then the others, and lines beside all of them.
     search.run(1 if asynchronous else most)
-    if search.found and len(blind := search.found[0].best.blind):
+    if search.found and len(blind := search.found[0].best.blind_probes):
         fits = find_passages(
             arrivals.without(blind), tried, most=most, asynchronous=asynchronous,
             stiffening=stiffening,
@@ -506,20 +515,22 @@ def _clearness(
     """
     total = energy = 0.0
     for run in record.runs(values, speed):
-        columns = [column[seen] for column, seen in zip(run.values.T, run.seen.T, strict=True)]
+        columns = [
+            column[seen] for column, seen in zip(run.values.T, run.has_arrival.T, strict=True)
+        ]
         changes = np.concatenate([column[1:] - column[:-1] for column in columns])
         # Median of the difference of two normal errors.
-        scale = max(float(np.median(np.abs(changes))) / (np.sqrt(2.0) * ndtri(0.75)), run.least)
+        scale = max(float(np.median(np.abs(changes))) / (np.sqrt(2.0) * ndtri(0.75)), run.rounding)
         wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
-        wave, weights = wave[:, None] * np.ones_like(run.values), run.seen.astype(float)
+        wave, weights = wave[:, None] * np.ones_like(run.values), run.has_arrival.astype(float)
         for _ in range(turns):
-            square, seen, parts, left = run.phased(wave, weights)
+            square, seen, parts, left = run.phase_equations(wave, weights)
             found = np.linalg.solve(square + SMALLEST_NORMAL * np.eye(2), seen[..., None])[..., 0]
             if turns == 1:
                 continue
-            rest = (left - np.einsum("pa,arp->rp", found, parts))[run.seen] ** 2
-            rest /= weights[run.seen] * scale**2
-            weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + rest)
+            rest = (left - np.einsum("pa,arp->rp", found, parts))[run.has_arrival] ** 2
+            rest /= weights[run.has_arrival] * scale**2
+            weights[run.has_arrival] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + rest)
         gain = float((seen * found).sum())
         total += gain / scale**2 - 2.0 * (run.probes - 1)
         energy += gain
@@ -557,7 +568,7 @@ class _Compared:
     def compare(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         """Compare orders in passages near a speed."""
         self._runs = runs
-        weights = [run.seen.astype(float) for run in runs]
+        weights = [run.has_arrival.astype(float) for run in runs]
         fits: dict[Mode, Fit] = {}
         # First without weights, where single wrong arrivals may hide the order; then with those of
         # the best fit, until it is the one that they make the best.
@@ -583,7 +594,9 @@ class _Compared:
         passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
         if not (passed and best.gain > LEVELS.gain):
             return False
-        return LEVELS.deviations * float(best.errors[1]) < best.mode.damping < 0.5 * DAMPED[1]
+        return (
+            LEVELS.deviations * float(best.errors[1]) < best.mode.damping < 0.5 * DAMPING_BOUNDS[1]
+        )
 
     @property
     def speed(self) -> float:
@@ -622,9 +635,11 @@ class _Compared:
     def _weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
         """Return weights (R, P) to begin a fit to runs: those of the best fit, if these are its
         arrivals."""
-        if [one.seen.tobytes() for one in runs] == [one.seen.tobytes() for one in self._runs]:
+        if [one.has_arrival.tobytes() for one in runs] == [
+            one.has_arrival.tobytes() for one in self._runs
+        ]:
             return self.best.weights
-        return [run.seen.astype(float) for run in runs]
+        return [run.has_arrival.astype(float) for run in runs]
 
     def pair(
         self, other: _Compared, record: Record, values: np.ndarray, orders: np.ndarray
@@ -633,7 +648,7 @@ class _Compared:
         displacements (revolutions, probes) that hold both; take the best pair."""
         both = self, other
         runs = record.runs(values, self.speed)
-        weights = [run.seen.astype(float) for run in runs]
+        weights = [run.has_arrival.astype(float) for run in runs]
         best = Fit(runs, [one.best.mode for one in both], weights)
         begun: list[list[Mode]] = []
         for one, beside in (both, both[::-1]):
@@ -730,9 +745,9 @@ def _reduction_by_pairs(
     for run, weight in zip(runs, weights, strict=True):
         waves = np.array([*map(run.wave, every), run.values])
         *parts, values = run.without_drifts(waves, weight)
-        parts = np.stack([np.real(parts), -np.imag(parts)], axis=1)[..., run.seen]
+        parts = np.stack([np.real(parts), -np.imag(parts)], axis=1)[..., run.has_arrival]
         columns = parts.reshape(2 * len(every), -1)
-        square, seen = columns @ columns.T, columns @ values[run.seen].real
+        square, seen = columns @ columns.T, columns @ values[run.has_arrival].real
         inverse = np.linalg.pinv(square[pairs[..., :, None], pairs[..., None, :]], hermitian=True)
         total += np.einsum("nmi,nmij,nmj->nm", seen[pairs], inverse, seen[pairs])
     return total
