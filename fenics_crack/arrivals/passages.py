@@ -626,8 +626,7 @@ class _Resonance:
     def is_clear(self) -> bool:
         """True if it is passed, significant, and neither a line nor drift.
 
-        A line has no damping within its errors; drift has much.
-        """
+        A line has no damping within its errors; drift has much."""
         fit = self.best_fit
         is_passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
         if not (is_passed and fit.gain > LEVELS.gain):
