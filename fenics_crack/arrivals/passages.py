@@ -643,7 +643,7 @@ class _Resonance:
         return resonance is not self and abs(resonance.speed / self.speed - 1.0) < width
 
     def neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
-        """Return the other resonances whose fitted speeds overlap with these."""
+        """Return the other resonances whose fitted speeds overlap."""
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
     def covers(self, resonance: _Resonance) -> bool:
