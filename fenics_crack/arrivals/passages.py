@@ -21,20 +21,28 @@ from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import LOWEST, find_lines
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit, wanted
 from fenics_crack.arrivals.robust import FREEDOMS, LEVELS
-from fenics_crack.arrivals.transient import DAMPED, WIDTH, Fit, Follows, Mode, Record, Run, pole
+from fenics_crack.arrivals.transient import (
+    DAMPING_BOUNDS,
+    WIDTH,
+    Fit,
+    Follows,
+    Mode,
+    Record,
+    Run,
+    pole,
+)
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin as begin_stage
 from fenics_crack.basics.tables import RPM, Tabular, counted, hertz_of, quantity
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
-REFINED = 4
-"""Orders whose fits are refined; of each of two neighbours half as many."""
-SPACING, TYPICAL = 0.003, 0.004
-"""Relative distance of the speeds at which resonances are sought, and damping ratio there and where
-the fit begins."""
-TURNS = 5
-"""Maximum rounds of neighbours, each fitted beside the others, and of weights in a search."""
-STIFFEST = 0.9
+MAX_REFINED_ORDERS = 4
+"""Maximum number of orders whose fits are refined; half as many for each of two neighbours."""
+SPEED_SPACING, INITIAL_DAMPING = 0.003, 0.004
+"""Relative spacing of the scanned speeds; damping ratio of the scan, and to begin fits with."""
+MAX_ROUNDS = 5
+"""Maximum rounds: of refits among neighbours, of pairs of orders, of weights in a search."""
+MAX_STIFFENING = 0.9
 """Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies that follow them more closely."""
 
 
@@ -169,9 +177,9 @@ class PassageFit(Tabular):
         It is ``omega_error``, at least half of the range of passages that disagree, as those of a
         breathing crack may, and half of the resonance's width, zeta w, where it is in doubt.
         """
-        apart = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
-        beside = self.damping * self.omega if self.in_doubt else 0.0
-        return max(self.omega_error, apart, beside)
+        half_range = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
+        half_width = self.damping * self.omega if self.in_doubt else 0.0
+        return max(self.omega_error, half_range, half_width)
 
     @property
     def in_words(self) -> str:
@@ -180,25 +188,30 @@ class PassageFit(Tabular):
         return f"{hertz}, engine order {self.order:g} at {self.speed / RPM:.6g} rpm"
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return for each passage the speeds (R,) [rad/s], and the displacements (R, P) [m],
-        measured without drift (nan where none was) and of the fit; without blind probes."""
+        """Return speeds and displacements of each passage, measured and fitted.
+
+        Speeds are (R,) [rad/s], displacements (R, P) [m], without blind probes: the measured ones
+        without drift (nan where there are none), and those of the fit.
+        """
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         root = complex(pole(self.omega, self.damping / (1.0 - self.stiffening)))
-        record, found = Record(arrivals, _checked(self.stiffening)), []
+        record, comparisons = Record(arrivals, _stiffening_function(self.stiffening)), []
         for (begin, end), force in zip(self.ends, self.forces, strict=True):
             run = Run(record, arrivals.displacement, int(begin), int(end))
             motion = (force * run.wave(Mode(self.order, root))).real
-            left = run.without_drifts(run.values - motion, run.seen.astype(float))
-            found.append((run.speed, np.where(run.seen, left + motion, np.nan), motion))
-        return found
+            residuals = run.without_drifts(run.values - motion, run.has_arrival.astype(float))
+            comparisons.append(
+                (run.speed, np.where(run.has_arrival, residuals + motion, np.nan), motion)
+            )
+        return comparisons
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers by name."""
         names = ("order", "margin", "frequency", "frequency_error", "damping", "damping_error")
-        found = {name: getattr(self, name) for name in (*names, "stiffening", "amplitude")}
-        found = {"speed": self.speed, "rpm": self.speed / RPM} | found
-        rest = {"passages": len(self.ends), "apart": self.apart, "whiteness": self.whiteness}
-        return found | rest
+        numbers = {name: getattr(self, name) for name in (*names, "stiffening", "amplitude")}
+        numbers = {"speed": self.speed, "rpm": self.speed / RPM} | numbers
+        statistics = {"passages": len(self.ends), "apart": self.apart, "whiteness": self.whiteness}
+        return numbers | statistics
 
     def _title(self) -> str:
         hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
@@ -208,15 +221,15 @@ class PassageFit(Tabular):
         if self.untested:
             parts.append(f"order untested by {counted(self.probes, 'probe')}")
         elif self.ambiguous:
-            parts.append(f"as well: {', '.join(f'{one:g}' for one in self.ambiguous)}")
+            parts.append(f"as well: {', '.join(f'{order:g}' for order in self.ambiguous)}")
         parts += ["residuals are correlated"] * self.in_doubt
         return ", ".join(parts)
 
 
 def _differ(values: np.ndarray, errors: np.ndarray) -> bool:
-    """True unless some values (n,) are known to differ by no more than three of their errors."""
-    apart = np.abs(values[:, None] - values)
-    return not np.all(apart <= LEVELS.deviations * np.hypot(errors[:, None], errors))
+    """Return True unless all values (n,) agree within three of their errors."""
+    differences = np.abs(values[:, None] - values)
+    return not np.all(differences <= LEVELS.deviations * np.hypot(errors[:, None], errors))
 
 
 # --- search ---------------------------------------------------------------------------------------
@@ -259,19 +272,19 @@ def fit_passage(
     >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
     """
     check_number("speed", speed, 0.0, above=True)
-    tried, _ = wanted(orders, 1, 1)
-    record = Record(arrivals, _checked(stiffening))
+    candidates, _ = wanted(orders, 1, 1)
+    record = Record(arrivals, _stiffening_function(stiffening))
     runs = record.runs(arrivals.displacement, speed)
     if not runs:
         ends = arrivals.speed.min(), arrivals.speed.max()
-        allowed = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
-        raise InputError("speed", speed, f"{allowed}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
-    found = _Compared(runs, speed, tried)
-    if len(blind := found.best.blind):
-        others = arrivals.without(blind)
-        fit = fit_passage(others, speed, tried, stiffening=stiffening)
-        return replace(fit, blind=(*arrivals.probes[blind].tolist(), *fit.blind))
-    return found.described(record, arrivals.displacement)
+        allowed_speeds = f"one that is passed in {FEWEST_REVOLUTIONS} revolutions or more, from "
+        raise InputError("speed", speed, f"{allowed_speeds}{ends[0]:.6g} to {ends[1]:.6g} rad/s")
+    resonance = _Resonance(runs, speed, candidates)
+    if len(blind_probes := resonance.best_fit.blind_probes):
+        reliable_arrivals = arrivals.without(blind_probes)
+        fit = fit_passage(reliable_arrivals, speed, candidates, stiffening=stiffening)
+        return replace(fit, blind=(*arrivals.probes[blind_probes].tolist(), *fit.blind))
+    return resonance.to_passage_fit(record, arrivals.displacement)
 
 
 def find_passages(
@@ -319,58 +332,65 @@ def find_passages(
     >>> for fit in fc.find_passages(record[1], range(6, 10), most=2):
     ...     print(fit)
     """
-    tried, _ = wanted(orders, 1, 1)
+    candidates, _ = wanted(orders, 1, 1)
     check_count("most", most, 1)
     check_count("asynchronous", asynchronous, 0)
-    record, values = Record(arrivals, _checked(stiffening)), arrivals.displacement
-    search = _Search(record, values, tried)
+    record, values = Record(arrivals, _stiffening_function(stiffening)), arrivals.displacement
+    search = _Search(record, values, candidates)
     lines: tuple[TipFit, ...] = ()
     # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
     # them lines are found, then the others, and lines beside all of them.
-    search.run(1 if asynchronous else most)
-    if search.found and len(blind := search.found[0].best.blind):
+    search.find_resonances(1 if asynchronous else most)
+    if search.resonances and len(blind_probes := search.resonances[0].best_fit.blind_probes):
         fits = find_passages(
-            arrivals.without(blind), tried, most=most, asynchronous=asynchronous,
+            arrivals.without(blind_probes), candidates, most=most, asynchronous=asynchronous,
             stiffening=stiffening,
         )  # fmt: skip
-        angles = arrivals.probes[blind].tolist()
+        angles = arrivals.probes[blind_probes].tolist()
         return tuple(replace(fit, blind=(*angles, *fit.blind)) for fit in fits)
     if asynchronous:
-        lines, moved = _lines(arrivals, search.left, tried, asynchronous)
+        lines, line_motion = _find_line_motion(arrivals, search.residuals, candidates, asynchronous)
         if lines:
-            search = _Search(record, values - moved, tried)
-        search.run(most)
-        if len(search.found) > 1:
-            lines, moved = _lines(arrivals, search.left + moved, tried, asynchronous)
+            search = _Search(record, values - line_motion, candidates)
+        search.find_resonances(most)
+        if len(search.resonances) > 1:
+            lines, line_motion = _find_line_motion(
+                arrivals, search.residuals + line_motion, candidates, asynchronous
+            )
             if lines:
-                search.again(values - moved)
-    return tuple(one.described(record, search.left, search.found, lines) for one in search.found)
+                search.refit_all(values - line_motion)
+    return tuple(
+        resonance.to_passage_fit(record, search.residuals, search.resonances, lines)
+        for resonance in search.resonances
+    )
 
 
-def _lines(
-    arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, most: int
+def _find_line_motion(
+    arrivals: ArrivalTimes, values: np.ndarray, orders: np.ndarray, max_lines: int
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find vibrations of constant frequency in displacements, and return them and their motion."""
+    """Find vibrations of constant frequency in displacements; return them and their motion."""
     begin_stage("vibrations of constant frequency")
-    constants = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
-    lines, left = find_lines(arrivals, values, constants, orders.max(), most)
-    return lines, values - left
+    constant_columns = np.arange(values.shape[1]) * np.ones(values.shape, dtype=int)
+    lines, residuals = find_lines(arrivals, values, constant_columns, orders.max(), max_lines)
+    return lines, values - residuals
 
 
-def _checked(stiffening: float | Follows) -> Follows:
-    """Return s as a function of speed and frequency."""
+def _stiffening_function(stiffening: float | Follows) -> Follows:
+    """Return s as a function of speed and natural frequency [rad/s]."""
     if callable(stiffening):
 
-        def checked(speed: float, omega: float) -> float:
-            value = float(np.clip(stiffening(speed, omega), -STIFFEST, STIFFEST))
-            check_number(f"stiffening({speed:.6g}, {omega:.6g})", value)
-            return value
+        def evaluate(speed: float, omega: float) -> float:
+            slope = float(np.clip(stiffening(speed, omega), -MAX_STIFFENING, MAX_STIFFENING))
+            check_number(f"stiffening({speed:.6g}, {omega:.6g})", slope)
+            return slope
 
-        return checked
+        return evaluate
     check_number("stiffening", stiffening)
-    if abs(value := float(stiffening)) > STIFFEST:
-        raise InputError("stiffening", stiffening, f"a number from -{STIFFEST} to {STIFFEST}")
-    return lambda speed, omega: value
+    if abs(slope := float(stiffening)) > MAX_STIFFENING:
+        raise InputError(
+            "stiffening", stiffening, f"a number from -{MAX_STIFFENING} to {MAX_STIFFENING}"
+        )
+    return lambda speed, omega: slope
 
 
 class _Search:
@@ -387,146 +407,171 @@ class _Search:
 
     Attributes
     ----------
-    found : list of _Compared
-        Resonances.
-    left : (revolutions, probes) [m]
-        Displacements without them.
+    resonances : list of _Resonance
+        Resonances that have been found.
+    residuals : (revolutions, probes) [m]
+        Displacements without the motion of the resonances.
     """
 
     def __init__(self, record: Record, values: np.ndarray, orders: np.ndarray) -> None:
-        self.record, self.left, self.orders = record, np.array(values), orders
-        self.found: list[_Compared] = []
-        low, high = record.speed.min(), record.speed.max()
-        count = int(np.log(high / low) / SPACING)
-        self._centres = low * np.exp(SPACING * (0.5 + np.arange(count)))
+        self.record, self.residuals, self.orders = record, np.array(values), orders
+        self.resonances: list[_Resonance] = []
+        lowest_speed, highest_speed = record.speed.min(), record.speed.max()
+        count = int(np.log(highest_speed / lowest_speed) / SPEED_SPACING)
+        self._centres = lowest_speed * np.exp(SPEED_SPACING * (0.5 + np.arange(count)))
         self._gains = np.full((count, 2), np.nan)  # of :func:`_clearness`; nan: not known yet
 
-    def add(self, one: _Compared, factor: float) -> None:
-        """Add the vibration of a resonance, times a factor, to the displacements."""
-        self.left += factor * one.best.motion(self.record, len(self.left))
+    def add_motion(self, resonance: _Resonance, factor: float) -> None:
+        """Add the motion of a resonance, times a factor, to the residuals."""
+        self.residuals += factor * resonance.best_fit.motion(self.record, len(self.residuals))
 
-    def run(self, most: int) -> None:
-        """Find further resonances, up to a number."""
+    def find_resonances(self, max_resonances: int) -> None:
+        """Find further resonances, up to a number in all."""
         centres, gains = self._centres, self._gains
-        while len(self.found) < most:
+        while len(self.resonances) < max_resonances:
             begin_stage("scan of the speeds")
-            for place in np.flatnonzero(np.isnan(gains[:, 0])):
-                gains[place] = _clearness(self.record, self.left, centres[place])
+            for centre_index in np.flatnonzero(np.isnan(gains[:, 0])):
+                gains[centre_index] = _clearness(self.record, self.residuals, centres[centre_index])
             if not np.any(gains[:, 0] > LEVELS.gain):
                 break
-            begin_stage(f"resonance {len(self.found) + 1}")
+            begin_stage(f"resonance {len(self.resonances) + 1}")
             centre = centres[int(np.where(gains[:, 0] > LEVELS.gain, gains[:, 1], 0.0).argmax())]
-            gains[np.abs(centres / centre - 1.0) < 1.5 * SPACING] = 0.0
-            if _clearness(self.record, self.left, centre, TURNS)[0] < LEVELS.gain:
+            gains[np.abs(centres / centre - 1.0) < 1.5 * SPEED_SPACING] = 0.0
+            if _clearness(self.record, self.residuals, centre, MAX_ROUNDS)[0] < LEVELS.gain:
                 continue
-            new = _Compared(self.record.runs(self.left, centre), centre, self.orders)
-            if not new.clear:
+            newcomer = _Resonance(self.record.runs(self.residuals, centre), centre, self.orders)
+            if not newcomer.is_clear:
                 continue
-            self.found.append(new)
-            self.add(new, -1.0)
-            self._pair(new)
+            self.resonances.append(newcomer)
+            self.add_motion(newcomer, -1.0)
+            self._compare_with_neighbour(newcomer)
             self._settle()
             gains[(np.abs(centres / centre - 1.0) < 2.0 * WIDTH) & (gains[:, 1] > 0.0)] = np.nan
-        for one in [*self.found]:  # of all orders, beside the others
-            if one not in self.found or one.beside == one.neighbours(self.found):
+        for resonance in [*self.resonances]:  # of all orders, beside the others
+            if (
+                resonance not in self.resonances
+                or resonance.compared_neighbours == resonance.neighbours(self.resonances)
+            ):
                 continue
-            if not self._pair(one):
-                self.add(one, 1.0)
-                if runs := self.record.runs(self.left, one.speed):
-                    one.compare(runs, one.speed, self.orders)
-                self.add(one, -1.0)
-            one.beside = one.neighbours(self.found)
+            if not self._compare_with_neighbour(resonance):
+                self.add_motion(resonance, 1.0)
+                if runs := self.record.runs(self.residuals, resonance.speed):
+                    resonance.compare(runs, resonance.speed, self.orders)
+                self.add_motion(resonance, -1.0)
+            resonance.compared_neighbours = resonance.neighbours(self.resonances)
         self._settle()
 
-    def again(self, values: np.ndarray) -> None:
+    def refit_all(self, values: np.ndarray) -> None:
         """Fit the resonances to other displacements (revolutions, probes)."""
-        self.left = np.array(values)
-        for one in self.found:
-            self.add(one, -1.0)
-        for one in [*self.found]:
-            self._refit(one)
+        self.residuals = np.array(values)
+        for resonance in self.resonances:
+            self.add_motion(resonance, -1.0)
+        for resonance in [*self.resonances]:
+            self._refit_or_drop(resonance)
         self._settle()
 
-    def _refit(self, one: _Compared) -> None:
-        """Fit a resonance to the displacements without the others, or drop it."""
-        self.add(one, 1.0)
-        clear = one.again(self.record, self.left)
-        if clear and not any(one.within(other) for other in self.found):
-            self.add(one, -1.0)
+    def _refit_or_drop(self, resonance: _Resonance) -> None:
+        """Refit a resonance to displacements without the others, or drop it."""
+        self.add_motion(resonance, 1.0)
+        is_clear = resonance.refit(self.record, self.residuals)
+        if is_clear and not any(
+            resonance.may_be_residual_of(other_resonance) for other_resonance in self.resonances
+        ):
+            self.add_motion(resonance, -1.0)
         else:
-            self.found.remove(one)
+            self.resonances.remove(resonance)
 
-    def _pair(self, one: _Compared) -> bool:
-        """Compare the orders of a resonance and of its largest neighbour together; return whether
-        it has one within the speeds that are fitted. Others within the width of either may be
-        residuals of wrong orders, and are dropped."""
-        found, size = self.found, one.best.amplitude
-        larger = [other for other in found if other.best.amplitude > size]
-        if len(self.orders) < 2 or any(other.covers(one) for other in larger):
+    def _compare_with_neighbour(self, resonance: _Resonance) -> bool:
+        """Compare the orders of a resonance and its largest neighbour together.
+
+        Resonances that either covers may be residuals of wrong orders, and are dropped. Return
+        False if nothing is compared: for one order, no neighbour, or a larger one that covers it.
+        """
+        resonances, amplitude = self.resonances, resonance.best_fit.amplitude
+        larger_resonances = [
+            neighbour for neighbour in resonances if neighbour.best_fit.amplitude > amplitude
+        ]
+        if len(self.orders) < 2 or any(
+            neighbour.covers(resonance) for neighbour in larger_resonances
+        ):
             return False
-        others = [other for other in found if one.near(other, WIDTH) and not one.covers(other)]
-        if not others:
+        neighbours = [
+            neighbour
+            for neighbour in resonances
+            if resonance.is_near(neighbour, WIDTH) and not resonance.covers(neighbour)
+        ]
+        if not neighbours:
             return False
-        pair = one, max(others, key=lambda other: other.best.amplitude)
-        for each in [*found]:
-            if each in pair or any(of_pair.covers(each) for of_pair in pair):
-                self.add(each, 1.0)
-            if each not in pair and any(of_pair.covers(each) for of_pair in pair):
-                found.remove(each)
-        one.pair(pair[1], self.record, self.left, self.orders)
-        for each in pair:
-            self.add(each, -1.0)
-            each.beside = each.neighbours(found)
+        pair = resonance, max(neighbours, key=lambda neighbour: neighbour.best_fit.amplitude)
+        for rival in [*resonances]:
+            if rival in pair or any(member.covers(rival) for member in pair):
+                self.add_motion(rival, 1.0)
+            if rival not in pair and any(member.covers(rival) for member in pair):
+                resonances.remove(rival)
+        resonance.compare_with(pair[1], self.record, self.residuals, self.orders)
+        for member in pair:
+            self.add_motion(member, -1.0)
+            member.compared_neighbours = member.neighbours(resonances)
         return True
 
     def _settle(self) -> None:
-        """Fit neighbours each beside the others, by turns until their frequencies settle; drop
-        those that are not significant then, or one with a larger one."""
-        crowd = [one for one in self.found if one.neighbours(self.found)]
-        for _ in range(TURNS):
-            moved = False
-            for one in sorted(crowd, key=lambda one: -one.best.amplitude):
-                before = one.best.mode.root
-                self._refit(one)
-                apart = abs(one.best.mode.root - before)
-                moved |= one not in self.found or apart > 0.1 * float(one.best.errors[0])
-            if not moved:
+        """Refit neighbours in turn until their frequencies settle.
+
+        Those that are not clear then, or may be residuals of larger ones, are dropped.
+        """
+        crowd = [
+            resonance for resonance in self.resonances if resonance.neighbours(self.resonances)
+        ]
+        for _ in range(MAX_ROUNDS):
+            has_moved = False
+            for resonance in sorted(crowd, key=lambda resonance: -resonance.best_fit.amplitude):
+                previous_root = resonance.best_fit.mode.root
+                self._refit_or_drop(resonance)
+                root_change = abs(resonance.best_fit.mode.root - previous_root)
+                has_moved |= resonance not in self.resonances or root_change > 0.1 * float(
+                    resonance.best_fit.errors[0]
+                )
+            if not has_moved:
                 break
-            crowd = [one for one in crowd if one in self.found]
+            crowd = [resonance for resonance in crowd if resonance in self.resonances]
 
 
 def _clearness(
-    record: Record, values: np.ndarray, speed: float, turns: int = 1
+    record: Record, values: np.ndarray, speed: float, rounds: int = 1
 ) -> tuple[float, float]:
-    """Return the reduction of the sum of squares near a speed by a steady vibration of any phase.
+    """Return the reduction of the sum of squares by a steady vibration near a speed.
 
-    It is fitted at each probe; the reduction is in variances of differences from one arrival at a
-    probe to its next, less that of noise by further phases; and in m^2. From the second turn on
-    arrivals have the weights of Student's t.
+    It has any phase at each probe. The first value is in variances of the noise, as differences of
+    successive arrivals at a probe have it, less what further phases reduce noise by; the second is
+    in m^2. From the second round on arrivals have the weights of Student's t.
     """
     total = energy = 0.0
     for run in record.runs(values, speed):
-        columns = [column[seen] for column, seen in zip(run.values.T, run.seen.T, strict=True)]
+        columns = [
+            column[mask] for column, mask in zip(run.values.T, run.has_arrival.T, strict=True)
+        ]
         changes = np.concatenate([column[1:] - column[:-1] for column in columns])
         # Median of the difference of two normal errors.
-        scale = max(float(np.median(np.abs(changes))) / (np.sqrt(2.0) * ndtri(0.75)), run.least)
-        wave = 1.0 / (TYPICAL + 1j * (run.speed / speed - 1.0))
-        wave, weights = wave[:, None] * np.ones_like(run.values), run.seen.astype(float)
-        for _ in range(turns):
-            square, seen, parts, left = run.phased(wave, weights)
-            found = np.linalg.solve(square + SMALLEST_NORMAL * np.eye(2), seen[..., None])[..., 0]
-            if turns == 1:
+        scale = max(float(np.median(np.abs(changes))) / (np.sqrt(2.0) * ndtri(0.75)), run.rounding)
+        wave = 1.0 / (INITIAL_DAMPING + 1j * (run.speed / speed - 1.0))
+        wave, weights = wave[:, None] * np.ones_like(run.values), run.has_arrival.astype(float)
+        for _ in range(rounds):
+            matrices, vectors, parts, motion = run.phase_equations(wave, weights)
+            coefficients = np.linalg.solve(
+                matrices + SMALLEST_NORMAL * np.eye(2), vectors[..., None]
+            )[..., 0]
+            if rounds == 1:
                 continue
-            rest = (left - np.einsum("pa,arp->rp", found, parts))[run.seen] ** 2
-            rest /= weights[run.seen] * scale**2
-            weights[run.seen] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + rest)
-        gain = float((seen * found).sum())
+            squares = (motion - np.einsum("pa,arp->rp", coefficients, parts))[run.has_arrival] ** 2
+            squares /= weights[run.has_arrival] * scale**2
+            weights[run.has_arrival] = (FREEDOMS[0] + 1.0) / (FREEDOMS[0] + squares)
+        gain = float((vectors * coefficients).sum())
         total += gain / scale**2 - 2.0 * (run.probes - 1)
         energy += gain
     return total, energy
 
 
-class _Compared:
+class _Resonance:
     """Fits of some orders to the passages of a resonance.
 
     Parameters
@@ -540,220 +585,250 @@ class _Compared:
 
     Attributes
     ----------
-    best : Fit
-        Fit of the order that explains most.
+    best_fit : Fit
+        Fit of the most likely order.
     margins : dict of float to float
         Difference of -2 log likelihood of each order to the best.
-    beside : list of _Compared
-        Neighbours with which orders were compared.
+    compared_neighbours : list of _Resonance
+        Neighbours when orders were last compared.
     """
 
-    best: Fit
+    best_fit: Fit
 
     def __init__(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
-        self.beside: list[_Compared] = []
+        self.compared_neighbours: list[_Resonance] = []
         self.compare(runs, speed, orders)
 
     def compare(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
         """Compare orders in passages near a speed."""
         self._runs = runs
-        weights = [run.seen.astype(float) for run in runs]
+        weights = [run.has_arrival.astype(float) for run in runs]
         fits: dict[Mode, Fit] = {}
         # First without weights, where single wrong arrivals may hide the order; then with those of
         # the best fit, until it is the one that they make the best.
-        for last in (False, False, True):
-            tried = _begun(zip(runs, weights, strict=True), orders, speed, TYPICAL)
-            tried.sort(key=lambda one: -one[0])
-            last = last or (len(fits) > 0 and tried[0][1].order == self.best.mode.order)
-            for gain, mode in tried[: REFINED if last else 1]:
-                if gain > LOWEST * tried[0][0] and mode not in fits:
+        for is_last in (False, False, True):
+            options = _find_best_modes(
+                zip(runs, weights, strict=True), orders, speed, INITIAL_DAMPING
+            )
+            options.sort(key=lambda option: -option[0])
+            is_last = is_last or (len(fits) > 0 and options[0][1].order == self.best_fit.mode.order)
+            for gain, mode in options[: MAX_REFINED_ORDERS if is_last else 1]:
+                if gain > LOWEST * options[0][0] and mode not in fits:
                     fits[mode] = Fit(runs, [mode], weights)
-            self.best = min(fits.values(), key=lambda fit: fit.noise.cost)
-            if last:
+            self.best_fit = min(fits.values(), key=lambda fit: fit.noise.cost)
+            if is_last:
                 break
-            weights = self.best.weights
-        gains = {mode.order: gain for gain, mode in tried}
-        self.margins = _margins(gains, fits.values(), self.best)
+            weights = self.best_fit.weights
+        gains = {mode.order: gain for gain, mode in options}
+        self.margins = _margins(gains, fits.values(), self.best_fit)
 
     @property
-    def clear(self) -> bool:
-        """True if it is a resonance: passed, significant, and neither a line, of no damping within
-        its errors, nor as wide as drift."""
-        best = self.best
-        passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
-        if not (passed and best.gain > LEVELS.gain):
+    def is_clear(self) -> bool:
+        """True if it is passed, significant, and neither a line nor drift.
+
+        A line has no damping within its errors; drift has much."""
+        fit = self.best_fit
+        is_passed = any(run.speed.min() < self.speed < run.speed.max() for run in self._runs)
+        if not (is_passed and fit.gain > LEVELS.gain):
             return False
-        return LEVELS.deviations * float(best.errors[1]) < best.mode.damping < 0.5 * DAMPED[1]
+        return LEVELS.deviations * float(fit.errors[1]) < fit.mode.damping < 0.5 * DAMPING_BOUNDS[1]
 
     @property
     def speed(self) -> float:
         """Speed at which the order meets the frequency [rad/s]."""
-        return self.best.mode.speed
+        return self.best_fit.mode.speed
 
-    def near(self, other: _Compared, width: float = 2.0 * WIDTH) -> bool:
-        """Return True if another one is within the speeds that are fitted."""
-        return other is not self and abs(other.speed / self.speed - 1.0) < width
+    def is_near(self, resonance: _Resonance, width: float = 2.0 * WIDTH) -> bool:
+        """Return True if another resonance is within a relative distance in speed."""
+        return resonance is not self and abs(resonance.speed / self.speed - 1.0) < width
 
-    def neighbours(self, found: Sequence[_Compared]) -> list[_Compared]:
-        """Return the others within the speeds that are fitted."""
-        return [other for other in found if self.near(other)]
+    def neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
+        """Return the other resonances whose fitted speeds overlap."""
+        return [resonance for resonance in resonances if self.is_near(resonance)]
 
-    def covers(self, other: _Compared) -> bool:
-        """Return True if another one is nearer than its width."""
-        return self.near(other, 2.0 * self.best.mode.damping)
+    def covers(self, resonance: _Resonance) -> bool:
+        """Return True if another resonance is nearer than the width of this one."""
+        return self.is_near(resonance, 2.0 * self.best_fit.mode.damping)
 
-    def within(self, other: _Compared) -> bool:
-        """Return True if it may be the residual of a larger one: of its order, nearer than its
-        width."""
-        larger, own = other.best, self.best
-        near = other.covers(self) and larger.mode.order == own.mode.order
-        return near and larger.amplitude > own.amplitude
+    def may_be_residual_of(self, resonance: _Resonance) -> bool:
+        """Return True if another one of its order is larger, and covers it."""
+        larger_fit, own_fit = resonance.best_fit, self.best_fit
+        is_near = resonance.covers(self) and larger_fit.mode.order == own_fit.mode.order
+        return is_near and larger_fit.amplitude > own_fit.amplitude
 
-    def again(self, record: Record, values: np.ndarray, mode: Mode | None = None) -> bool:
-        """Fit it, or a mode near it, to other displacements (revolutions, probes); return True if
-        it is clear."""
+    def refit(self, record: Record, values: np.ndarray, mode: Mode | None = None) -> bool:
+        """Refit it, or a mode near it, to displacements; return True if it is clear."""
         runs = record.runs(values, self.speed)
         if not runs:
             return False
-        self.best = Fit(runs, [mode or self.best.mode], self._weights(runs))
+        self.best_fit = Fit(runs, [mode or self.best_fit.mode], self._weights(runs))
         self._runs = runs
-        return self.clear
+        return self.is_clear
 
     def _weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
-        """Return weights (R, P) to begin a fit to runs: those of the best fit, if these are its
-        arrivals."""
-        if [one.seen.tobytes() for one in runs] == [one.seen.tobytes() for one in self._runs]:
-            return self.best.weights
-        return [run.seen.astype(float) for run in runs]
+        """Return weights (R, P) of the best fit if it has the same arrivals, otherwise 1."""
+        if [run.has_arrival.tobytes() for run in runs] == [
+            run.has_arrival.tobytes() for run in self._runs
+        ]:
+            return self.best_fit.weights
+        return [run.has_arrival.astype(float) for run in runs]
 
-    def pair(
-        self, other: _Compared, record: Record, values: np.ndarray, orders: np.ndarray
+    def compare_with(
+        self, neighbour: _Resonance, record: Record, values: np.ndarray, orders: np.ndarray
     ) -> None:
-        """Compare all orders of two neighbours, every one of each with every one of the other, in
-        displacements (revolutions, probes) that hold both; take the best pair."""
-        both = self, other
+        """Compare each pair of orders of two neighbours, and take the best.
+
+        Displacements ``values`` (revolutions, probes) hold the motion of both.
+        """
+        members = self, neighbour
         runs = record.runs(values, self.speed)
-        weights = [run.seen.astype(float) for run in runs]
-        best = Fit(runs, [one.best.mode for one in both], weights)
-        begun: list[list[Mode]] = []
-        for one, beside in (both, both[::-1]):
-            alone = values - beside.best.motion(record, len(values))
-            parts = zip(record.runs(alone, self.speed), best.weights, strict=True)
-            mode = one.best.mode
-            tried = _begun(parts, orders, one.speed, mode.damping)
-            begun.append([mode if other.order == mode.order else other for _, other in tried])
-        fits = {best.modes: best}
-        for _ in range(TURNS):
-            weights, before = best.weights, best
-            gains = _reduction_by_pairs(runs, begun, weights)
-            for pair in _highest(gains):
-                modes = begun[0][pair[0]], begun[1][pair[1]]
+        weights = [run.has_arrival.astype(float) for run in runs]
+        best_fit = Fit(runs, [member.best_fit.mode for member in members], weights)
+        mode_lists: list[list[Mode]] = []
+        for member, partner in (members, members[::-1]):
+            member_values = values - partner.best_fit.motion(record, len(values))
+            parts = zip(record.runs(member_values, self.speed), best_fit.weights, strict=True)
+            mode = member.best_fit.mode
+            options = _find_best_modes(parts, orders, member.speed, mode.damping)
+            mode_lists.append(
+                [mode if grid_mode.order == mode.order else grid_mode for _, grid_mode in options]
+            )
+        fits = {best_fit.modes: best_fit}
+        for _ in range(MAX_ROUNDS):
+            weights, previous_fit = best_fit.weights, best_fit
+            gains = _reductions_by_pairs(runs, mode_lists, weights)
+            for index_pair in _choose_pairs(gains):
+                modes = mode_lists[0][index_pair[0]], mode_lists[1][index_pair[1]]
                 if modes not in fits:
                     fits[modes] = Fit(runs, modes, weights)
-            best = min(fits.values(), key=lambda fit: fit.noise.cost)
-            if best is before:
+            best_fit = min(fits.values(), key=lambda fit: fit.noise.cost)
+            if best_fit is previous_fit:
                 break
-        for place, one in enumerate(both):
-            most = dict(zip(orders.tolist(), gains.max(axis=1 - place).tolist(), strict=True))
-            one.margins = _margins(most, fits.values(), best, place)
-            alone = values - best.motion(record, len(values), 1 - place)
-            one.again(record, alone, best.modes[place])
+        for member_index, member in enumerate(members):
+            max_gains = dict(
+                zip(orders.tolist(), gains.max(axis=1 - member_index).tolist(), strict=True)
+            )
+            member.margins = _margins(max_gains, fits.values(), best_fit, member_index)
+            member_values = values - best_fit.motion(record, len(values), 1 - member_index)
+            member.refit(record, member_values, best_fit.modes[member_index])
 
-    def described(
+    def to_passage_fit(
         self,
         record: Record,
-        left: np.ndarray,
-        found: Sequence[_Compared] = (),
+        residuals: np.ndarray,
+        resonances: Sequence[_Resonance] = (),
         lines: tuple[TipFit, ...] = (),
     ) -> PassageFit:
-        """Return the best fit in numbers, with those of single runs, to residuals of all that are
-        found (revolutions, probes): together with neighbours, whose errors are in its own."""
-        beside = [other for other in found if self.near(other, WIDTH)]
-        best, runs, modes = self.best, self._runs, [one.best.mode for one in (self, *beside)]
-        if beside:
-            motions = [one.best.motion(record, len(left)) for one in (self, *beside)]
-            runs = record.runs(left + sum(motions), self.speed)
-            best = Fit(runs, modes, self._weights(runs))
-        mode, stiffening = best.mode, record.stiffening(self.speed, best.mode.omega)
-        pairs = list(zip(runs, best.weights, strict=True))
-        alone = [Fit([run], best.modes, [own]) for run, own in pairs] if len(runs) > 1 else [best]
+        """Return the best fit in numbers, with fits of single runs.
+
+        Residuals (revolutions, probes) are those of all ``resonances``. Neighbours are fitted
+        together, so that errors include theirs.
+        """
+        neighbours = [resonance for resonance in resonances if self.is_near(resonance, WIDTH)]
+        best_fit, runs = self.best_fit, self._runs
+        modes = [resonance.best_fit.mode for resonance in (self, *neighbours)]
+        if neighbours:
+            motions = [
+                resonance.best_fit.motion(record, len(residuals))
+                for resonance in (self, *neighbours)
+            ]
+            runs = record.runs(residuals + sum(motions), self.speed)
+            best_fit = Fit(runs, modes, self._weights(runs))
+        mode, stiffening = best_fit.mode, record.stiffening(self.speed, best_fit.mode.omega)
+        pairs = list(zip(runs, best_fit.weights, strict=True))
+        single_fits = (
+            [Fit([run], best_fit.modes, [run_weights]) for run, run_weights in pairs]
+            if len(runs) > 1
+            else [best_fit]
+        )
         # Orders that resonate within the width of each other are claims on the same vibration.
-        rivals = [one for one in found if self.covers(one) or one.covers(self)]
-        margins = self.margins | {one.best.mode.order: 0.0 for one in rivals}
-        errors, orders = best.errors, np.array(sorted(margins))
+        rivals = [
+            resonance
+            for resonance in resonances
+            if self.covers(resonance) or resonance.covers(self)
+        ]
+        margins = self.margins | {resonance.best_fit.mode.order: 0.0 for resonance in rivals}
+        errors, orders = best_fit.errors, np.array(sorted(margins))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
             omega_error=float(errors[0]),
             damping=(1.0 - stiffening) * mode.damping,
             damping_error=(1.0 - stiffening) * float(errors[1]),
-            amplitude=best.amplitude,
-            forces=best.forces[0],
+            amplitude=best_fit.amplitude,
+            forces=best_fit.forces[0],
             ends=np.array([(run.begin, run.end) for run in runs]),
-            omegas=np.array([fit.mode.omega for fit in alone]),
-            omega_errors=np.array([fit.errors[0] for fit in alone]),
-            dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in alone]),
-            damping_errors=(1.0 - stiffening) * np.array([fit.errors[1] for fit in alone]),
+            omegas=np.array([fit.mode.omega for fit in single_fits]),
+            omega_errors=np.array([fit.errors[0] for fit in single_fits]),
+            dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in single_fits]),
+            damping_errors=(1.0 - stiffening) * np.array([fit.errors[1] for fit in single_fits]),
             orders=orders,
             margins=np.array([margins[order] for order in orders]),
             probes=max(run.probes for run in runs),
-            scatter=float(np.sqrt(best.noise.variance)),
-            whiteness=best.whiteness,
+            scatter=float(np.sqrt(best_fit.noise.variance)),
+            whiteness=best_fit.whiteness,
             asynchronous=lines,
             blind=(),
             stiffening=stiffening,
         )
 
 
-def _begun(
+def _find_best_modes(
     runs: Iterable[tuple[Run, np.ndarray]], orders: np.ndarray, speed: float, damping: float
 ) -> list[tuple[float, Mode]]:
-    """Return the mode of each order near a speed that reduces the sum of squares most, of runs with
-    their weights, on a grid of frequencies half a width apart, with this reduction."""
+    """Find the mode of each order that reduces the sum of squares most, and this reduction.
+
+    Frequencies are from a grid about a speed, spaced by half of the damping ratio.
+    """
     omegas = orders[:, None] * speed * (1.0 + damping * np.linspace(-2.5, 2.5, 11))
     roots = pole(omegas, damping)
     gains = sum(run.gains(orders, roots, weights) for run, weights in runs)
-    best, rows = np.argmax(gains, axis=1), np.arange(len(orders))
-    modes = map(Mode, orders.tolist(), roots[rows, best].tolist())
-    return list(zip(np.asarray(gains)[rows, best].tolist(), modes, strict=True))
+    best_columns, rows = np.argmax(gains, axis=1), np.arange(len(orders))
+    modes = map(Mode, orders.tolist(), roots[rows, best_columns].tolist())
+    return list(zip(np.asarray(gains)[rows, best_columns].tolist(), modes, strict=True))
 
 
-def _reduction_by_pairs(
-    runs: Sequence[Run], begun: Sequence[Sequence[Mode]], weights: Sequence[np.ndarray]
+def _reductions_by_pairs(
+    runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return the reduction of the sum of squares by each pair of a mode of the first list with one
-    of the second: (n, m) [m^2]."""
-    count, every = len(begun[0]), [mode for modes in begun for mode in modes]
-    first, second = np.indices((count, len(every) - count))
-    pairs = np.stack([2 * first, 2 * first + 1, 2 * (count + second), 2 * (count + second) + 1], -1)
-    total = np.zeros(first.shape)
+    """Return the reduction of the sum of squares by each pair of modes: (n, m) [m^2].
+
+    The first list has n modes, the second m.
+    """
+    count, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
+    row, column = np.indices((count, len(all_modes) - count))
+    pairs = np.stack([2 * row, 2 * row + 1, 2 * (count + column), 2 * (count + column) + 1], -1)
+    total = np.zeros(row.shape)
     for run, weight in zip(runs, weights, strict=True):
-        waves = np.array([*map(run.wave, every), run.values])
+        waves = np.array([*map(run.wave, all_modes), run.values])
         *parts, values = run.without_drifts(waves, weight)
-        parts = np.stack([np.real(parts), -np.imag(parts)], axis=1)[..., run.seen]
-        columns = parts.reshape(2 * len(every), -1)
-        square, seen = columns @ columns.T, columns @ values[run.seen].real
-        inverse = np.linalg.pinv(square[pairs[..., :, None], pairs[..., None, :]], hermitian=True)
-        total += np.einsum("nmi,nmij,nmj->nm", seen[pairs], inverse, seen[pairs])
+        parts = np.stack([np.real(parts), -np.imag(parts)], axis=1)[..., run.has_arrival]
+        columns = parts.reshape(2 * len(all_modes), -1)
+        matrix, projections = columns @ columns.T, columns @ values[run.has_arrival].real
+        inverse = np.linalg.pinv(matrix[pairs[..., :, None], pairs[..., None, :]], hermitian=True)
+        total += np.einsum("nmi,nmij,nmj->nm", projections[pairs], inverse, projections[pairs])
     return total
 
 
-def _highest(gains: np.ndarray) -> set[tuple[int, int]]:
-    """Return pairs (n, m) that are refined: the best with each of the first orders, and of the
-    second."""
-    rows, columns = (np.argsort(-gains.max(axis=1 - axis))[: REFINED // 2] for axis in (0, 1))
-    pairs = [(row, gains[row].argmax()) for row in rows]
-    pairs += [(gains[:, column].argmax(), column) for column in columns]
+def _choose_pairs(gains: np.ndarray) -> set[tuple[int, int]]:
+    """Return the pairs (n, m) to refine: the best with each of the best few modes."""
+    best_rows, best_columns = (
+        np.argsort(-gains.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2] for axis in (0, 1)
+    )
+    pairs = [(row, gains[row].argmax()) for row in best_rows]
+    pairs += [(gains[:, column].argmax(), column) for column in best_columns]
     return {(int(n), int(m)) for n, m in pairs if gains[n, m] > LOWEST * gains.max()}
 
 
 def _margins(
-    gains: Mapping[float, float], fits: Iterable[Fit], best: Fit, place: int = 0
+    gains: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
 ) -> dict[float, float]:
-    """Return the difference of -2 log likelihood of each order of the mode in a place to the best:
-    of fits, or by the reduction of the sum of squares."""
-    most = max(gains.values())
-    margins = {order: (most - gain) / best.noise.scale**2 for order, gain in gains.items()}
+    """Return the difference of -2 log likelihood to the best fit by order of a mode.
+
+    It is from fits of an order, otherwise from its reduction ``gains`` of the sum of squares.
+    """
+    max_gain = max(gains.values())
+    margins = {order: (max_gain - gain) / best_fit.noise.scale**2 for order, gain in gains.items()}
     for fit in sorted(fits, key=lambda fit: -fit.noise.cost):
-        margins[fit.modes[place].order] = fit.noise.cost - best.noise.cost
+        margins[fit.modes[mode_index].order] = fit.noise.cost - best_fit.noise.cost
     return margins

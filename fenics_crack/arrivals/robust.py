@@ -66,28 +66,28 @@ class Confidence:
 
 LEVELS = Confidence()
 
-Pair = tuple[float, float]
+Total = tuple[float, float]
+"""Sum of products, and their number."""
 Places = tuple[np.ndarray, np.ndarray]
 """Revolutions and probes of arrivals: two (n,)."""
 
 
 class Noise:
-    """Residuals of a fit, as errors from Student's t of the most likely scale and degrees of
-    freedom.
+    """Residuals of a fit, with Student's t of maximum likelihood.
 
     Steps of the scale are 1 + 3 / nu times those of the weighted squares, as the information of
     Student's t, 2 nu / (nu + 3), has it.
 
     Parameters
     ----------
-    left : (n,)
-        Residuals.
+    residuals : (n,)
+        Residuals r.
     unknowns : int
         Number of unknowns of the fit.
-    least : float
+    min_scale : float
         Minimum of the scale: rounding.
     scales : (k,)
-        Scales of all degrees that are tried, of the residuals before, from which these begin.
+        Scales to begin from, one for each of the :data:`FREEDOMS` that are tried.
 
     Attributes
     ----------
@@ -100,160 +100,186 @@ class Noise:
     """
 
     def __init__(
-        self, left: np.ndarray, unknowns: int, least: float, scales: np.ndarray | None = None
+        self,
+        residuals: np.ndarray,
+        unknowns: int,
+        min_scale: float,
+        scales: np.ndarray | None = None,
     ) -> None:
-        self.left, self.unknowns = left, unknowns
-        square, spare = left**2, max(len(left) - unknowns, 1)
+        self.residuals, self.unknowns = residuals, unknowns
+        squares, n_spare = residuals**2, max(len(residuals) - unknowns, 1)
         # As many arrivals as unknowns may be met exactly: few to spare have no tails.
-        freedoms = FREEDOMS if spare > unknowns else FREEDOMS[-1:]
+        freedoms = FREEDOMS if n_spare > unknowns else FREEDOMS[-1:]
         if scales is None:
-            scale = 1.5 * float(np.median(np.abs(left))) * np.sqrt(len(left) / spare)
+            scale = 1.5 * float(np.median(np.abs(residuals))) * np.sqrt(len(residuals) / n_spare)
             scales = np.full(len(freedoms), scale)
-        value, nu = np.maximum(scales, least), freedoms[:, None]
+        scales, nu = np.maximum(scales, min_scale), freedoms[:, None]
         for _ in range(ROBUST_ROUNDS):
-            scaled = square / value[:, None] ** 2
-            ratio = (nu + 1.0) / (nu + scaled) @ square / (spare * value**2)
-            before, value = value, np.maximum(value * ratio ** (0.5 + 1.5 / freedoms), least)
-            if np.all(np.abs(value - before) < ROBUST_SETTLED * value):
+            ratios = squares / scales[:, None] ** 2
+            variance_ratio = (nu + 1.0) / (nu + ratios) @ squares / (n_spare * scales**2)
+            previous_scales = scales
+            scales = np.maximum(scales * variance_ratio ** (0.5 + 1.5 / freedoms), min_scale)
+            if np.all(np.abs(scales - previous_scales) < ROBUST_SETTLED * scales):
                 break
-        self.scales, scaled = value, square / value[:, None] ** 2
-        each = 2.0 * (gammaln(0.5 * freedoms) - gammaln(0.5 * freedoms + 0.5) + np.log(value))
-        each += np.log(freedoms * np.pi)
-        costs = len(left) * each + (freedoms + 1.0) * np.log1p(scaled / nu).sum(axis=1)
+        self.scales, ratios = scales, squares / scales[:, None] ** 2
+        log_norms = 2.0 * (gammaln(0.5 * freedoms) - gammaln(0.5 * freedoms + 0.5) + np.log(scales))
+        log_norms += np.log(freedoms * np.pi)
+        costs = len(residuals) * log_norms + (freedoms + 1.0) * np.log1p(ratios / nu).sum(axis=1)
         # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
-        best = int(np.argmin(costs + 2.0 * (freedoms < FREEDOMS[-1])))
-        self.scale, self.freedom, self.cost = (float(one[best]) for one in (value, freedoms, costs))
-        self.weights = (self.freedom + 1.0) / (self.freedom + scaled[best])
+        best_index = int(np.argmin(costs + 2.0 * (freedoms < FREEDOMS[-1])))
+        self.scale, self.freedom, self.cost = (
+            float(quantity[best_index]) for quantity in (scales, freedoms, costs)
+        )
+        self.weights = (self.freedom + 1.0) / (self.freedom + ratios[best_index])
 
     @property
     def psi(self) -> np.ndarray:
         """Weighted residuals: (n,)."""
-        return self.weights * self.left
+        return self.weights * self.residuals
 
     @property
     def slope(self) -> float:
-        """Mean of psi'."""
-        square = (self.left / self.scale) ** 2
-        change = (self.freedom + 1.0) * (self.freedom - square) / (self.freedom + square) ** 2
+        """Mean derivative of psi by the residual."""
+        squares = (self.residuals / self.scale) ** 2
+        change = (self.freedom + 1.0) * (self.freedom - squares) / (self.freedom + squares) ** 2
         return float(np.mean(change))
 
     @property
     def variance(self) -> float:
-        """Variance of the errors of an estimate by as many normal errors as there are residuals."""
-        spare = len(self.left) - self.unknowns
-        return float(self.psi @ self.psi) / (spare * self.slope**2)
+        """Variance of normal errors with the same effect on estimates."""
+        n_spare = len(self.residuals) - self.unknowns
+        return float(self.psi @ self.psi) / (n_spare * self.slope**2)
 
     def whiteness(self, places: Places, shares: np.ndarray) -> float:
-        """Probability that errors of the arrivals and of the marks alone are as correlated at a
-        probe from each revolution to the next one with arrivals (:func:`_neighbours`).
+        """Return the probability that noise alone leaves residuals as correlated.
 
-        An error e_n of a mark turns all arrivals around it: probe i in revolution n has the sum of
-        shares_ki e_(n+k), ``shares`` (marks, probes). The variance of e is that which products of
-        two probes in a revolution have; a probe's with its next ones then have the same times
-        shares_ki shares_(k+1)i, or with those m revolutions later shares_ki shares_(k+m)i. What
-        probes have in common scatters their products likewise.
+        Noise is that of arrivals and marks; the correlation is that of psi at a probe, from a
+        revolution to the next with arrivals (:func:`_sum_neighbours`).
+
+        An error e_n of a mark moves arrivals: that of probe i in revolution n by the sum of
+        S_ki e_(n+k) over k, with S the ``shares`` (marks, probes). Products of psi at two probes of
+        a revolution give the variance of e. Times the sum of S_ki S_(k+m)i, it is the covariance of
+        probe i with itself m revolutions later. What probes share scatters their products, too.
         """
-        (own, common), lag, ((total, count), others) = _neighbours(self.psi, places)
-        square = own[0] / own[1]
-        if not count or not square:
+        (same_probe, cross_probe), lag, ((total, count), lagged_cross) = _sum_neighbours(
+            self.psi, places
+        )
+        variance = same_probe[0] / same_probe[1]
+        if not count or not variance:
             return np.nan
-        shared = max(common[0] / common[1], 0.0) if common[1] else 0.0
-        now, after = shares.T @ shares, (shares[lag:] * shares[:-lag]).sum(axis=0)
-        apart = now[~np.eye(len(now), dtype=bool)]
-        by_marks = shared / apart.mean() * after.mean() if shared else 0.0
-        scatter = square * np.sqrt(count + (shared / square) ** 2 * others[1])
-        chance = float(ndtr((total - count * by_marks) / scatter))
+        covariance = max(cross_probe[0] / cross_probe[1], 0.0) if cross_probe[1] else 0.0
+        products = shares.T @ shares
+        next_products = (shares[lag:] * shares[:-lag]).sum(axis=0)
+        cross_products = products[~np.eye(len(products), dtype=bool)]
+        mark_part = covariance / cross_products.mean() * next_products.mean() if covariance else 0.0
+        deviation = variance * np.sqrt(count + (covariance / variance) ** 2 * lagged_cross[1])
+        chance = float(ndtr((total - count * mark_part) / deviation))
         return 2.0 * min(chance, 1.0 - chance)
 
     def covariance(self, columns: np.ndarray, places: Places) -> np.ndarray:
-        """Return the covariance (m, m) of the coefficients of columns (n, m), of arrivals at
-        places."""
+        """Return the covariance (m, m) of coefficients from columns (n, m).
+
+        Rows of ``columns`` belong to the arrivals, ``places`` are their revolutions and probes.
+        """
         sizes = np.linalg.norm(columns, axis=0)
         columns = columns / sizes
-        dense = _dense(columns, places)
-        rows, white = dense.sum(axis=1), columns.T @ columns
+        probe_columns = _arrange_by_revolution(columns, places)
+        revolution_columns, gram = probe_columns.sum(axis=1), columns.T @ columns
         variance = float(self.psi @ self.psi) / (len(self.psi) - self.unknowns)
-        total = variance * white
-        lags = self._correlated(variance, places)
-        for lag, (own, other) in enumerate(lags):
-            ahead, behind = slice(lag, None), slice(len(rows) - lag)
-            at_one, all_of = (
-                part[ahead].reshape(-1, len(white)).T @ part[behind].reshape(-1, len(white))
-                for part in (dense, rows)
+        psi_covariance = variance * gram
+        covariances = self._find_covariances(variance, places)
+        for lag, (probe_covariance, pair_covariance) in enumerate(covariances):
+            tail, head = slice(lag, None), slice(len(revolution_columns) - lag)
+            probe_products, products = (
+                rows[tail].reshape(-1, len(gram)).T @ rows[head].reshape(-1, len(gram))
+                for rows in (probe_columns, revolution_columns)
             )
-            part = own * at_one + other * (all_of - at_one)
-            total += (1.0 - lag / len(lags)) * (part if lag == 0 else part + part.T)
+            term = probe_covariance * probe_products + pair_covariance * (products - probe_products)
+            psi_covariance += (1.0 - lag / len(covariances)) * (term if lag == 0 else term + term.T)
         # Correlation leaves a tenth or more of the variance by white errors.
-        scale, turned = np.linalg.eigh(white)
-        root = turned * np.where(scale > DEPENDENT * scale[-1], scale, np.inf) ** -0.5
-        values, axes = np.linalg.eigh(root.T @ total @ root)
-        root = (root @ axes) / sizes[:, None]
-        return np.asarray((root * np.maximum(values, 0.1 * variance)) @ root.T / self.slope**2)
+        values, vectors = np.linalg.eigh(gram)
+        basis = vectors * np.where(values > DEPENDENT * values[-1], values, np.inf) ** -0.5
+        variances, axes = np.linalg.eigh(basis.T @ psi_covariance @ basis)
+        basis = (basis @ axes) / sizes[:, None]
+        return np.asarray((basis * np.maximum(variances, 0.1 * variance)) @ basis.T / self.slope**2)
 
-    def _correlated(self, variance: float, places: Places) -> list[tuple[float, float]]:
-        """Return covariances of psi at a probe (of revolution 0 beyond its variance), and at two,
-        of revolutions 0, 1, ... apart, up to the first that are not significant."""
-        found: list[tuple[float, float]] = []
-        for lag, products in enumerate(_products(self.psi, itertools.count(), places)):
-            seen = []
+    def _find_covariances(self, variance: float, places: Places) -> list[tuple[float, float]]:
+        """Return significant covariances of psi at lags of 0, 1, ... revolutions.
+
+        Each lag has the covariance at one probe, 0 at lag 0, and that at two probes. The first lag
+        without a significant one ends the list.
+        """
+        covariances: list[tuple[float, float]] = []
+        for lag, products in enumerate(_sum_products(self.psi, itertools.count(), places)):
+            lag_covariances = []
             for total, count in products:
                 limit = LEVELS.deviations * variance * np.sqrt(count if lag else 2.0 * count)
-                seen.append(total / count if count and abs(total) > limit else 0.0)
+                lag_covariances.append(total / count if count and abs(total) > limit else 0.0)
             if lag == 0:
-                seen[0] = 0.0
-            elif not any(seen):
+                lag_covariances[0] = 0.0
+            elif not any(lag_covariances):
                 break
-            found.append((seen[0], seen[1]))
-        return found
+            covariances.append((lag_covariances[0], lag_covariances[1]))
+        return covariances
 
 
 def student(freedom: float) -> float:
-    """Return the variance of Student's t over the square of its scale, by which squares of errors
-    are larger whose scale is that of few residuals; nan where it has none."""
+    """Return the variance of Student's t over its squared scale.
+
+    Squared errors from few residuals are larger by this factor; nan up to two degrees of freedom.
+    """
     return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
 
 
 def trend(values: np.ndarray, places: Places) -> float:
-    """Return the probability that white values (n,) of revolutions and probes are as correlated
-    from each revolution to the next as these, or more; nan where there is one revolution."""
-    _, _, [(total, count), _] = _neighbours(values, places)
-    square = float(values @ values) / len(values)
-    return float(ndtr(-total / (square * np.sqrt(count)))) if count and square else np.nan
+    """Return the probability that white values are as correlated between revolutions, or more.
+
+    ``values`` (n,) belong to the revolutions and probes of ``places``; nan for one revolution.
+    """
+    _, _, [(total, count), _] = _sum_neighbours(values, places)
+    variance = float(values @ values) / len(values)
+    return float(ndtr(-total / (variance * np.sqrt(count)))) if count and variance else np.nan
 
 
-def _neighbours(values: np.ndarray, places: Places) -> tuple[list[Pair], int, list[Pair]]:
-    """Return :func:`_products` of revolutions with themselves and with their next ones, and the
-    distance of these: 1, or up to 5 where most revolutions between are missing."""
-    now, *later = _products(values, range(6), places)
-    lag = 1 + int(np.argmax([own[1] / lag for lag, (own, _) in enumerate(later, 1)]))
-    return now, lag, later[lag - 1]
+def _sum_neighbours(values: np.ndarray, places: Places) -> tuple[list[Total], int, list[Total]]:
+    """Sum products of values (n,) within revolutions, and with the next ones.
+
+    Returns
+    -------
+    unlagged_sums, lagged_sums : [Total at one probe, Total at two probes]
+        :func:`_sum_products` of lag 0, and of ``lag``.
+    lag : int
+        Distance of the next revolution: 1, or up to 5 if most revolutions between are missing.
+    """
+    unlagged_sums, *lagged_sums = _sum_products(values, range(6), places)
+    lag = 1 + int(np.argmax([sums[1] / lag for lag, (sums, _) in enumerate(lagged_sums, 1)]))
+    return unlagged_sums, lag, lagged_sums[lag - 1]
 
 
-def _products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Pair]]:
-    """Yield for each lag of revolutions the sums of products of values (n,), and their numbers: at
-    the same probe, and at two."""
-    parts = [_dense(part, places) for part in (values, np.ones(len(values)))]
-    totals = [dense.sum(axis=1) for dense in parts]
+def _sum_products(values: np.ndarray, lags: Iterable[int], places: Places) -> Iterator[list[Total]]:
+    """Yield products of values (n,) at each lag of revolutions: at one probe, at two probes."""
+    arrays = [_arrange_by_revolution(part, places) for part in (values, np.ones(len(values)))]
+    revolution_sums = [array.sum(axis=1) for array in arrays]
     for lag in lags:
-        end, found = max(len(parts[0]) - lag, 0), []
-        for dense, rows in zip(parts, totals, strict=True):
-            own = float((dense[lag:] * dense[:end]).sum())
-            found.append((own, float(rows[lag:] @ rows[:end]) - own))
-        yield list(zip(*found, strict=True))
+        n_rows, sums = max(len(arrays[0]) - lag, 0), []
+        for array, row_sums in zip(arrays, revolution_sums, strict=True):
+            probe_sum = float((array[lag:] * array[:n_rows]).sum())
+            sums.append((probe_sum, float(row_sums[lag:] @ row_sums[:n_rows]) - probe_sum))
+        yield list(zip(*sums, strict=True))
 
 
-def _dense(values: np.ndarray, places: Places) -> np.ndarray:
-    """Return values (n, ...) by revolution and probe, 0 where there are none."""
-    turn, probe = places[0] - places[0].min(), places[1]
-    found = np.zeros((int(turn.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
-    found[turn, probe] = values
-    return found
+def _arrange_by_revolution(values: np.ndarray, places: Places) -> np.ndarray:
+    """Arrange values (n, ...) by revolution and probe; 0 where there are none."""
+    revolution, probe = places[0] - places[0].min(), places[1]
+    table = np.zeros((int(revolution.max()) + 1, int(probe.max()) + 1, *values.shape[1:]))
+    table[revolution, probe] = values
+    return table
 
 
 def reweighted(
-    solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, least: float
+    solve: Callable[[np.ndarray], np.ndarray], weights: np.ndarray, unknowns: int, min_scale: float
 ) -> Noise:
-    """Find the weights of arrivals, by turns with the residuals of a fit with these weights.
+    """Find weights of arrivals, by turns with the residuals of a fit.
 
     Parameters
     ----------
@@ -263,47 +289,50 @@ def reweighted(
         To begin with.
     unknowns : int
         Number of coefficients of the fit.
-    least : float
+    min_scale : float
         Minimum of the scale: rounding.
     """
-    before, scales = np.inf, None
+    previous_residuals, scales = np.inf, None
     for _ in range(ROBUST_ROUNDS):
-        noise = Noise(solve(weights), unknowns, least, scales)
+        noise = Noise(solve(weights), unknowns, min_scale, scales)
         scales = noise.scales
-        change = np.abs(noise.weights - weights).max(), np.abs(noise.left - before).max()
-        weights, before = noise.weights, noise.left
-        if change[0] < ROBUST_SETTLED and change[1] < ROBUST_SETTLED * noise.scale:
+        changes = (
+            np.abs(noise.weights - weights).max(),
+            np.abs(noise.residuals - previous_residuals).max(),
+        )
+        weights, previous_residuals = noise.weights, noise.residuals
+        if changes[0] < ROBUST_SETTLED and changes[1] < ROBUST_SETTLED * noise.scale:
             break
     return noise
 
 
 def refined(
     function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
-    low: Sequence[float] | np.ndarray,
-    high: Sequence[float] | np.ndarray,
-    gain: float = ROBUST_SETTLED,
+    lower_bounds: Sequence[float] | np.ndarray,
+    upper_bounds: Sequence[float] | np.ndarray,
+    min_reduction: float = ROBUST_SETTLED,
 ) -> np.ndarray:
-    """Find unknowns (m,) by least squares, from 0 on, and return their residuals (n,).
+    """Find unknowns (m,) by least squares from 0; return the residuals (n,).
 
     Parameters
     ----------
     function : callable
         Residuals (n,) and their derivatives (n, m) at unknowns, whose natural size is 1; called
         with those that are found last.
-    low, high : (m,)
+    lower_bounds, upper_bounds : (m,)
         Bounds of the unknowns.
-    gain : float
+    min_reduction : float
         Relative reduction of the sum of squares by the last step.
     """
-    both = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
-    found = least_squares(
-        lambda x: both(x.tobytes())[0],
-        np.zeros(len(low)),
-        lambda x: both(x.tobytes())[1],
-        bounds=(np.minimum(low, 0.0), np.maximum(high, 0.0)),
+    evaluate = lru_cache(maxsize=1)(lambda key: function(np.frombuffer(key)))
+    solution = least_squares(
+        lambda x: evaluate(x.tobytes())[0],
+        np.zeros(len(lower_bounds)),
+        lambda x: evaluate(x.tobytes())[1],
+        bounds=(np.minimum(lower_bounds, 0.0), np.maximum(upper_bounds, 0.0)),
         method="dogbox",
-        ftol=gain,
+        ftol=min_reduction,
         xtol=ROBUST_SETTLED,
         gtol=None,
     )
-    return both(found.x.tobytes())[0]
+    return evaluate(solution.x.tobytes())[0]

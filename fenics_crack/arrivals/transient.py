@@ -41,8 +41,8 @@ from fenics_crack.basics.tables import TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 WIDTH = 0.035
-"""Relative half width of the speeds about a resonance that are fitted."""
-DAMPED = 1e-5, WIDTH / 2.0
+"""Half width of the fitted speeds about a resonance, relative to its speed."""
+DAMPING_BOUNDS = 1e-5, WIDTH / 2.0
 """Bounds of the damping ratios; a wider resonance is not distinguished from drift."""
 
 Follows = Callable[[float, float], float]
@@ -65,129 +65,157 @@ class Run:
     def __init__(self, record: Record, values: np.ndarray, begin: int, end: int) -> None:
         arrivals, rows = record.arrivals, slice(begin, end)
         self.begin, self.end, self._stiffening = begin, end, record.stiffening
-        self.seen = np.isfinite(values[rows])
-        self.values = np.where(self.seen, values[rows], 0.0)
-        self.path, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
-        self.angle = np.where(self.seen, arrivals.angle[rows], self.path)
-        self.speed, self.least = record.speed[rows], arrivals.rounding
-        self.along = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
+        self.has_arrival = np.isfinite(values[rows])
+        self.values = np.where(self.has_arrival, values[rows], 0.0)
+        self.nominal_angle, self.time = arrivals.nominal_angle[rows], arrivals.expected[rows]
+        self.angle = np.where(self.has_arrival, arrivals.angle[rows], self.nominal_angle)
+        self.speed, self.rounding = record.speed[rows], arrivals.rounding
+        self.scaled_speed = (self.speed - self.speed.mean()) / (self.speed.max() - self.speed.min())
 
     @property
     def probes(self) -> int:
         """Number of probes with arrivals."""
-        return int(self.seen.any(axis=0).sum())
+        return int(self.has_arrival.any(axis=0).sum())
 
     def waves(self, order: float, roots: np.ndarray) -> np.ndarray:
-        """Return a(t) exp(i p alpha) at the arrivals, for F = 1 and roots lambda (m,) that are
-        equally far apart: (m, R, P)."""
-        time, path, turning, turned = self._turned(order)
-        slower, roots = self._slower(order, roots), roots[:, None]
+        """Return waves a(t) exp(i p alpha) at the arrivals for F = 1: (m, R, P).
+
+        The roots lambda (m,) are equally far apart.
+        """
+        time, phase, phase_rate, rotation = self._phases(order)
+        factor, roots = self._stiffening_factor(order, roots), roots[:, None]
         envelope = np.empty((len(roots), len(time)), dtype=complex)
-        envelope[:, :1] = 1.0 / (1j * turning[0] - roots)
-        push = 1.0 / (1j * turning - roots)
-        for part in self._parts(slower * roots.real.min()):
-            passed = slower * (time[part] - time[part.start])
-            grown = np.exp(1j * slower * (path[part] - path[part.start]) - roots[0] * passed)
-            factor = np.exp((roots[0] - roots[-1]) / max(len(roots) - 1, 1) * passed)
-            growth = np.cumprod([grown, *[factor] * (len(roots) - 1)], axis=0)
-            pushed = (growth[:, 1:] - growth[:, :-1]) * push[:, part.start : part.stop - 1]
-            np.cumsum(pushed, axis=1, out=pushed)
-            pushed += envelope[:, [part.start]]
-            envelope[:, part.start + 1 : part.stop] = pushed / growth[:, 1:]
-        envelope *= -roots.real * turned
-        return envelope.reshape(-1, *self.path.shape)
+        envelope[:, :1] = 1.0 / (1j * phase_rate[0] - roots)
+        response = 1.0 / (1j * phase_rate - roots)
+        for part in self._parts(factor * roots.real.min()):
+            duration = factor * (time[part] - time[part.start])
+            growth = np.exp(1j * factor * (phase[part] - phase[part.start]) - roots[0] * duration)
+            growth_ratio = np.exp((roots[0] - roots[-1]) / max(len(roots) - 1, 1) * duration)
+            growths = np.cumprod([growth, *[growth_ratio] * (len(roots) - 1)], axis=0)
+            sums = (growths[:, 1:] - growths[:, :-1]) * response[:, part.start : part.stop - 1]
+            np.cumsum(sums, axis=1, out=sums)
+            sums += envelope[:, [part.start]]
+            envelope[:, part.start + 1 : part.stop] = sums / growths[:, 1:]
+        envelope *= -roots.real * rotation
+        return envelope.reshape(-1, *self.nominal_angle.shape)
 
     def wave(self, mode: Mode) -> np.ndarray:
-        """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1: (R, P)."""
+        """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P)."""
         return np.asarray(self.waves(mode.order, np.array([mode.root]))[0])
 
-    def sloped(self, mode: Mode) -> np.ndarray:
-        """Return a(t) exp(i p alpha) of a mode at the arrivals, for F = 1, and zeta w_n times the
-        derivative of the rest of it by ln lambda: (2, R, P)."""
-        order, root = mode.order, mode.root
-        time, path, turning, turned = self._turned(order)
-        slower = self._slower(order, np.array([root]))
-        found, push = np.empty((2, len(time)), dtype=complex), 1.0 / (1j * turning - root)
-        found[0, 0], found[1, 0] = push[0], push[0] ** 2
-        for part in self._parts(slower * root.real):
-            passed = slower * (time[part] - time[part.start])
-            growth = np.exp(1j * slower * (path[part] - path[part.start]) - root * passed)
-            both, pushes = np.stack([growth, -passed * growth]), push[part.start : part.stop - 1]
-            pushed = (both[:, 1:] - both[:, :-1]) * pushes
-            pushed[1] += pushed[0] * pushes
-            now = (found[:, [part.start]] + np.cumsum(pushed, axis=1)) / growth[1:]
-            now[1] += passed[1:] * now[0]
-            found[:, part.start + 1 : part.stop] = now
-        found *= -root.real * turned
-        found[1] *= root
-        return found.reshape(2, *self.path.shape)
+    def wave_and_slope(self, mode: Mode) -> np.ndarray:
+        """Return the wave a(t) exp(i p alpha) of a mode for F = 1, and its slope: (2, R, P).
 
-    def _turned(self, order: float) -> tuple[np.ndarray, ...]:
-        """Return times and p alpha without vibration, p W between them, and exp(i p alpha) of the
-        arrivals: (n,) or (n - 1,), n = R P."""
-        path, turned = order * self.path.ravel(), np.exp(1j * order * self.angle.ravel())
-        return self._time, path, np.diff(path) / np.diff(self._time), turned
+        The slope is the derivative by ln lambda, without that of the factor zeta w_n.
+        """
+        order, root = mode.order, mode.root
+        time, phase, phase_rate, rotation = self._phases(order)
+        factor = self._stiffening_factor(order, np.array([root]))
+        envelopes = np.empty((2, len(time)), dtype=complex)
+        response = 1.0 / (1j * phase_rate - root)
+        envelopes[0, 0], envelopes[1, 0] = response[0], response[0] ** 2
+        for part in self._parts(factor * root.real):
+            duration = factor * (time[part] - time[part.start])
+            growth = np.exp(1j * factor * (phase[part] - phase[part.start]) - root * duration)
+            growths = np.stack([growth, -duration * growth])
+            responses = response[part.start : part.stop - 1]
+            changes = (growths[:, 1:] - growths[:, :-1]) * responses
+            changes[1] += changes[0] * responses
+            part_envelopes = (envelopes[:, [part.start]] + np.cumsum(changes, axis=1)) / growth[1:]
+            part_envelopes[1] += duration[1:] * part_envelopes[0]
+            envelopes[:, part.start + 1 : part.stop] = part_envelopes
+        envelopes *= -root.real * rotation
+        envelopes[1] *= root
+        return envelopes.reshape(2, *self.nominal_angle.shape)
+
+    def _phases(self, order: float) -> tuple[np.ndarray, ...]:
+        """Return times and phases of n = R P arrivals under an order.
+
+        Returns
+        -------
+        time, phase, phase_rate : (n,), (n,), (n - 1,)
+            Times and p alpha without vibration, and p W to the next arrival.
+        rotation : (n,)
+            exp(i p alpha) with vibration.
+        """
+        phase = order * self.nominal_angle.ravel()
+        rotation = np.exp(1j * order * self.angle.ravel())
+        return self._time, phase, np.diff(phase) / np.diff(self._time), rotation
 
     @cached_property
     def _time(self) -> np.ndarray:
         return np.asarray((self.time - self.time[0, 0]).ravel())
 
-    def _slower(self, order: float, roots: np.ndarray) -> float:
-        """1 - s."""
+    def _stiffening_factor(self, order: float, roots: np.ndarray) -> float:
+        """Return 1 - s where an order meets the frequency of roots lambda."""
         omega = float(np.abs(roots).mean())
         return 1.0 - self._stiffening(omega / order, omega)
 
     def _parts(self, rate: float) -> list[slice]:
-        """Return parts of the arrivals, each from the last of the one before, over which exp does
-        not overflow as the decay [1/s] is undone."""
+        """Split arrivals where exp would overflow as it undoes the decay.
+
+        The rate of decay [1/s] is negative; each part begins with the last arrival of the previous.
+        """
         count = int(-rate * self._time[-1] // 300.0) + 1
         edges = [(len(self._time) - 1) * part // count for part in range(count + 1)]
         return [slice(begin, end + 1) for begin, end in itertools.pairwise(edges)]
 
-    def _drifts(self, root: np.ndarray) -> np.ndarray:
-        """Return a constant and a slope over the speed at each probe, times roots of weights
-        (R, P), and orthonormal: (2, R, P)."""
-        drifts = np.stack([root, root * self.along[:, None]])
-        first, second = drifts
-        first /= np.sqrt(np.maximum((first * first).sum(axis=0), SMALLEST_NORMAL))
-        second -= first * (first * second).sum(axis=0)
-        second /= np.sqrt(np.maximum((second * second).sum(axis=0), SMALLEST_NORMAL))
+    def _drifts(self, root_weights: np.ndarray) -> np.ndarray:
+        """Return the drifts of each probe, weighted and orthonormal: (2, R, P).
+
+        They are a constant and a slope over the speed, times roots of weights (R, P).
+        """
+        drifts = np.stack([root_weights, root_weights * self.scaled_speed[:, None]])
+        constant, slope = drifts
+        constant /= np.sqrt(np.maximum((constant * constant).sum(axis=0), SMALLEST_NORMAL))
+        slope -= constant * (constant * slope).sum(axis=0)
+        slope /= np.sqrt(np.maximum((slope * slope).sum(axis=0), SMALLEST_NORMAL))
         return drifts
 
     def without_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return waves (m, R, P) times the roots of weights (R, P), without the constant and the
-        slope over the speed that are fitted to them at each probe."""
-        root = np.sqrt(weights)
-        found = root * waves
-        for column in self._drifts(root):
-            found -= column * (column * found).sum(axis=-2, keepdims=True)
-        return np.asarray(found)
+        """Return waves (m, R, P) times roots of weights (R, P), without :meth:`_drifts`."""
+        root_weights = np.sqrt(weights)
+        residuals = root_weights * waves
+        for drift in self._drifts(root_weights):
+            residuals -= drift * (drift * residuals).sum(axis=-2, keepdims=True)
+        return np.asarray(residuals)
 
-    def phased(self, wave: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return normal equations of a wave (R, P) of any phase at each probe, with weights (R, P):
-        (P, 2, 2) and (P, 2), its parts (2, R, P), and the values (R, P) without drift."""
-        given = np.stack([wave.real, -wave.imag, self.values])
-        *parts, values = self.without_drifts(given, weights)
-        square = np.einsum("arp,brp->pab", parts, parts)
-        return square, np.einsum("arp,rp->pa", parts, values), np.array(parts), values
+    def phase_equations(self, wave: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return normal equations of a wave with any phase at each probe.
+
+        Returns
+        -------
+        matrices, vectors : (P, 2, 2), (P, 2)
+            Equations for the amplitude's parts, with weights (R, P) of the arrivals.
+        parts, values : (2, R, P), (R, P)
+            Parts of the wave, and displacements, weighted and without drifts.
+        """
+        waves_and_values = np.stack([wave.real, -wave.imag, self.values])
+        *parts, values = self.without_drifts(waves_and_values, weights)
+        matrices = np.einsum("arp,brp->pab", parts, parts)
+        return matrices, np.einsum("arp,rp->pa", parts, values), np.array(parts), values
 
     def gains(self, orders: np.ndarray, roots: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return the reduction of the sum of squares with weights (R, P) by the vibration of each
-        order (n,) and root lambda (n, m), with any F: (n, m) [m^2]. Roots of an order are equally
-        far apart."""
-        root, weight, found = np.sqrt(weights), weights.ravel(), []
-        columns = root * self._drifts(root)
-        left = (root * self.without_drifts(self.values, weights)).ravel()
-        for order, every in zip(orders.tolist(), roots, strict=True):
-            waves = self.waves(order, every)
-            drifts = np.einsum("krp,mrp->mkp", columns, waves)
-            waves = waves.reshape(len(every), -1)
-            seen, both = waves @ left, waves**2 @ weight - (drifts**2).sum(axis=(1, 2))
-            size = (waves.real**2 + waves.imag**2) @ weight
-            size -= (drifts.real**2 + drifts.imag**2).sum(axis=(1, 2))
-            gain = size * np.abs(seen) ** 2 - (both.conj() * seen**2).real
-            found.append(2.0 * gain / (size**2 - np.abs(both) ** 2))
-        return np.array(found)
+        """Return the reduction of the weighted sum of squares by each vibration: (n, m) [m^2].
+
+        Vibrations have orders (n,), equidistant roots lambda (n, m), any F; weights are (R, P).
+        """
+        root_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
+        weighted_drifts = root_weights * self._drifts(root_weights)
+        residuals = (root_weights * self.without_drifts(self.values, weights)).ravel()
+        for order, order_roots in zip(orders.tolist(), roots, strict=True):
+            waves = self.waves(order, order_roots)
+            drift_products = np.einsum("krp,mrp->mkp", weighted_drifts, waves)
+            waves = waves.reshape(len(order_roots), -1)
+            products = waves @ residuals
+            bilinear_squares = waves**2 @ weight_vector - (drift_products**2).sum(axis=(1, 2))
+            squares = (waves.real**2 + waves.imag**2) @ weight_vector
+            squares -= (drift_products.real**2 + drift_products.imag**2).sum(axis=(1, 2))
+            numerators = (
+                squares * np.abs(products) ** 2 - (bilinear_squares.conj() * products**2).real
+            )
+            reductions.append(2.0 * numerators / (squares**2 - np.abs(bilinear_squares) ** 2))
+        return np.array(reductions)
 
 
 @dataclass(frozen=True)
@@ -203,17 +231,17 @@ class Record:
         return self.arrivals.speed
 
     def runs(self, values: np.ndarray, speed: float) -> list[Run]:
-        """Return the parts of a record in which the speed is near one, and on both sides of it."""
-        apart = self.speed / speed - 1.0
-        near = np.flatnonzero(np.abs(apart) < WIDTH)
-        found = []
-        for rows in np.split(near, np.flatnonzero(np.diff(near) > FEWEST_REVOLUTIONS) + 1):
-            if len(rows) >= FEWEST_REVOLUTIONS and apart[rows].min() < 0.0 < apart[rows].max():
-                run = Run(self, values, int(rows[0]), int(rows[-1]) + 1)
+        """Return the runs in which the rotor passes a speed."""
+        offsets = self.speed / speed - 1.0
+        rows = np.flatnonzero(np.abs(offsets) < WIDTH)
+        runs = []
+        for part in np.split(rows, np.flatnonzero(np.diff(rows) > FEWEST_REVOLUTIONS) + 1):
+            if len(part) >= FEWEST_REVOLUTIONS and offsets[part].min() < 0.0 < offsets[part].max():
+                run = Run(self, values, int(part[0]), int(part[-1]) + 1)
                 # A probe that has dropped out leaves the others.
-                run.seen &= run.seen.sum(axis=0) >= FEWEST_REVOLUTIONS
-                found += [run] * bool(np.any(run.seen))
-        return found
+                run.has_arrival &= run.has_arrival.sum(axis=0) >= FEWEST_REVOLUTIONS
+                runs += [run] * bool(np.any(run.has_arrival))
+        return runs
 
 
 def pole(omega: np.ndarray, damping: float) -> np.ndarray:
@@ -243,20 +271,21 @@ class Mode:
         """Speed at which the order meets the frequency [rad/s]."""
         return self.omega / self.order
 
-    def moved(self, step: np.ndarray) -> Mode:
+    def with_step(self, step: np.ndarray) -> Mode:
         """Return the mode after a step of ln w_n, in units of zeta, and ln zeta."""
         omega = self.omega * math.exp(self.damping * step[0])
         return Mode(self.order, complex(pole(omega, self.damping * math.exp(step[1]))))
 
     def steps(self, omega: float, damping: float) -> list[float]:
-        """Return the step to a natural frequency [rad/s] and a damping ratio."""
-        apart = math.log(omega / self.omega) / self.damping
-        return [apart, math.log(damping / self.damping)]
+        """Return the step of :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
+        frequency_step = math.log(omega / self.omega) / self.damping
+        return [frequency_step, math.log(damping / self.damping)]
 
 
 class Fit:
-    """Least squares of frequencies and dampings, by turns with the weights of arrivals; what is
-    linear is fitted within (variable projection).
+    """Fit of frequencies and dampings by least squares, in turns with weights of arrivals.
+
+    Forces and drifts are linear, and fitted for each step of these (variable projection).
 
     Parameters
     ----------
@@ -283,60 +312,67 @@ class Fit:
         self._runs, self.modes = runs, tuple(modes)
         self._omegas = [mode.omega for mode in modes]
         self._waves = lru_cache(maxsize=1)(self._waves_of)
-        begin = np.concatenate([part[run.seen] for run, part in zip(runs, weights, strict=True)])
+        initial_weights = np.concatenate(
+            [part[run.has_arrival] for run, part in zip(runs, weights, strict=True)]
+        )
         unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.probes for run in runs)
-        self.noise = reweighted(self._solve, begin, unknowns, runs[0].least)
+        self.noise = reweighted(self._solve, initial_weights, unknowns, runs[0].rounding)
 
     def _solve(self, weights: np.ndarray) -> np.ndarray:
         """Fit with weights (n,) of the arrivals, and return the residuals (n,)."""
-        begin, spread = self.modes, self._spread(weights)
-        ends = [
-            [mode.steps(omega * (1.0 + side * WIDTH), DAMPED[side > 0]) for side in (-1, 1)]
-            for mode, omega in zip(begin, self._omegas, strict=True)
+        initial_modes, run_weights = self.modes, self._split_by_run(weights)
+        bounds = [
+            [mode.steps(omega * (1.0 + end * WIDTH), DAMPING_BOUNDS[end > 0]) for end in (-1, 1)]
+            for mode, omega in zip(initial_modes, self._omegas, strict=True)
         ]
 
         def residuals(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            pairs = zip(begin, steps.reshape(-1, 2), strict=True)
-            self.modes = tuple(mode.moved(step) if any(step) else mode for mode, step in pairs)
-            units = np.array([unit for mode in begin for unit in (mode.damping, 1.0)])
-            left, self._slopes = self._linear(spread)
-            return left, self._slopes * units
+            pairs = zip(initial_modes, steps.reshape(-1, 2), strict=True)
+            self.modes = tuple(mode.with_step(step) if any(step) else mode for mode, step in pairs)
+            units = np.array([unit for mode in initial_modes for unit in (mode.damping, 1.0)])
+            residual_vector, self._slopes = self._fit_forces(run_weights)
+            return residual_vector, self._slopes * units
 
-        low, high = np.concatenate(ends, axis=1)
-        return refined(residuals, low, high) / np.sqrt(weights)
+        lower_bounds, upper_bounds = np.concatenate(bounds, axis=1)
+        return refined(residuals, lower_bounds, upper_bounds) / np.sqrt(weights)
 
     def _waves_of(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
-        """Return the waves of modes in each run, and their slopes, by :meth:`Run.sloped`."""
-        return [np.concatenate([*map(run.sloped, modes)]) for run in self._runs]
+        """Return waves and slopes of modes in each run, by :meth:`Run.wave_and_slope`."""
+        return [np.concatenate([*map(run.wave_and_slope, modes)]) for run in self._runs]
 
-    def _linear(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Fit the forces with weights (R, P), and return residuals (n,) and their derivatives by
-        ln w_n and ln zeta of each mode (n, m), all times the roots of the weights."""
+    def _fit_forces(self, weights: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Fit the forces with weights (R, P) of the arrivals in each run.
+
+        Returns
+        -------
+        residuals, slopes : (n,), (n, m)
+            Residuals, derivatives by ln w_n and ln zeta of each mode; times roots of weights.
+        """
         forces, parts = [], []
-        by_mode = np.array([(1.0, mode.root.real / mode.root) for mode in self.modes])
+        log_root_slopes = np.array([(1.0, mode.root.real / mode.root) for mode in self.modes])
         for run, waves, weight in zip(self._runs, self._waves(self.modes), weights, strict=True):
-            given = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
-            values, *waves = given[:, run.seen]
-            pairs = np.stack([part for wave in waves for part in (wave.real, -wave.imag)])
-            pairs = pairs.reshape(-1, 2, 2, len(values))  # mode, wave and slope, parts
-            columns = pairs[:, 0].reshape(-1, len(values))
-            both = np.vstack([values.real, pairs[:, 1].reshape(-1, len(values))])
-            found = np.linalg.lstsq(columns @ columns.T, columns @ both.T, rcond=None)[0]
-            both -= found.T @ columns
-            forces.append(found[0::2, 0] + 1j * found[1::2, 0])
-            turned = forces[-1][:, None] * by_mode  # by ln w_n, and by ln zeta
-            slopes = turned[..., None] * (both[1::2] - 1j * both[2::2])[:, None]
-            parts.append(np.vstack([both[:1], -slopes.real.reshape(-1, len(values))]).T)
-        self.forces, both = np.array(forces).T, np.concatenate(parts)
-        return both[:, 0], both[:, 1:]
+            values_and_waves = run.without_drifts(np.concatenate([run.values[None], waves]), weight)
+            values, *waves = values_and_waves[:, run.has_arrival]
+            wave_parts = np.stack([part for wave in waves for part in (wave.real, -wave.imag)])
+            wave_parts = wave_parts.reshape(-1, 2, 2, len(values))  # mode, wave and slope, parts
+            columns = wave_parts[:, 0].reshape(-1, len(values))
+            residuals = np.vstack([values.real, wave_parts[:, 1].reshape(-1, len(values))])
+            amplitudes = np.linalg.lstsq(columns @ columns.T, columns @ residuals.T, rcond=None)[0]
+            residuals -= amplitudes.T @ columns
+            forces.append(amplitudes[0::2, 0] + 1j * amplitudes[1::2, 0])
+            force_slopes = forces[-1][:, None] * log_root_slopes  # by ln w_n, and by ln zeta
+            slopes = force_slopes[..., None] * (residuals[1::2] - 1j * residuals[2::2])[:, None]
+            parts.append(np.vstack([residuals[:1], -slopes.real.reshape(-1, len(values))]).T)
+        self.forces, residual_columns = np.array(forces).T, np.concatenate(parts)
+        return residual_columns[:, 0], residual_columns[:, 1:]
 
-    def _spread(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return values (n,) of the arrivals in each run, 0 where there is none: (R, P)."""
-        counts = np.cumsum([int(run.seen.sum()) for run in self._runs])[:-1]
-        found = [np.zeros(run.path.shape) for run in self._runs]
-        for one, run, part in zip(found, self._runs, np.split(values, counts), strict=True):
-            one[run.seen] = part
-        return found
+    def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
+        """Split values (n,) of the arrivals by run: (R, P), 0 where there is none."""
+        counts = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
+        run_values = [np.zeros(run.nominal_angle.shape) for run in self._runs]
+        for array, run, part in zip(run_values, self._runs, np.split(values, counts), strict=True):
+            array[run.has_arrival] = part
+        return run_values
 
     @property
     def mode(self) -> Mode:
@@ -346,7 +382,7 @@ class Fit:
     @property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Revolutions and probes of the arrivals: two (n,)."""
-        rows = [np.nonzero(run.seen) for run in self._runs]
+        rows = [np.nonzero(run.has_arrival) for run in self._runs]
         turns = [run.begin + row for run, (row, _) in zip(self._runs, rows, strict=True)]
         return np.concatenate(turns), np.concatenate([probe for _, probe in rows])
 
@@ -354,8 +390,8 @@ class Fit:
     def errors(self) -> np.ndarray:
         """Standard errors of frequency [rad/s] and damping of the first mode."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
-        spread = self.noise.covariance(columns, self.places)
-        return np.sqrt(np.diag(spread)[:2]) * [self.mode.omega, self.mode.damping]
+        covariance = self.noise.covariance(columns, self.places)
+        return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
 
     @cached_property
     def amplitude(self) -> float:
@@ -363,61 +399,67 @@ class Fit:
         pairs = zip(self.forces[0], self._runs, strict=True)
         return float(max(np.abs(force * run.wave(self.mode)).max() for force, run in pairs))
 
-    def motion(self, record: Record, revolutions: int, place: int = 0) -> np.ndarray:
-        """Return displacements by one of the modes (revolutions, probes), of each passage up to
-        halfway to the next."""
-        found = []
-        halfway = [(one.end + after.begin) // 2 for one, after in itertools.pairwise(self._runs)]
+    def motion(self, record: Record, revolutions: int, mode_index: int = 0) -> np.ndarray:
+        """Return the displacements by one of the modes: (revolutions, probes).
+
+        Those of a passage extend halfway to the next.
+        """
+        motions = []
+        halfway = [
+            (run.end + next_run.begin) // 2 for run, next_run in itertools.pairwise(self._runs)
+        ]
         ends = itertools.pairwise([0, *halfway, revolutions])
-        nothing = np.zeros(record.arrivals.time.shape)
-        for (begin, end), force in zip(ends, self.forces[place], strict=True):
-            wave = Run(record, nothing, begin, end).wave(self.modes[place])
-            found.append((force * wave).real)
-        return np.concatenate(found)
+        no_displacements = np.zeros(record.arrivals.time.shape)
+        for (begin, end), force in zip(ends, self.forces[mode_index], strict=True):
+            wave = Run(record, no_displacements, begin, end).wave(self.modes[mode_index])
+            motions.append((force * wave).real)
+        return np.concatenate(motions)
 
     @property
     def whiteness(self) -> float:
-        """Probability that errors of arrivals and marks alone are left."""
-        turns = np.arange(-4.0, 6.0)  # marks beyond hardly change the spline of the angle
-        shares = between(turns, np.eye(len(turns)), self._runs[0].path[0] / TURN % 1.0).T
+        """Probability that noise alone leaves residuals as correlated: :meth:`Noise.whiteness`."""
+        marks = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
+        shares = between(marks, np.eye(len(marks)), self._runs[0].nominal_angle[0] / TURN % 1.0).T
         return self.noise.whiteness(self.places, shares)
 
     @property
     def weights(self) -> list[np.ndarray]:
         """Weights of the arrivals of each run: (R, P)."""
-        return self._spread(self.noise.weights)
+        return self._split_by_run(self.noise.weights)
 
     @property
-    def blind(self) -> np.ndarray:
-        """Probes (n,) at which the amplitude is less than half of the median, and five times
-        farther from it than at any other probe: channels whose pulses are not those of the
-        blade.
+    def blind_probes(self) -> np.ndarray:
+        """Indices (n,) of probes whose pulses are not the blade's.
 
-        A vibration of any phase is fitted at each probe.
+        A vibration of any phase is fitted at each probe. Blind ones, a minority, have less than
+        half of the median amplitude, and are five times farther from it than all others.
         """
-        count = self._runs[0].path.shape[1]
-        square, seen, size = np.zeros((count, 2, 2)), np.zeros((count, 2)), np.ones(count)
+        count = self._runs[0].nominal_angle.shape[1]
+        matrices, vectors = np.zeros((count, 2, 2)), np.zeros((count, 2))
+        size_ratios = np.ones(count)
         for run, force, weight in zip(self._runs, self.forces[0], self.weights, strict=True):
-            more = run.phased(force * run.wave(self.mode), weight)
-            square, seen = square + more[0], seen + more[1]
-        there = square.any(axis=(1, 2))
-        found = np.linalg.solve(square[there], seen[there, :, None])[..., 0]
-        size[there] = np.hypot(*found.T) / np.median(found[:, 0])
+            equations = run.phase_equations(force * run.wave(self.mode), weight)
+            matrices, vectors = matrices + equations[0], vectors + equations[1]
+        is_live = matrices.any(axis=(1, 2))
+        amplitudes = np.linalg.solve(matrices[is_live], vectors[is_live, :, None])[..., 0]
+        size_ratios[is_live] = np.hypot(*amplitudes.T) / np.median(amplitudes[:, 0])
         # Of 200 records with another mode within the width and 4 to 8 probes one had such a probe.
-        off, apart = size < 0.5, np.abs(size - 1.0)
-        if not 0 < np.count_nonzero(off) < np.count_nonzero(there & ~off):
+        is_small, offsets = size_ratios < 0.5, np.abs(size_ratios - 1.0)
+        if not 0 < np.count_nonzero(is_small) < np.count_nonzero(is_live & ~is_small):
             return np.array([], dtype=int)
-        return np.flatnonzero(off & (apart[off].min() > 5.0 * apart[~off].max()))
+        return np.flatnonzero(is_small & (offsets[is_small].min() > 5.0 * offsets[~is_small].max()))
 
     @cached_property
     def gain(self) -> float:
         """Reduction of -2 log likelihood by the vibration."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
-            parts = zip(self._runs, self._spread(weights), strict=True)
-            left = [run.without_drifts(run.values, weight)[run.seen] for run, weight in parts]
-            return np.asarray(np.concatenate(left) / np.sqrt(weights))
+            parts = zip(self._runs, self._split_by_run(weights), strict=True)
+            residuals = [
+                run.without_drifts(run.values, weight)[run.has_arrival] for run, weight in parts
+            ]
+            return np.asarray(np.concatenate(residuals) / np.sqrt(weights))
 
         unknowns = self.noise.unknowns - 2 * len(self.modes) * (1 + len(self._runs))
-        empty = reweighted(solve, self.noise.weights, unknowns, self._runs[0].least)
-        return empty.cost - self.noise.cost
+        drift_noise = reweighted(solve, self.noise.weights, unknowns, self._runs[0].rounding)
+        return drift_noise.cost - self.noise.cost

@@ -17,11 +17,11 @@ def test_orders_of_two_modes() -> None:
     rng = np.random.default_rng([2, 3])
     for _ in range(4):
         arrivals, modes = neighbouring_modes.record(3, rng)
-    found = sorted(fc.find_passages(arrivals, range(1, 17)), key=lambda one: one.omega)
-    assert [(one.order, neighbouring_modes.stated_alone(one)) for one in found] == [
-        (order, True) for order, _ in sorted(modes, key=lambda one: one[1])
+    fits = sorted(fc.find_passages(arrivals, range(1, 17)), key=lambda fit: fit.omega)
+    assert [(fit.order, neighbouring_modes.stated_alone(fit)) for fit in fits] == [
+        (order, True) for order, _ in sorted(modes, key=lambda mode: mode[1])
     ]
-    for fit, (_, omega) in zip(found, sorted(modes, key=lambda one: one[1]), strict=True):
+    for fit, (_, omega) in zip(fits, sorted(modes, key=lambda mode: mode[1]), strict=True):
         assert abs(fit.omega - omega) < 4.0 * fit.omega_error and fit.margin > 100.0
 
 
@@ -29,11 +29,11 @@ def test_two_probes_test_no_order() -> None:
     """Two of three probes of a measured record show order 7, where three show 6: every other order
     is listed; one that is given alone is not in question."""
     [blade] = fc.read_record(DEMOS / "blisk_blade.csv", tip_radius=0.164).values()
-    two = blade.without(np.array([1]))
-    fit = fc.fit_passage(two, 130.1, range(5, 9))
+    two_probes = blade.without(np.array([1]))
+    fit = fc.fit_passage(two_probes, 130.1, range(5, 9))
     assert fit.untested and fit.probes == 2 and fit.order == 7
     assert {fit.order, *fit.ambiguous} == {5.0, 6.0, 7.0, 8.0}
     assert "order untested by 2 probes" in repr(fit)
-    known = fc.fit_passage(two, 130.1, [6])
-    assert not known.untested and known.ambiguous == ()
+    single_order_fit = fc.fit_passage(two_probes, 130.1, [6])
+    assert not single_order_fit.untested and single_order_fit.ambiguous == ()
     assert not fc.fit_passage(blade, 130.1, range(5, 9)).untested

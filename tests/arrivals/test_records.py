@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from records import RECORD, swept, written
+from records import RECORD, sweep_record, write_table
 
 import fenics_crack as fc
 
@@ -19,21 +19,24 @@ HERTZ = 2.0 * np.pi
 
 @pytest.fixture(scope="module")
 def blade() -> fc.ArrivalTimes:
-    """The blade of the record."""
-    [found] = fc.read_record(RECORD, tip_radius=0.164).values()
-    return found
+    """Read the blade of the measured record."""
+    [record] = fc.read_record(RECORD, tip_radius=0.164).values()
+    return record
 
 
 def test_the_largest_resonance_of_a_blisk(blade: fc.ArrivalTimes) -> None:
     """Order 8 with its margin; up and down the same."""
-    [first] = fc.find_passages(blade, range(7, 10), most=1, asynchronous=0)
-    assert first.order == 8 and first.margin > 50.0 and not first.ambiguous
-    assert first.omega / HERTZ == pytest.approx(125.556, abs=0.03)
-    assert 0.0020 < first.damping < 0.0024
-    assert first.apart < 5e-4 and not first.disagree and len(first.ends) == 2
-    assert 0.005 < first.omega_error / HERTZ < 0.012
-    alone = fc.fit_passage(blade, first.speed, [8])
-    assert alone.omega == pytest.approx(first.omega, rel=1e-4) and alone.margin == np.inf
+    [fit] = fc.find_passages(blade, range(7, 10), most=1, asynchronous=0)
+    assert fit.order == 8 and fit.margin > 50.0 and not fit.ambiguous
+    assert fit.omega / HERTZ == pytest.approx(125.556, abs=0.03)
+    assert 0.0020 < fit.damping < 0.0024
+    assert fit.apart < 5e-4 and not fit.disagree and len(fit.ends) == 2
+    assert 0.005 < fit.omega_error / HERTZ < 0.012
+    single_order_fit = fc.fit_passage(blade, fit.speed, [8])
+    assert (
+        single_order_fit.omega == pytest.approx(fit.omega, rel=1e-4)
+        and single_order_fit.margin == np.inf
+    )
     with pytest.raises(fc.InputError, match=r"^speed = 1000.* 24\.\d+ to 15[23]"):
         fc.fit_passage(blade, 1000.0)
 
@@ -41,10 +44,10 @@ def test_the_largest_resonance_of_a_blisk(blade: fc.ArrivalTimes) -> None:
 @pytest.mark.nightly
 def test_the_record_of_a_blisk(blade: fc.ArrivalTimes) -> None:
     """Order 8 among all; the other resonances of the family of modes near 125 Hz."""
-    found = fc.find_passages(blade)
-    assert found[0].order == 8 and found[0].margin > 50.0 and not found[0].ambiguous
-    assert found[0].omega / HERTZ == pytest.approx(125.556, abs=0.03)
-    orders = {fit.order: fit.omega / HERTZ for fit in found if not fit.ambiguous}
+    fits = fc.find_passages(blade)
+    assert fits[0].order == 8 and fits[0].margin > 50.0 and not fits[0].ambiguous
+    assert fits[0].omega / HERTZ == pytest.approx(125.556, abs=0.03)
+    orders = {fit.order: fit.omega / HERTZ for fit in fits if not fit.ambiguous}
     assert {6.0, 7.0, 12.0, 13.0} <= set(orders)
     for order in (6.0, 7.0, 12.0, 13.0):
         assert orders[order] == pytest.approx(125.0, abs=1.2)
@@ -55,11 +58,11 @@ def test_passages_of_a_known_mode(line: float) -> None:
     """A mass swept through order 5 up and down, and 1 um of noise: its frequency and damping; also
     beside a vibration that order 4 meets where the speed turns."""
     omega, damping, order = 500.0, 0.004, 5
-    record, motion = swept([(omega, damping, order, 2e-3 * damping)], line=line)
+    record, motion = sweep_record([(omega, damping, order, 2e-3 * damping)], line=line)
     [fit] = fc.find_passages(record, range(1, 9))
     assert fit.order == order and not fit.ambiguous and fit.margin > 1e2 and not fit.in_doubt
     assert fit.omega == pytest.approx(omega, rel=3e-6)
-    assert [round(one.omega, 2) for one in fit.asynchronous] == [line] * (line > 0.0)
+    assert [round(line_fit.omega, 2) for line_fit in fit.asynchronous] == [line] * (line > 0.0)
     assert fit.damping == pytest.approx(damping, rel=5e-3)
     assert fit.amplitude == pytest.approx(np.abs(motion).max(), rel=0.01)
     for name in ("order", "frequency_error", "whiteness"):
@@ -69,21 +72,25 @@ def test_passages_of_a_known_mode(line: float) -> None:
 
 @pytest.mark.parametrize("stiffening", [0.4, pytest.param(-0.3, marks=pytest.mark.nightly)])
 def test_frequency_that_follows_the_speed(stiffening: float) -> None:
-    """A mass whose stiffness the speed changes: by its slope frequency and damping are found, as
-    well as by one that does not change; without it the damping is about 1 / (1 - s) times that."""
+    """Fit a mass whose natural frequency follows the speed.
+
+    With its slope s, frequency and damping are those of the mass; without, the damping is about
+    1 / (1 - s) times as large."""
     omega, damping, order = 500.0, 0.004, 5
     modes = [(omega, damping, order, 2e-3 * damping)]
-    record, motion = swept(modes, stiffening=stiffening)
+    record, motion = sweep_record(modes, stiffening=stiffening)
     [fit] = fc.find_passages(record, range(3, 8), stiffening=stiffening)
     assert fit.order == order and fit.stiffening == stiffening
     assert fit.omega == pytest.approx(omega, rel=3e-5)
     assert fit.damping == pytest.approx(damping, rel=5e-3)
     assert fit.amplitude == pytest.approx(np.abs(motion).max(), rel=0.01)
-    seen, shown = fit.compared(record)[0][1:]
-    assert np.nanstd(seen - shown) < 3e-6
-    without = fc.fit_passage(record, 100.0, [order])
-    assert without.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
-    assert without.disagree and without.disagreement.startswith("passages differ more than errors")
+    measured_motion, fitted_motion = fit.compared(record)[0][1:]
+    assert np.nanstd(measured_motion - fitted_motion) < 3e-6
+    constant_fit = fc.fit_passage(record, 100.0, [order])
+    assert constant_fit.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
+    assert constant_fit.disagree and constant_fit.disagreement.startswith(
+        "passages differ more than errors"
+    )
     with pytest.raises(fc.InputError, match=r"^stiffening = 0\.95.*-0\.9 to 0\.9"):
         fc.fit_passage(record, 100.0, [order], stiffening=0.95)
     with pytest.raises(fc.InputError, match=r"^stiffening\(\d.* = nan: must be a finite number"):
@@ -93,7 +100,7 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
 def test_marks_that_jitter_leave_no_doubt() -> None:
     """An error of a mark is in the arrivals of both revolutions that it ends and begins: residuals
     are as correlated as that makes them, and no vibration is in doubt."""
-    record, _ = swept([(500.0, 4e-3, 5, 8e-6)], noise=2e-5, marks=4e-7)
+    record, _ = sweep_record([(500.0, 4e-3, 5, 8e-6)], noise=2e-5, mark_jitter=4e-7)
     [fit] = fc.find_passages(record, [4, 5, 6], asynchronous=0)
     assert fit.order == 5 and not fit.in_doubt and abs(fit.omega - 500.0) < 4.0 * fit.omega_error
 
@@ -105,44 +112,44 @@ def test_neighbours_are_found_once_and_right(count: int, orders: Iterable[int]) 
     """Two masses 1 % apart on one order, and one on another: three resonances, each within four of
     its errors, none claimed twice, nor the residual of another one."""
     modes = [(500.0, 0.002, 5, 2e-6), (505.0, 0.002, 5, 1e-6), (692.0, 0.003, 7, 2e-6)][:count]
-    fits = fc.find_passages(swept(modes)[0], orders, asynchronous=count - 2)
-    found = sorted(fits, key=lambda one: one.omega)
-    assert [one.order for one in found] == [5.0, 5.0, 7.0][:count]
-    for fit, (omega, damping, _, _) in zip(found, modes, strict=True):
+    fits = fc.find_passages(sweep_record(modes)[0], orders, asynchronous=count - 2)
+    sorted_fits = sorted(fits, key=lambda fit: fit.omega)
+    assert [fit.order for fit in sorted_fits] == [5.0, 5.0, 7.0][:count]
+    for fit, (omega, damping, _, _) in zip(sorted_fits, modes, strict=True):
         assert abs(fit.omega - omega) < 4.0 * fit.omega_error
         assert abs(fit.damping - damping) < 4.0 * fit.damping_error
 
 
 @pytest.mark.parametrize("order", [5, pytest.param(3, marks=pytest.mark.nightly)])
 def test_arrivals_of_another_blade(order: int) -> None:
-    """One in ten is of the next blade, 50 mm away: the order is that of the others."""
+    """One arrival in ten is of the next blade, 50 mm away: the order is that of the others."""
     modes = [(100.0 * order, 0.002, order, 1e-7)]
-    [fit] = fc.find_passages(swept(modes, wrong=0.1)[0], range(1, 9))
+    [fit] = fc.find_passages(sweep_record(modes, outlier_share=0.1)[0], range(1, 9))
     assert fit.order == order and not fit.ambiguous and not fit.in_doubt
     assert abs(fit.omega - 100.0 * order) < 4.0 * fit.omega_error
 
 
 def test_a_probe_that_drops_out() -> None:
-    """In the second passage, or from the beginning: the others see the resonance, twice."""
-    whole, _ = swept([(500.0, 4e-3, 5, 8e-6)], noise=2e-5)
+    """A probe fails in the second passage, or at once: the others see the resonance twice."""
+    complete_record, _ = sweep_record([(500.0, 4e-3, 5, 8e-6)], noise=2e-5)
     for begin in (240, 0):
-        time = whole.time.copy()
+        time = complete_record.time.copy()
         time[begin:, 1] = np.nan
-        lost = replace(whole, time=time)
-        [found] = fc.find_passages(lost, [4, 5, 6], asynchronous=0)
-        for fit in (found, fc.fit_passage(lost, 100.0, [5])):
+        record = replace(complete_record, time=time)
+        [scanned_fit] = fc.find_passages(record, [4, 5, 6], asynchronous=0)
+        for fit in (scanned_fit, fc.fit_passage(record, 100.0, [5])):
             assert fit.order == 5 and len(fit.ends) == 2 and not fit.blind
             assert abs(fit.omega - 500.0) < 4.0 * fit.omega_error
-            assert fit.compared(lost)[1][1].shape[1] == 4
+            assert fit.compared(record)[1][1].shape[1] == 4
 
 
-@pytest.mark.parametrize("every", [2, 3])
-def test_a_record_of_some_revolutions(every: int) -> None:
-    """Of every second or third one: a resonance stands out as in that of all."""
-    whole, _ = swept([(500.0, 4e-3, 5, 8e-6)], noise=2e-5)
-    time = np.full_like(whole.time, np.nan)
-    time[::every] = whole.time[::every]
-    [fit] = fc.find_passages(replace(whole, time=time), [4, 5, 6], asynchronous=0)
+@pytest.mark.parametrize("interval", [2, 3])
+def test_a_record_of_some_revolutions(interval: int) -> None:
+    """A resonance stands out of every second or third revolution as of all."""
+    record, _ = sweep_record([(500.0, 4e-3, 5, 8e-6)], noise=2e-5)
+    time = np.full_like(record.time, np.nan)
+    time[::interval] = record.time[::interval]
+    [fit] = fc.find_passages(replace(record, time=time), [4, 5, 6], asynchronous=0)
     assert fit.order == 5 and abs(fit.omega - 500.0) < 4.0 * fit.omega_error
     assert not fit.in_doubt and 0.0 < fit.whiteness < 1.0
     assert replace(fit, whiteness=np.nan).in_doubt  # where nothing tests it
@@ -150,39 +157,42 @@ def test_a_record_of_some_revolutions(every: int) -> None:
 
 
 @pytest.mark.drawn(1)
-@pytest.mark.parametrize("one", [0, 2])
-def test_a_channel_that_sees_nothing(one: int) -> None:
+@pytest.mark.parametrize("blind_index", [0, 2])
+def test_a_channel_that_sees_nothing(blind_index: int) -> None:
     """Pulses of a channel that come where the mark says, whatever the blade does: the fit is that
     of the other probes, which is within its errors, the channel is told, and there is no second
     resonance; with all channels none is told."""
     omega, damping = 500.0, 0.004
-    record, _ = swept([(omega, damping, 5, 2e-3 * damping)], noise=2e-5)
+    record, _ = sweep_record([(omega, damping, 5, 2e-3 * damping)], noise=2e-5)
     time, rng = record.time.copy(), np.random.default_rng(2)
-    time[:, one] = record.expected[:, one] + 4e-7 * rng.standard_normal(len(record))
+    time[:, blind_index] = record.expected[:, blind_index] + 4e-7 * rng.standard_normal(len(record))
     record = replace(record, time=time)
     [fit] = fc.find_passages(record, range(1, 9))
-    assert fit.order == 5 and fit.blind == (record.probes[one],) and not fit.in_doubt
+    assert fit.order == 5 and fit.blind == (record.probes[blind_index],) and not fit.in_doubt
     assert abs(fit.omega - omega) < 3.0 * fit.omega_error
     assert abs(fit.damping - damping) < 3.0 * fit.damping_error
-    [(speeds, seen, motion)] = fit.compared(record)[:1]
-    assert seen.shape == motion.shape == (len(speeds), 3)
-    alone = fc.fit_passage(record, 100.0, range(1, 9))
-    assert alone.blind == fit.blind and abs(alone.omega - omega) < 3.0 * alone.omega_error
+    [(speeds, measured_motion, fitted_motion)] = fit.compared(record)[:1]
+    assert measured_motion.shape == fitted_motion.shape == (len(speeds), 3)
+    passage_fit = fc.fit_passage(record, 100.0, range(1, 9))
+    assert (
+        passage_fit.blind == fit.blind
+        and abs(passage_fit.omega - omega) < 3.0 * passage_fit.omega_error
+    )
 
 
 def test_what_is_left_is_told() -> None:
     """Two masses nearer than their width are fitted by one: it is off, and in doubt."""
     modes = [(500.0, 0.003, 5, 1e-5), (502.0, 0.003, 5, 1e-5)]
-    found = fc.find_passages(swept(modes)[0], [4, 5, 6], most=1, asynchronous=0)
-    off = [min(abs(one.omega - omega) for omega in (500.0, 502.0)) for one in found]
-    assert any(far > 4.0 * one.omega_error for far, one in zip(off, found, strict=True))
-    for far, one in zip(off, found, strict=True):
-        assert one.in_doubt or far < 4.0 * one.omega_error
-        assert one.in_doubt == ("residuals are correlated" in repr(one))
-        stated = one.to_dict()["frequency_error"]  # one number in table, sentence and title
-        assert far / HERTZ < 1.5 * stated < 2.0
-        for words in (repr(one), one.in_words):
-            assert f"{one.frequency:.6g} ± {stated:.2g} Hz" in words
+    fits = fc.find_passages(sweep_record(modes)[0], [4, 5, 6], most=1, asynchronous=0)
+    errors = [min(abs(fit.omega - omega) for omega in (500.0, 502.0)) for fit in fits]
+    assert any(error > 4.0 * fit.omega_error for error, fit in zip(errors, fits, strict=True))
+    for error, fit in zip(errors, fits, strict=True):
+        assert fit.in_doubt or error < 4.0 * fit.omega_error
+        assert fit.in_doubt == ("residuals are correlated" in repr(fit))
+        stated_error = fit.to_dict()["frequency_error"]  # one number in table, sentence and title
+        assert error / HERTZ < 1.5 * stated_error < 2.0
+        for words in (repr(fit), fit.in_words):
+            assert f"{fit.frequency:.6g} ± {stated_error:.2g} Hz" in words
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -201,46 +211,50 @@ def test_forms_of_files(tmp_path: Path) -> None:
     rows[2][3] = None
     names = "revolution,Shaft speed,Blade 1 AoA at probe 1,Blade 1 AoA at probe 2,"
     names += "blade 2 probe 1 [deg],blade 2 probe 2 [deg]"
-    one, two = fc.read_record(written(tmp_path / "a.csv", names, rows), tip_radius=0.5).values()
-    assert one.time.shape == (12, 2) and np.isnan(one.time[3]).all()  # revolution 6
-    assert np.isnan(one.time[2, 1]) and np.isfinite(two.time[2, 1])
-    assert np.allclose(two.probes, np.median(angles, axis=0)) and two.first == 3
-    seen = np.delete(two.displacement, 3, axis=0)
-    assert np.allclose(seen, 0.5 * (two.probes - angles), atol=1e-12)
+    first_blade, second_blade = fc.read_record(
+        write_table(tmp_path / "a.csv", names, rows), tip_radius=0.5
+    ).values()
+    assert first_blade.time.shape == (12, 2) and np.isnan(first_blade.time[3]).all()  # revolution 6
+    assert np.isnan(first_blade.time[2, 1]) and np.isfinite(second_blade.time[2, 1])
+    assert np.allclose(second_blade.probes, np.median(angles, axis=0)) and second_blade.first == 3
+    displacements = np.delete(second_blade.displacement, 3, axis=0)
+    assert np.allclose(displacements, 0.5 * (second_blade.probes - angles), atol=1e-12)
     rows = [[n, mark, *pair, 0.5] for n, mark, pair in zip(turns, marks, times, strict=True)]
     names = "revolution,mark [s],probe 1 [s],probe 2 [s],tip_radius [m]"
-    path = written(tmp_path / "b.csv", names, rows)
-    [three] = fc.read_record(path).values()
-    assert np.allclose(three.displacement, two.displacement, atol=1e-12, equal_nan=True)
-    assert three.tip_radius == 0.5
-    [four] = fc.read_record(path, probes=[0.1, 1.0]).values()
-    assert np.allclose(np.delete(four.displacement, 3, axis=0), 0.5 * ([0.1, 1.0] - angles))
-    three.to_csv(tmp_path / "long.csv")
-    [again] = fc.read_record(tmp_path / "long.csv").values()
-    assert np.array_equal(again.time, three.time, equal_nan=True)
+    path = write_table(tmp_path / "b.csv", names, rows)
+    [timed_blade] = fc.read_record(path).values()
+    assert np.allclose(
+        timed_blade.displacement, second_blade.displacement, atol=1e-12, equal_nan=True
+    )
+    assert timed_blade.tip_radius == 0.5
+    [placed_blade] = fc.read_record(path, probes=[0.1, 1.0]).values()
+    assert np.allclose(np.delete(placed_blade.displacement, 3, axis=0), 0.5 * ([0.1, 1.0] - angles))
+    timed_blade.to_csv(tmp_path / "long.csv")
+    [reread_blade] = fc.read_record(tmp_path / "long.csv").values()
+    assert np.array_equal(reread_blade.time, timed_blade.time, equal_nan=True)
     for name in ("b.csv", "long.csv"):  # as spreadsheets write them
         text = (tmp_path / name).read_text().rstrip()
         (tmp_path / name).write_text(re.sub(r"(?m)(^|(?<=,))([^,#\n]*)(?=,|$)", r'"\2"', text))
-        [again] = fc.read_record(tmp_path / name).values()
-        assert np.array_equal(again.time, three.time, equal_nan=True)
+        [reread_blade] = fc.read_record(tmp_path / name).values()
+        assert np.array_equal(reread_blade.time, timed_blade.time, equal_nan=True)
 
 
 def test_a_revolution_missing_before_the_last(tmp_path: Path) -> None:
     """The last one lasts as long as those around it, and its arrivals are where they are."""
     rows = [[n, 0.1 * n, 1.0] for n in (*range(11), 12)]
-    path = written(tmp_path / "a.csv", "revolution,mark [s],probe 1 [rad]", rows)
-    [found] = fc.read_record(path, tip_radius=1.0).values()
-    np.testing.assert_allclose(found.speed, 2.0 * np.pi / 0.1)
-    assert found.time[-1, 0] == pytest.approx(1.2 + 0.1 / (2.0 * np.pi))
+    path = write_table(tmp_path / "a.csv", "revolution,mark [s],probe 1 [rad]", rows)
+    [arrivals] = fc.read_record(path, tip_radius=1.0).values()
+    np.testing.assert_allclose(arrivals.speed, 2.0 * np.pi / 0.1)
+    assert arrivals.time[-1, 0] == pytest.approx(1.2 + 0.1 / (2.0 * np.pi))
 
 
 def test_a_blade_at_the_mark(tmp_path: Path) -> None:
-    """It is seen at the beginning of a revolution or at its end: angles near 0 and 2 pi."""
+    """A blade is seen at the beginning or end of a revolution: angles near 0 and 2 pi."""
     angles = np.array([0.01, 6.28, 0.002, 6.281, 0.0])
     rows = [[100.0, angle, 1.0] for angle in angles]
-    path = written(tmp_path / "a.csv", "speed [rad/s],probe 1 [rad],probe 2 [rad]", rows)
-    [found] = fc.read_record(path, tip_radius=1.0).values()
-    assert np.abs(found.displacement).max() < 0.02
+    path = write_table(tmp_path / "a.csv", "speed [rad/s],probe 1 [rad],probe 2 [rad]", rows)
+    [arrivals] = fc.read_record(path, tip_radius=1.0).values()
+    assert np.abs(arrivals.displacement).max() < 0.02
 
 
 def test_times_of_a_rotor_that_speeds_up(tmp_path: Path) -> None:
@@ -254,54 +268,60 @@ def test_times_of_a_rotor_that_speeds_up(tmp_path: Path) -> None:
     marks = time_at(2.0 * np.pi * turns)
     times = np.array([time_at(2.0 * np.pi * turns[:-1] + angle) for angle in (-1e-3, 1.0)]).T
     rows = np.column_stack([marks[:-1], times]).tolist()
-    path = written(tmp_path / "a.csv", "mark [s],probe 1 [s],probe 2 [s]", rows)
-    [found] = fc.read_record(path, tip_radius=1.0).values()
-    np.testing.assert_allclose(found.marks, marks, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(found.probes, [1.0, 2.0 * np.pi - 1e-3], rtol=1e-9)
-    np.testing.assert_allclose(found.time[:, 0], times[:, 1], rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(found.time[:-1, 1], times[1:, 0], rtol=0.0, atol=1e-9)
-    assert np.isnan(found.time[-1, 1])
+    path = write_table(tmp_path / "a.csv", "mark [s],probe 1 [s],probe 2 [s]", rows)
+    [arrivals] = fc.read_record(path, tip_radius=1.0).values()
+    np.testing.assert_allclose(arrivals.marks, marks, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(arrivals.probes, [1.0, 2.0 * np.pi - 1e-3], rtol=1e-9)
+    np.testing.assert_allclose(arrivals.time[:, 0], times[:, 1], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(arrivals.time[:-1, 1], times[1:, 0], rtol=0.0, atol=1e-9)
+    assert np.isnan(arrivals.time[-1, 1])
 
 
 def test_tables_of_other_programs(tmp_path: Path) -> None:
     """Semicolons and decimal commas, tabs, numbered rows, degrees and millimetres: the same."""
-    record, _ = swept([])
+    record, _ = sweep_record([])
     record.between(0, 20).to_csv(tmp_path / "record.csv")
     lines = (tmp_path / "record.csv").read_text().splitlines()
     names = lines[0].replace("angle [rad]", "angle (deg)").replace("radius [m]", "radius [mm]")
     cells = [line.split(",") for line in lines[1:]]
-    places = [lines[0].split(",").index(name) for name in ("angle [rad]", "tip_radius [m]")]
+    indices = [lines[0].split(",").index(name) for name in ("angle [rad]", "tip_radius [m]")]
     for row in cells:
-        row[places[0]] = repr(float(np.degrees(float(row[places[0]]))))
-        row[places[1]] = "500.0"
-    for mark, comma, index in ((";", ",", False), ("\t", ".", True), (",", ".", True)):
+        row[indices[0]] = repr(float(np.degrees(float(row[indices[0]]))))
+        row[indices[1]] = "500.0"
+    for mark, comma, has_index in ((";", ",", False), ("\t", ".", True), (",", ".", True)):
         rows = [names.replace(",", mark), *(mark.join(row).replace(".", comma) for row in cells)]
-        if index:
+        if has_index:
             rows = [
-                f"{place}{mark}{row}"
-                for place, row in zip(["", *range(len(cells))], rows, strict=True)
+                f"{position}{mark}{row}"
+                for position, row in zip(["", *range(len(cells))], rows, strict=True)
             ]
         (tmp_path / "other.csv").write_text("\n".join(rows))
-        [found] = fc.read_record(tmp_path / "other.csv").values()
-        assert found.tip_radius == 0.5 and np.allclose(found.probes, record.probes, rtol=1e-14)
-        assert np.array_equal(found.time[:20], record.time[:20])
+        [arrivals] = fc.read_record(tmp_path / "other.csv").values()
+        assert arrivals.tip_radius == 0.5 and np.allclose(
+            arrivals.probes, record.probes, rtol=1e-14
+        )
+        assert np.array_equal(arrivals.time[:20], record.time[:20])
 
 
-GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
+GOOD_ROWS = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
 
 
 @pytest.mark.parametrize(
     ("headings", "rows", "words"),
     [
-        ("speed [rpm],probe 1 [m]", GOOD, r"probe 1 \[m\].*units rad, deg"),
-        ("speed [km/h],probe 1 [rad]", GOOD, r"units rpm, rad/s, Hz"),
-        ("pace,probe 1 [rad]", GOOD, r"speed \[rpm\]"),
-        ("speed [rpm],probe 1 [rad]", GOOD[:1], r": 1 revolution': must be two or more"),
-        ("speed [rpm],probe 1 [rad],", GOOD[:0], r": 0 revolutions': must be two or more"),
-        ("speed [rpm],probe 1 [rad],probe 1 [rad]", GOOD, r"line 3': must be a row of 3 cells"),
+        ("speed [rpm],probe 1 [m]", GOOD_ROWS, r"probe 1 \[m\].*units rad, deg"),
+        ("speed [km/h],probe 1 [rad]", GOOD_ROWS, r"units rpm, rad/s, Hz"),
+        ("pace,probe 1 [rad]", GOOD_ROWS, r"speed \[rpm\]"),
+        ("speed [rpm],probe 1 [rad]", GOOD_ROWS[:1], r": 1 revolution': must be two or more"),
+        ("speed [rpm],probe 1 [rad],", GOOD_ROWS[:0], r": 0 revolutions': must be two or more"),
+        (
+            "speed [rpm],probe 1 [rad],probe 1 [rad]",
+            GOOD_ROWS,
+            r"line 3': must be a row of 3 cells",
+        ),
         ("speed [rpm],speed [rpm],probe 1 [rad]", [[9.0, 9.0, 0.1]] * 3, r"each given once"),
         ("speed [rpm],probe 1 [rad]", [[0.0, 0.1]] * 3, r"numbers > 0"),
-        ("speed [rpm],what", GOOD, r"column 'revolution'"),
+        ("speed [rpm],what", GOOD_ROWS, r"column 'revolution'"),
         (
             "revolution,speed [rpm],probe 1 [rad]",
             [[2, 9.0, 0.1], [1, 9.0, 0.1]],
@@ -334,14 +354,14 @@ GOOD = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
 )
 def test_bad_records(headings: str, rows: list[Any], words: str, tmp_path: Path) -> None:
     """One line that says what is wrong."""
-    path = written(tmp_path / "record.csv", headings, rows)
+    path = write_table(tmp_path / "record.csv", headings, rows)
     with pytest.raises(fc.InputError, match=words):
         fc.read_record(path, tip_radius=0.5)
 
 
 def test_no_radius_and_other_probes(tmp_path: Path) -> None:
-    """Both are named."""
-    path = written(tmp_path / "record.csv", "speed [rpm],probe 1 [rad]", GOOD)
+    """A missing radius and a wrong number of probes are named."""
+    path = write_table(tmp_path / "record.csv", "speed [rpm],probe 1 [rad]", GOOD_ROWS)
     with pytest.raises(fc.InputError, match=r"^tip_radius"):
         fc.read_record(path)
     with pytest.raises(fc.InputError, match=r"^probes"):

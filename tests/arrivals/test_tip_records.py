@@ -33,8 +33,8 @@ def test_errors_of_probes_and_the_line_alone() -> None:
     exact = fc.fit_order(record.arrivals, [record.order])
     assert exact.does_not_fit and exact.amplitude_errors[0] > 1e-5
     ends = 0.9 * record.asynchronous, 1.1 * record.asynchronous
-    alone = fc.fit_frequency(record.arrivals, *ends, angle_deviation=1.0)
-    assert alone.omega == pytest.approx(record.asynchronous, rel=1e-4)
+    line_fit = fc.fit_frequency(record.arrivals, *ends, angle_deviation=1.0)
+    assert line_fit.omega == pytest.approx(record.asynchronous, rel=1e-4)
 
 
 @pytest.mark.nightly

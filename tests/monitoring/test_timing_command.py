@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import passing_angles
-from records import RECORD, swept, written
+from records import RECORD, sweep_record, write_table
 from rotating import UNIT, strip
 from surroundings import RunCommand
 
@@ -24,7 +24,7 @@ def test_frequency_that_follows_the_speed_as_the_scene_has_it(
     table = {"probes": [0.0, 90.0], "tip_radius": 0.5, "orders": [4, 5, 6]}
     scene = strip(2.0, 100.0 / UNIT, tip_timing=table)
     stiffening = fc.campbell(scene, [90.0, 110.0], 3).stiffening(100.0, 500.0)
-    record, _ = swept([(500.0, 0.004, 5, 8e-6)], stiffening=stiffening)
+    record, _ = sweep_record([(500.0, 0.004, 5, 8e-6)], stiffening=stiffening)
     record.to_csv(tmp_path / "record.csv")
     run_command("timing", scene, tmp_path / "record.csv", "--output", tmp_path, "--quiet")
     [fit] = json.loads((tmp_path / "timing.json").read_text())
@@ -62,7 +62,7 @@ def test_orders_that_contradict_each_other(tmp_path: Path, run_command: RunComma
 
 def test_a_record_from_the_shell(tmp_path: Path, timing: RunCommand) -> None:
     """Write resonances to a table and picture, and refuse useless keys."""
-    record, _ = swept([(500.0, 0.002, 5, 2e-6), (692.0, 0.003, 7, 1e-6)])
+    record, _ = sweep_record([(500.0, 0.002, 5, 2e-6), (692.0, 0.003, 7, 1e-6)])
     record.to_csv(tmp_path / "record.csv")
     output = timing(tmp_path / "record.csv", sets=["tip_timing.orders=[5,6,7]"])
     assert f"1 blade, {len(record)} revolutions, 4 probes" in output.err
@@ -83,7 +83,7 @@ def test_a_record_from_the_shell(tmp_path: Path, timing: RunCommand) -> None:
 
 def test_two_probes_from_the_shell(tmp_path: Path, timing: RunCommand) -> None:
     """Warn that two probes cannot test an order that fits."""
-    record, _ = swept([(500.0, 0.002, 5, 2e-6)])
+    record, _ = sweep_record([(500.0, 0.002, 5, 2e-6)])
     record.without(np.array([2, 3])).to_csv(tmp_path / "record.csv")
     output = timing(tmp_path / "record.csv", sets=["tip_timing.orders=[5,6]"])
     messages = " ".join(output.err.split())
@@ -97,7 +97,7 @@ def test_one_blade_of_several(tmp_path: Path, timing: RunCommand, run_command: R
     angles = probe_angles + np.array([[0.0], [1e-3]]) + 1e-6 * rng.standard_normal((200, 2, 2))
     rows = [[2.0 * n, 955.0 + 0.5 * n, *turn.ravel()] for n, turn in enumerate(angles)]
     headings = [f"blade {blade} probe {probe} [rad]" for blade in (3, 4) for probe in (1, 2)]
-    path = written(
+    path = write_table(
         tmp_path / "record.csv", ",".join(["revolution", "speed [rpm]", *headings]), rows
     )
     table = {"probes": tuple(np.degrees(probe_angles)), "tip_radius": 0.5, "orders": [4, 5]}
@@ -130,12 +130,12 @@ def test_units_of_a_record_without_a_resonance(tmp_path: Path, timing: RunComman
         ("Hz", "deg", True),
         ("rpm", "rad", False),
     ):
-        path = written(tmp_path / "record.csv", f"speed [{speed}]," + names.format(unit), rows)
+        path = write_table(tmp_path / "record.csv", f"speed [{speed}]," + names.format(unit), rows)
         messages = timing(path, sets=radius).err
         assert "no resonance stands out" in messages
         assert (range_warning in messages) == has_warning and speed_warning not in messages
     rows = [[60.0 * row[0], *row[1:]] for row in rows]
-    path = written(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
+    path = write_table(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
     assert (
         f"{speed_warning} 2.07e+04 m/s, where the fastest have 700" in timing(path, sets=radius).err
     )
@@ -163,6 +163,6 @@ def test_a_record_at_constant_speed(tmp_path: Path, timing: RunCommand) -> None:
         assert (question in output.err) == is_questioned
     message = "--orders = [5, 4]: must be whole numbers, 1 <= FIRST <= LAST"
     assert message in timing(path, "--orders", 5, 4, code=2).err
-    written(path, "speed [Hz],probe 1 [rad],probe 2 [rad]", [[50.0, 0.3, 1.1]] * 30)
+    write_table(path, "speed [Hz],probe 1 [rad],probe 2 [rad]", [[50.0, 0.3, 1.1]] * 30)
     message = "tip_timing.probes is missing: must be given for a record at constant speed"
     assert message in timing(path, sets=["tip_timing.tip_radius=0.2"], code=2).err
