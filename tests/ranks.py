@@ -139,12 +139,20 @@ class Ranks:
         with socket.socket(socket.AF_UNIX) as door, open(self.folder / "said", "wb") as said:
             door.bind(str(place))
             door.listen()
-            door.settimeout(LIMIT)
             self.process = subprocess.Popen(
                 command(f"import ranks; ranks.serve({str(place)!r})", 2),
                 env=environment(), stdin=subprocess.DEVNULL, stdout=said, stderr=said,
             )  # fmt: skip
-            self.lines = [Connection(door.accept()[0].detach()) for _ in range(2)]
+            self.lines = [Connection(self.accepted(door).detach()) for _ in range(2)]
+
+    def accepted(self, door: socket.socket) -> socket.socket:
+        """The next rank's connection; it comes at once, unless ``mpirun`` has failed."""
+        assert self.process is not None
+        deadline = time.monotonic() + LIMIT
+        while not wait([door], 1.0):
+            is_alive = self.process.poll() is None and time.monotonic() < deadline
+            assert is_alive, f"mpirun has not started two ranks{self.printed()}"
+        return door.accept()[0]
 
     def answers(self) -> list[Any]:
         """What the ranks return, the first one's first."""

@@ -77,8 +77,13 @@ class Rows:
         return cls(gather_rows(comm, rows.data), gather_rows(comm, rows.indices), starts)
 
     def matrix(self, *shape: int) -> sparse.csr_matrix:
-        """Return the matrix; ValueError unless it is one of this shape."""
+        """Return the matrix; ValueError unless it is one of this shape.
+
+        SciPy looks at the starts of rows only if the last of them is above zero.
+        """
         rows = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
+        if np.diff(rows.indptr).min(initial=0) < 0:
+            raise ValueError("its rows do not follow one another")
         rows.check_format(full_check=True)
         return rows
 

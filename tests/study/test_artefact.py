@@ -208,6 +208,7 @@ FORGERIES: dict[str, Callable[[Any], None]] = {
     "a place that is not there": lambda file: replaced(
         file, "structure", file["structure"].asstr()[()].replace('mouth": 0', 'mouth": 99')
     ),
+    "a last row below the first": lambda file: put_number(file, "structure.gap.indptr", -1, -1),
     "fewer loads": lambda file: shortened(file, "structure.force", slice(0)),
     "negative squares": lambda file: put_number(file, "structure.receptances.0.squares", 0, -1.0),
     "infinite": lambda file: put_number(file, "structure.receptances.0.modal", (0, 0), np.inf),

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import combinations_with_replacement
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from helpers import ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.fem.fronts import Front, front_functionals
+from fenics_crack.fem.fronts import Front, _rows_by_station, front_functionals
 from fenics_crack.study.observer import tip_rows
 from fenics_crack.study.prepare import prepare
 
@@ -192,3 +193,16 @@ def test_cells_in_another_order() -> None:
     _, rows, _ = front_functionals(scene, structure)
     _, others, _ = front_functionals(scene, turned)
     np.testing.assert_allclose(others, rows, rtol=0.0, atol=1e-9 * np.abs(rows).max())
+
+
+def test_linear_intensity_is_exact_at_the_ends_of_a_front() -> None:
+    """Means of K = 2 + 3 s over hats on stations one apart are K at the stations, but at the ends,
+    where half a hat has its centroid a third of an element inside."""
+    stations = np.arange(4.0)
+    intensities = np.stack([2.0 + 3.0 * stations, 5.0 - stations, 0.5 * stations])
+    means = intensities.copy()
+    means[:, 0] += (intensities[:, 1] - intensities[:, 0]) / 3.0
+    means[:, -1] += (intensities[:, -2] - intensities[:, -1]) / 3.0
+    front = SimpleNamespace(station_parameters=stations, is_closed=False)
+    rows = _rows_by_station(front, means.reshape(-1, 1))  # type: ignore[arg-type]
+    assert np.allclose(rows[..., 0], intensities.T, rtol=1e-12, atol=1e-12)
