@@ -27,7 +27,12 @@ from fenics_crack.basics.tables import (
 from fenics_crack.cli import account
 from fenics_crack.cli.account import IN_A_TEST, OTHERS
 from fenics_crack.cli.scenes import remark_on
-from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.curve import (
+    DESCRIPTION_BY_PARAMETER,
+    ResponseCurve,
+    kind_in_words,
+    parameter_axis,
+)
 from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.errors.numbers import largest_left_out, natural_name
@@ -501,7 +506,7 @@ def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
     if curve.parameter in ("omega", "speed"):
         columns = {curve.parameter: curve.values} | columns
     else:
-        found = {PARAMETERS[curve.parameter]: curve.values}
+        found = {DESCRIPTION_BY_PARAMETER[curve.parameter]: curve.values}
         columns = columns if curve.parameter == "resonance" else {}
     every = with_frequency(columns).items()
     return found | {with_unit(name, UNITS[name]): np.asarray(column) for name, column in every}

@@ -46,7 +46,7 @@ class BalanceEquations(CurveSystem):
     ----------
     has_varying_integrals : bool
         True if the law, or the residual flexibility, changes along the parameter.
-    counts : (2H+1, 1) or None
+    angle_weights : (2H+1, 1) or None
         Weights of the unknowns in angles between tangents; None: all 1.
     """
 
@@ -59,13 +59,13 @@ class BalanceEquations(CurveSystem):
             requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, requirement)
         self.problem, self.start, self.end = problem, start, end
-        self._compliance = ModalCompliance(
+        self._unvaried_compliance_model = ModalCompliance(
             problem.structure_with_row_pairs, problem.base_omega, problem.load
         )
         self._last_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
         self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
-        self.counts: np.ndarray | None = None
+        self.angle_weights: np.ndarray | None = None
         """Weights of the unknowns in angles between tangents.
 
         If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
@@ -73,7 +73,7 @@ class BalanceEquations(CurveSystem):
         """
         if self.matrix_free:
             harmonic_order = (np.arange(self.shape[0]) + 1) // 2
-            self.counts = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
+            self.angle_weights = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -115,8 +115,8 @@ class BalanceEquations(CurveSystem):
     def _make_system(self, value: float) -> ContactSystem:
         """Make the harmonic-balance equations at a parameter value."""
         if self.has_varying_integrals:
-            return self.problem_at(value).system(self.compliance(value))
-        return ContactSystem(self.compliance(value), self._integrals)
+            return self.problem_at(value).system(self.compliance_model_at(value))
+        return ContactSystem(self.compliance_model_at(value), self._integrals)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
@@ -129,9 +129,9 @@ class BalanceEquations(CurveSystem):
             self._last_system = value, self._make_system(value)
         return self._last_system[1]
 
-    def compliance(self, value: float) -> ModalCompliance:
-        """Return the dynamic compliance at a parameter value."""
-        return self._compliance
+    def compliance_model_at(self, value: float) -> ModalCompliance:
+        """Return the model of the dynamic compliance at a parameter value."""
+        return self._unvaried_compliance_model
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return self.load_frequency(self.problem, value)
@@ -163,7 +163,7 @@ class BalanceEquations(CurveSystem):
         )
 
     @property
-    def means(self) -> int:
+    def n_time_means(self) -> int:
         """Number of leading unknowns that are means over time, one per gap row."""
         return int(self.shape[1])
 
@@ -180,8 +180,8 @@ class BalanceEquations(CurveSystem):
             largest_compliance = float(np.abs(dynamic_part).sum(axis=2).max())
         return residual_rounding(4.0 * largest_compliance * self.max_force_slope)
 
-    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Return a motion's change over half its period, relative to its size.
+    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+        """Return a motion's change over half its period, relative to the motion.
 
         The change is twice the odd harmonics.
         """
@@ -199,13 +199,13 @@ class BalanceEquations(CurveSystem):
         Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
         the motion's period.
         """
-        modal_part = self._compliance.modal_part(
+        modal_part = self._unvaried_compliance_model.modal_part(
             omega_and_change, damping_and_change, self.problem.residual
         )
         return (
             None
             if modal_part is None
-            else start_system.compile(self._compliance.gap_without_modes, modal_part)
+            else start_system.compile(self._unvaried_compliance_model.gap_without_modes, modal_part)
         )
 
 
@@ -222,8 +222,8 @@ class BalanceAlongFrequency(BalanceEquations):
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
 
-    def compliance(self, value: float) -> ModalCompliance:
-        return self._compliance.with_parameters(value / self.problem.subharmonic)
+    def compliance_model_at(self, value: float) -> ModalCompliance:
+        return self._unvaried_compliance_model.with_parameters(value / self.problem.subharmonic)
 
     @classmethod
     def load_frequency(cls, problem: Problem, value: float) -> float:
@@ -249,12 +249,16 @@ class _BalanceOfVariedStructure(BalanceEquations):
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
 
-    def compliance(self, value: float) -> ModalCompliance:
-        return self._compliance.with_parameters(self.problem.base_omega, **{self.name: value})
+    def compliance_model_at(self, value: float) -> ModalCompliance:
+        return self._unvaried_compliance_model.with_parameters(
+            self.problem.base_omega, **{self.name: value}
+        )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations if v changes only the gap without contact, linearly."""
-        residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
+        residual_by_value = self._unvaried_compliance_model.derivative(
+            self.name, np.zeros(start_system.shape)
+        )
         linear_gap_rate = -(self.end - self.start) * residual_by_value
         return start_system.compile(
             start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate
@@ -300,7 +304,7 @@ class BalanceAlongClearance(_BalanceOfVariedStructure):
     name = "clearance"
 
 
-class BalanceAlongStiffness(BalanceEquations):
+class BalanceAlongContactStiffness(BalanceEquations):
     """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
 
     name, logarithmic, has_varying_integrals = "stiffness", True, True
@@ -347,16 +351,16 @@ class BalanceAlongSpeed(BalanceEquations):
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         super().check_value(structure, key, value)
-        require_run_up_structure(structure)
+        as_run_up_structure(structure)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        structure = require_run_up_structure(problem.structure).at_speed(value)
+        structure = as_run_up_structure(problem.structure).at_speed(value)
         return replace(problem, structure=structure, omega=cls.load_frequency(problem, value))
 
     @classmethod
     def load_frequency(cls, problem: Problem, value: float) -> float:
-        return problem.omega * value / require_run_up_structure(problem.structure).speed
+        return problem.omega * value / as_run_up_structure(problem.structure).speed
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return a cutoff between two modes whose frequencies do not cross it on the range [rad/s].
@@ -364,7 +368,7 @@ class BalanceAlongSpeed(BalanceEquations):
         A mode that crosses the cutoff would become quasi-static.
         """
         min_cutoff = super()._common_cutoff(problem, start, end)
-        rotor = require_run_up_structure(problem.structure)
+        rotor = as_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
         natural_frequencies = np.array([rotor.at_speed(speed).omega for speed in speeds])
         lower_frequencies = natural_frequencies.max(axis=0)[:-1]
@@ -376,7 +380,7 @@ class BalanceAlongSpeed(BalanceEquations):
             max([min_cutoff, *np.sqrt(lower_frequencies * upper_frequencies)[is_separated][:1]])
         )
 
-    def compliance(self, value: float) -> ModalCompliance:
+    def compliance_model_at(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)
         return ModalCompliance(problem.structure_with_row_pairs, problem.base_omega, problem.load)
 
@@ -390,7 +394,7 @@ class BalanceAlongSpeed(BalanceEquations):
         return np.asarray((upper_residual - lower_residual) / (2.0 * step))
 
 
-def require_run_up_structure(structure: Structure) -> RunUpStructure:
+def as_run_up_structure(structure: Structure) -> RunUpStructure:
     """Return a structure with modes at every speed; InputError for any other structure."""
     if not isinstance(structure, RunUpStructure):
         requirement = "one of run_up_structure(structure, start, stop, modes)"
@@ -418,7 +422,7 @@ BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
     for waves in (
         BalanceAlongFrequency,
         BalanceAlongLoad,
-        BalanceAlongStiffness,
+        BalanceAlongContactStiffness,
         BalanceAlongDamping,
         BalanceAlongClearance,
         BalanceAlongFriction,

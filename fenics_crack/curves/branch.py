@@ -66,13 +66,15 @@ class ReturnToParent(Event):
         for event in self._crossing_events:
             point = event.locate(system, ends, rtol)
             if point is not None:
-                half_period_change = self._system.half_period_change(point.unknown, point.parameter)
-                if half_period_change <= math.sqrt(ARRIVAL_DISTANCE):
+                relative_half_period_change = self._system.relative_half_period_change(
+                    point.unknown, point.parameter
+                )
+                if relative_half_period_change <= math.sqrt(ARRIVAL_DISTANCE):
                     return point
         return None
 
 
-def chord_ends(
+def path_points_with_chord(
     system: BalanceEquations | Orbits, curve: ResponseCurve, first_index: int, last_index: int
 ) -> tuple[PathPoint, PathPoint]:
     """Convert two curve points to path points.
@@ -119,7 +121,7 @@ def branch_start(
     old_tangent = None
     if curve is not None:
         nearest_index, last_index = curve.nearest(bifurcation), len(curve) - 1
-        neighbours = chord_ends(
+        neighbours = path_points_with_chord(
             system, curve, max(nearest_index - 1, 0), min(nearest_index + 1, last_index)
         )
         old_tangent = neighbours[0].tangent
@@ -134,7 +136,8 @@ def branch_start(
                 continue
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_new = (
-                not is_doubling or system.half_period_change(point.unknown, point.parameter) > step
+                not is_doubling
+                or system.relative_half_period_change(point.unknown, point.parameter) > step
             )
             if is_new and 0.0 <= point.parameter <= 1.0:
                 unknown_change = point.unknown - unknown

@@ -39,11 +39,11 @@ from fenics_crack.basics.tables import counted, in_unit
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
-    MIN_HARMONICS,
+    MIN_ORBIT_HARMONICS,
     Bifurcation,
     CurvePoint,
     ResponseCurve,
-    leading_multiplier,
+    leading_multiplier_in_upper_half,
     parameter_axis,
 )
 from fenics_crack.curves.curve_system import CurveSystem
@@ -150,7 +150,8 @@ class GrowingCurve:
         parameter : float
             p, 0 at the curve's start and 1 at the end.
         multipliers_and_counts : (k + 3,) complex or None
-            An exact orbit's leading multipliers and three counts (:func:`leading_multipliers`).
+            An exact orbit's leading multipliers and three counts
+            (:func:`leading_multipliers_and_counts`).
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -165,7 +166,7 @@ class GrowingCurve:
         system, points = self.system, self.points
         problem, is_exact = system.problem, self._tolerance is not None
         multipliers = [
-            leading_multiplier(point.multipliers)
+            leading_multiplier_in_upper_half(point.multipliers)
             for point in points
             if point.multipliers is not None
         ]
@@ -245,7 +246,7 @@ class GrowingCurve:
         last_point = self._last_point
         longest_step = self._step_limits.longest_step
         self.status = "under way"
-        events: list[Event] = [kind() for kind in system.events]
+        events: list[Event] = [kind() for kind in system.event_classes]
         events += [Target(1.0), ClosedLoop(self._start_point, system)]
         if self._is_branch:
             events.append(Target(0.0))
@@ -385,7 +386,7 @@ class Continuation(GrowingCurve):
             max_return = min(step_limits.turning_back, 0.9 * start / (end - start))
             step_limits = replace(step_limits, turning_back=max_return)
         if exact:
-            problem = problem.with_harmonics(problem.response_harmonics(MIN_HARMONICS))
+            problem = problem.with_harmonics(problem.response_harmonics(MIN_ORBIT_HARMONICS))
         if parameter in ("omega", "speed"):
             problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
         if not is_small(problem.structure):

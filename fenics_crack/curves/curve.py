@@ -34,7 +34,12 @@ from fenics_crack.curves.balance_equations import (
     BalanceEquations,
 )
 from fenics_crack.curves.orbits import Orbits, system_along
-from fenics_crack.curves.peak import Peak, Top, damping_by_width, top_and_damping
+from fenics_crack.curves.peak import (
+    Peak,
+    Top,
+    damping_by_half_power_width,
+    interpolate_peak_and_damping,
+)
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
@@ -49,7 +54,7 @@ from fenics_crack.motion.orbit import (
 )
 from fenics_crack.motion.search import SearchOptions
 
-PARAMETERS = {
+DESCRIPTION_BY_PARAMETER = {
     "omega": "load frequency [rad/s]",
     "load": "load, as a multiple of the scene's [-]",
     "stiffness": "contact stiffness, as a multiple of the scene's [-]",
@@ -61,11 +66,11 @@ PARAMETERS = {
 }
 """Parameters of a curve, with their units, by name (:attr:`ResponseCurve.parameter`)."""
 
-MIN_HARMONICS = SearchOptions.harmonics[0]
+MIN_ORBIT_HARMONICS = SearchOptions.harmonics[0]
 """Minimum harmonics of the load frequency in a solution of exact orbits."""
 INSTANTS_PER_PERIOD = 256
 """Instants per period at which points of a curve are evaluated."""
-RESOLUTION_PER_STEP = 0.1
+MISSED_WINDOW_TO_STEP_RATIO = 0.1
 """Width of a window that a curve may miss, relative to the longest step.
 
 The step control interpolates between the ends of a step. The interpolation is wrong if orbits
@@ -77,11 +82,11 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
     if parameter in ("omega", "speed"):
         return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
-    name, _, unit = PARAMETERS[parameter].removesuffix("]").rpartition(" [")
+    name, _, unit = DESCRIPTION_BY_PARAMETER[parameter].removesuffix("]").rpartition(" [")
     return 1.0, name, unit
 
 
-def leading_multiplier(multipliers: np.ndarray) -> complex:
+def leading_multiplier_in_upper_half(multipliers: np.ndarray) -> complex:
     """Return the first multiplier mu, or its conjugate, so that Im mu >= 0."""
     largest_multiplier = complex(multipliers[0])
     return complex(largest_multiplier.real, abs(largest_multiplier.imag))
@@ -263,7 +268,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         if not self.exact:
             return self.points.shape[1] // 2
         min_harmonics = least_harmonics(self.structure, self.subharmonic)
-        return max(MIN_HARMONICS * self.subharmonic, min_harmonics)
+        return max(MIN_ORBIT_HARMONICS * self.subharmonic, min_harmonics)
 
     @property
     def method(self) -> str:
@@ -364,7 +369,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         equations = self.system
         system, compliance = (
             equations.system(equations.start),
-            equations.compliance(equations.start),
+            equations.compliance_model_at(equations.start),
         )
         points_per_chunk = max(1, equations.points_per_call)
         for chunk_indices in (
@@ -470,7 +475,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         In such a window orbits are unstable or have a doubled period. The width is a tenth of the
         longest step.
         """
-        return RESOLUTION_PER_STEP * float(np.abs(np.diff(self.values)).max(initial=0.0))
+        return MISSED_WINDOW_TO_STEP_RATIO * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     # --- parts of it ------------------------------------------------------------------------------
 
@@ -491,7 +496,9 @@ class ResponseCurve(ObservedMotion, Tabular):
         point_fields = {"values": value, "omega": omega, "iterations": 0, "points": point}
         arrays = {name: np.array([entry]) for name, entry in point_fields.items()}
         leading_multipliers = (
-            None if multipliers is None else np.array([leading_multiplier(multipliers)])
+            None
+            if multipliers is None
+            else np.array([leading_multiplier_in_upper_half(multipliers)])
         )
         point_curve = replace(
             self, **arrays, multipliers=leading_multipliers, irregular=None, bifurcations=()
@@ -539,7 +546,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         amplitude = self.amplitude(dof)
         index = int(np.argmax(amplitude))
-        peak_value, peak_amplitude, _ = top_and_damping(self.values, amplitude, index)
+        peak_value, peak_amplitude, _ = interpolate_peak_and_damping(self.values, amplitude, index)
         return Top(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
@@ -551,7 +558,9 @@ class ResponseCurve(ObservedMotion, Tabular):
         omega, solution, damping = float(self.omega[top.index]), self.solution(top.index), math.nan
         if self.parameter in ("omega", "speed"):
             coefficients, structure = self.coefficients_at(dof), self.structure
-            damping = damping_by_width(self.values, coefficients, self.subharmonic, top.index)
+            damping = damping_by_half_power_width(
+                self.values, coefficients, self.subharmonic, top.index
+            )
             if isinstance(structure, RunUpStructure):
                 # Natural frequencies follow the speed, so the peak is wider over the speed.
                 peak_structure = structure.at_speed(float(self.values[top.index]))

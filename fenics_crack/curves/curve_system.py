@@ -36,8 +36,8 @@ class CurveSystem(ABC):
         Shape of the unknowns.
     logarithmic : bool
         True if p is proportional to ln v.
-    events : sequence of type of Event
-        Special points to detect.
+    event_classes : sequence of type of Event
+        Kinds of special points to detect.
     """
 
     name: str
@@ -46,7 +46,7 @@ class CurveSystem(ABC):
     end: float
     shape: tuple[int, ...]
     logarithmic: bool = False
-    events: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
+    event_classes: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
 
     def value(self, parameter: float) -> float:
         """Return the curve's parameter v at the path parameter p, 0 to 1."""
@@ -82,7 +82,7 @@ class CurveSystem(ABC):
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x."""
 
-    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size."""
         raise NotImplementedError
 

@@ -71,7 +71,7 @@ MIN_COLLISION_STEP_RATIO = 0.02
 default longest step this is 0.1 % of the range."""
 
 
-def leading_multipliers(multipliers: np.ndarray) -> np.ndarray:
+def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
     """Select the largest Floquet multipliers of each point, and count those outside.
 
     A multiplier within 1e-6 of the unit circle does not count as outside.
@@ -112,7 +112,7 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     multipliers_and_counts : (n_points, k + 3) complex
-        From :func:`leading_multipliers`.
+        From :func:`leading_multipliers_and_counts`.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
     return count_change
 
 
-def collision_severity(monodromy: np.ndarray) -> np.ndarray:
+def step_collision_severities(monodromy: np.ndarray) -> np.ndarray:
     """Return how close collisions bring Floquet multipliers to leaving the unit circle.
 
     If two multipliers mu_j and mu_k collide between two points, their ln |mu| separate. One leaves
@@ -164,7 +164,7 @@ class MultiplierControl(StepControl):
 
     - a leading multiplier moves by more than half its distance to the unit circle,
     - linear extrapolation of the sorted ln |mu| misses by more than half that distance,
-    - a collision has a severity above 0.5 (:func:`collision_severity`),
+    - a collision has a severity above 0.5 (:func:`step_collision_severities`),
     - two counts change, or a count changes by more than 1.
 
     The first three hold down to a shortest step.
@@ -187,7 +187,7 @@ class MultiplierControl(StepControl):
             is_coarse[1:] |= np.any(prediction_error > max_change[1:], axis=1)
         n_states = math.isqrt(segment.records.shape[1])
         matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
-        has_collision = collision_severity(matrices) > 0.5
+        has_collision = step_collision_severities(matrices) > 0.5
         is_coarse, lengths = is_coarse[first_index:], lengths[first_index:]
         is_coarse &= lengths > self._min_step
         is_coarse |= has_collision & (lengths > self._min_collision_step)

@@ -42,7 +42,7 @@ from fenics_crack.curves.orbit_events import (
     MultiplierControl,
     NeimarkSacker,
     PeriodDoubling,
-    leading_multipliers,
+    leading_multipliers_and_counts,
 )
 from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
@@ -65,7 +65,7 @@ class Orbits(CurveSystem):
         Structure and law have no exact flow.
     """
 
-    events = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
+    event_classes = (Fold, BranchPoint, PeriodDoubling, NeimarkSacker)
 
     def __init__(self, problem: Problem, parameter: str, start: float, end: float) -> None:
         self.problem, self.name, self.start, self.end = problem, parameter, start, end
@@ -178,7 +178,7 @@ class Orbits(CurveSystem):
         state = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(state, self.value(parameter))
 
-    def half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return an orbit's change over half its period, relative to its size."""
         change = self.advance_unknown(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(change) / (np.linalg.norm(unknown) or 1.0))
@@ -261,11 +261,11 @@ class Orbits(CurveSystem):
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:
-        """Return Floquet multipliers and their counts (:func:`leading_multipliers`).
+        """Return Floquet multipliers and their counts (:func:`leading_multipliers_and_counts`).
 
         ``records`` (n_points, n_unknowns^2) are monodromy matrices.
         """
-        return leading_multipliers(
+        return leading_multipliers_and_counts(
             np.linalg.eigvals(records.reshape(-1, self.n_unknowns, self.n_unknowns))
         )
 

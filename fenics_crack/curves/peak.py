@@ -106,7 +106,7 @@ class Peak(Described, Top):
         return f"{peak_words}, {error_words}, {self.verdict}, {damping_words}"
 
 
-def top_and_damping(
+def interpolate_peak_and_damping(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int
 ) -> tuple[float, float, float]:
     """Return the maximum of a curve between its points, and the damping ratio.
@@ -157,7 +157,7 @@ def top_and_damping(
     return top_value, peak_point[1] * float(inverse_square(top_value) ** -0.5), damping
 
 
-def damping_by_width(
+def damping_by_half_power_width(
     values: np.ndarray, coefficients: np.ndarray, subharmonic: int, peak_index: int
 ) -> float:
     """Return the damping ratio by the half-power width of the load's own harmonic.
@@ -166,7 +166,7 @@ def damping_by_width(
     result is nan if a side of the peak is missing.
     """
     cosine, sine = coefficients[:, 2 * subharmonic - 1], coefficients[:, 2 * subharmonic]
-    return top_and_damping(values, np.hypot(cosine, sine), peak_index)[2]
+    return interpolate_peak_and_damping(values, np.hypot(cosine, sine), peak_index)[2]
 
 
 def _half_power_index(

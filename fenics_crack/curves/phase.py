@@ -61,21 +61,21 @@ class Drive:
         rows = slice(2 * harmonic - 1, 2 * harmonic + 1)
         return cls(harmonic, structure.whole.load_on_sector(structure, rows))
 
-    def power(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
+    def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""
-        displacement = compliance_of(point).selected_displacement(
+        displacement = compliance_model_of(point).selected_displacement(
             self.load_rows, point.force if force is None else force
         )
-        return self._power_of(displacement)
+        return self._complex_work_of(displacement)
 
-    def power_by_omega(self, point: ContactPoint) -> complex:
+    def complex_work_by_omega(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
-        return self._power_of(
-            compliance_of(point).selected_displacement_by_omega(self.load_rows, point.force)
+        return self._complex_work_of(
+            compliance_model_of(point).selected_displacement_by_omega(self.load_rows, point.force)
         )
 
-    def _power_of(self, coefficients: np.ndarray) -> complex:
-        """Return the complex power P from products of load and displacement.
+    def _complex_work_of(self, coefficients: np.ndarray) -> complex:
+        """Return the complex work P from products of load and displacement.
 
         ``coefficients`` (2H+1, 2) [N m] are those of the displacement times the cosine and the sine
         part of the load.
@@ -84,8 +84,8 @@ class Drive:
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])
 
 
-def compliance_of(point: ContactPoint) -> ModalCompliance:
-    """Return a small structure's compliance at a point."""
+def compliance_model_of(point: ContactPoint) -> ModalCompliance:
+    """Return the model of a small structure's dynamic compliance at a point."""
     assert isinstance(point.system.compliance, ModalCompliance)
     return point.system.compliance
 
@@ -103,9 +103,9 @@ class PhasePoint(Linearisation):
         F at s / v, for v = 1.
     omega : float [rad/s]
         w.
-    power : complex [N m]
+    complex_work : complex [N m]
         P / v.
-    unknown_by_frequency, power_by_frequency : (2H+1, n_pairs), complex
+    unknown_by_frequency, complex_work_by_frequency : (2H+1, n_pairs), complex
         ds/dw and dP/dw over v, along the response curve through the point.
     """
 
@@ -113,7 +113,7 @@ class PhasePoint(Linearisation):
         self.unknown, self.problem, self.drive = unknown, system.problem, system.drive
         self._size, self.omega = system.size, system.omega(1.0, unknown)
         self.contact_point = system.waves.system(self.omega).linearise(system.state(unknown, 1.0))
-        self.power = system.drive.power(self.contact_point)
+        self.complex_work = system.drive.complex_work(self.contact_point)
         value = system.value(parameter)
         self._inverse_load = 1.0 / value
         self._inverse_load_rate = -system.value_rate(value) / value**2
@@ -122,7 +122,9 @@ class PhasePoint(Linearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         contact_residual = self.contact_point.residual.copy()
         contact_residual[0] += (1.0 - self._inverse_load) * self.contact_point.system.linear[0]
-        return np.append(contact_residual / self._size, self.power.real / self.power.imag)
+        return np.append(
+            contact_residual / self._size, self.complex_work.real / self.complex_work.imag
+        )
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
@@ -133,29 +135,29 @@ class PhasePoint(Linearisation):
         return derivative
 
     def _phase_change(self, change: complex) -> float:
-        """Return the change in Re P / Im P by a change in the power P."""
-        power = self.power
+        """Return the change in Re P / Im P by a change in the complex work P."""
+        power = self.complex_work
         return (change.real - power.real / power.imag * change.imag) / power.imag
 
-    def _power_change(self, change: np.ndarray) -> complex:
-        """Return the power's change by a change in the slow gap (2H+1, n_pairs) [m]."""
+    def _complex_work_change(self, change: np.ndarray) -> complex:
+        """Return the change in P by a change in the slow gap (2H+1, n_pairs) [m]."""
         return (
-            self.drive.power(
+            self.drive.complex_work(
                 self.contact_point,
                 self.contact_point.force + self.contact_point.forces.apply(change),
             )
-            - self.power
+            - self.complex_work
         )
 
     @cached_property
     def unknown_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
-            compliance_of(self.contact_point).derivative("omega", self.contact_point.force)
+            compliance_model_of(self.contact_point).derivative("omega", self.contact_point.force)
         )
 
     @cached_property
-    def power_by_frequency(self) -> complex:
-        return self.drive.power_by_omega(self.contact_point) + self._power_change(
+    def complex_work_by_frequency(self) -> complex:
+        return self.drive.complex_work_by_omega(self.contact_point) + self._complex_work_change(
             self.unknown_by_frequency
         )
 
@@ -163,27 +165,29 @@ class PhasePoint(Linearisation):
         change = self._size * self.contact_point.solve(
             right_side[:-1].reshape(self.contact_point.unknown.shape)
         )
-        remainder = right_side[-1] - self._phase_change(self._power_change(change))
-        omega_change = remainder / self._phase_change(self.power_by_frequency)
+        remainder = right_side[-1] - self._phase_change(self._complex_work_change(change))
+        omega_change = remainder / self._phase_change(self.complex_work_by_frequency)
         relative_change = (change + omega_change * self.unknown_by_frequency) / self._size
         return np.append(relative_change, omega_change / self.problem.omega)
 
     @property
     def sign(self) -> float:
-        return self.contact_point.sign * float(np.sign(self._phase_change(self.power_by_frequency)))
+        return self.contact_point.sign * float(
+            np.sign(self._phase_change(self.complex_work_by_frequency))
+        )
 
     @property
     def width(self) -> float:
         """Return D, the half-power width for a mode with this response [rad/s]."""
-        return -2.0 / (self.power_by_frequency / self.power).imag
+        return -2.0 / (self.complex_work_by_frequency / self.complex_work).imag
 
     @property
-    def distance_to_peak(self) -> float:
+    def distance_to_peak_in_widths(self) -> float:
         """Return the distance to the top of the response curve, over the width.
 
         It follows from the derivative of P by the frequency.
         """
-        return 0.25 * self.width * (self.power_by_frequency / self.power).real
+        return 0.25 * self.width * (self.complex_work_by_frequency / self.complex_work).real
 
     @cached_property
     def solution(self) -> PeriodicSolution:
@@ -220,7 +224,7 @@ class ResonanceSystem(CurveSystem):
         slow_gap = slow_gap / self.start
         self.size = float(np.linalg.norm(slow_gap[1:]))
         self.start_unknown = np.append(slow_gap / self.size, 1.0)
-        self.problem, self.drive, self.means = waves.problem, drive, waves.means
+        self.problem, self.drive, self.n_time_means = waves.problem, drive, waves.n_time_means
         self.shape = self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
@@ -230,7 +234,7 @@ class ResonanceSystem(CurveSystem):
         return float(unknown[-1]) * self.problem.omega
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self.size * value * unknown[:-1].reshape(-1, self.means)
+        return self.size * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
         return PhasePoint(self, unknown, parameter)

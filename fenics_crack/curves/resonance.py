@@ -28,7 +28,7 @@ from fenics_crack.basics.tables import Described, counted, with_frequency
 from fenics_crack.curves.balance_equations import (
     BALANCE_EQUATIONS,
     BalanceAlongFrequency,
-    require_run_up_structure,
+    as_run_up_structure,
 )
 from fenics_crack.curves.continuation import (
     GrowingCurve,
@@ -142,13 +142,13 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     drives = [
         Drive.of_structure(problem.structure, harmonic + 1) for harmonic in range(n_harmonics)
     ]
-    drive = max(drives, key=lambda drive: abs(drive.power(contact_point).imag))
-    power = drive.power(contact_point)
+    drive = max(drives, key=lambda drive: abs(drive.complex_work(contact_point).imag))
+    power = drive.complex_work(contact_point)
     if not abs(power.imag) > MAX_LOCATION_RESIDUAL * abs(power):
         raise InputError("load", "no damped mode answers to it", requirement)
 
     def in_phase(point: PathPoint) -> float:
-        power = drive.power(waves.linearise(point.unknown, point.parameter))
+        power = drive.complex_work(waves.linearise(point.unknown, point.parameter))
         return power.real / abs(power)
 
     start_point = point_on_path(waves, start_unknown, 0.0)
@@ -202,7 +202,7 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
     error, n_harmonics = math.inf, 2 * point.problem.harmonics
     while (
         error > tolerance
-        and abs(point.distance_to_peak) <= MAX_DISTANCE_TO_PEAK
+        and abs(point.distance_to_peak_in_widths) <= MAX_DISTANCE_TO_PEAK
         and n_harmonics <= MOST_HARMONICS
     ):
         try:
@@ -239,7 +239,7 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
     """
     if order is None:
         return point, 0.0
-    rotor, omega = require_run_up_structure(point.problem.structure), point.omega
+    rotor, omega = as_run_up_structure(point.problem.structure), point.omega
     speed, resonance_rate = rotor.speed, rotor.stiffening(omega * point.drive.harmonic)
     for _ in range(MAX_SPEED_CORRECTIONS):
         next_speed = (omega / order - resonance_rate * speed) / (1.0 - resonance_rate)
@@ -340,7 +340,7 @@ def resonance_at(
     check_choice("parameter", parameter, ("omega", "speed"))
     order, error = None, math.nan
     if parameter == "speed":
-        order = problem.omega / require_run_up_structure(problem.structure).speed
+        order = problem.omega / as_run_up_structure(problem.structure).speed
     point = first_resonance(*_prepare_search(problem, near, tolerance))
     point, resonance_rate = _find_order_crossing(point, order)
     if tolerance is not None:
@@ -353,7 +353,7 @@ def resonance_at(
         omega,
         harmonic,
         width,
-        point.distance_to_peak,
+        point.distance_to_peak_in_widths,
         point.solution,
         error,
     )
@@ -430,7 +430,7 @@ def follow_resonance(
         for curve_point in growing_curve.points
     ]
     n_multimode_points = sum(
-        abs(system.linearise(*position).distance_to_peak) > MAX_DISTANCE_TO_PEAK
+        abs(system.linearise(*position).distance_to_peak_in_widths) > MAX_DISTANCE_TO_PEAK
         for position in path_positions
     )
     if n_multimode_points:

@@ -68,7 +68,7 @@ from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
 
 
-def monodromy(
+def monodromy_of_linear_flow(
     structure: Structure,
     contact: ContactLaw,
     gap: np.ndarray,
@@ -440,13 +440,13 @@ def _stability_by_linear_flow(
     gap, static_cutoff, uncertainty = solution.slow_gap_coefficients, solution.static_above, np.inf
     try:
         multipliers = eigenvalues(
-            monodromy(structure, contact, gap, solution.base_omega, static_cutoff)
+            monodromy_of_linear_flow(structure, contact, gap, solution.base_omega, static_cutoff)
         )
         wave = replace(solution, structure=structure, contact=contact)
         finer_solution = with_twice_the_harmonics(wave) if gap.size else solution
         if finer_solution is not None:
             finer_gap = finer_solution.slow_gap_coefficients
-            finer_matrix = monodromy(
+            finer_matrix = monodromy_of_linear_flow(
                 structure, contact, finer_gap, solution.base_omega, static_cutoff
             )
             uncertainty = float(abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0])))

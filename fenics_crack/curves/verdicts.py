@@ -30,15 +30,15 @@ from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
 from fenics_crack.basics.progress import begin
 from fenics_crack.curves.balance_equations import BalanceEquations
-from fenics_crack.curves.branch import chord_ends
-from fenics_crack.curves.curve import ResponseCurve, leading_multiplier
+from fenics_crack.curves.branch import path_points_with_chord
+from fenics_crack.curves.curve import ResponseCurve, leading_multiplier_in_upper_half
 from fenics_crack.curves.orbit_events import (
     count_changes,
-    leading_multipliers,
+    leading_multipliers_and_counts,
     multiplier_pair_excess,
     period_doubling_function,
 )
-from fenics_crack.curves.stability import floquet, monodromy, stability_of
+from fenics_crack.curves.stability import floquet, monodromy_of_linear_flow, stability_of
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.numerics.newton import PathPoint, point_on_path
@@ -126,7 +126,7 @@ def _leading_multiplier_if_decided(stability: Stability) -> complex:
     """Return the leading multiplier; nan if the stability is undecided."""
     if stability.verdict == "undecided":
         return math.nan
-    return leading_multiplier(stability.multipliers)
+    return leading_multiplier_in_upper_half(stability.multipliers)
 
 
 def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
@@ -139,7 +139,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     stabilities = [floquet(solution.structure, solution) for solution in solutions]
     bifurcations = [point for point in curve.bifurcations if point.kind in ("fold", "branch_point")]
     multipliers = np.array([stability.multipliers for stability in stabilities])
-    multipliers_and_counts = leading_multipliers(multipliers)
+    multipliers_and_counts = leading_multipliers_and_counts(multipliers)
     has_crossing = count_changes(multipliers_and_counts)[:, 1:] != 0.0
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
     for index, kind_index in np.argwhere(has_crossing).tolist():
@@ -180,7 +180,7 @@ def _locate_bifurcation(
     """
     system = curve.system
     assert isinstance(system, BalanceEquations)
-    ends = chord_ends(system, curve, index, index + 1)
+    ends = path_points_with_chord(system, curve, index, index + 1)
     first_end, last_end = (
         point_on_path(system, point.unknown, point.parameter, point.tangent) for point in ends
     )
@@ -188,7 +188,9 @@ def _locate_bifurcation(
     def evaluate_test(point: PathPoint) -> float:
         problem = system.problem_at(system.value(point.parameter))
         static_cutoff, omega = problem.static_cutoff, problem.base_omega
-        matrix = monodromy(problem.structure, problem.contact, point.unknown, omega, static_cutoff)
+        matrix = monodromy_of_linear_flow(
+            problem.structure, problem.contact, point.unknown, omega, static_cutoff
+        )
         return test_function(eigenvalues(matrix))
 
     bifurcation_point = ZeroCrossing(evaluate_test).locate(

@@ -14,7 +14,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import frequency_axis, percent, quantity, with_unit
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
-from fenics_crack.curves.peak import damping_by_width
+from fenics_crack.curves.peak import damping_by_half_power_width
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
 from fenics_crack.numerics.fourier import to_complex
 
@@ -127,7 +127,7 @@ def _mark_peak(axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool
     words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
     if curve.parameter == "omega":
         waves = curve.coefficients_at(dof)
-        damping = damping_by_width(curve.values, waves, curve.subharmonic, top.index)
+        damping = damping_by_half_power_width(curve.values, waves, curve.subharmonic, top.index)
         words += f",\nhalf-power damping {percent(damping)}" if np.isfinite(damping) else ""
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
     axes.plot(place, height, "o", label="" if ink else words, **look)

@@ -100,8 +100,8 @@ class System(Protocol):
     The unknowns are equal on every rank. A system may have further attributes:
 
     - ``compiled``: equations in the kernel.
-    - ``counts``: weight of each unknown in angles between tangents.
-    - ``means``: number of leading unknowns that are means over time.
+    - ``angle_weights``: weight of each unknown in angles between tangents.
+    - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in a linearisation's ``record``.
     - ``observe(records)``: values (n, ...) for a step control, from records (n, n_record_entries).
     """
@@ -233,11 +233,11 @@ class _PythonEquations(Equations):
         self.shape, self._state = shape, _PythonState(system, shape)
         self._handle = ffi.new_handle(self._state)
         n_unknowns = int(np.prod(shape))
-        counts = getattr(system, "counts", None)
+        counts = getattr(system, "angle_weights", None)
         if counts is not None:
             counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
         self._struct = Struct(
-            "equations", unknowns=n_unknowns, means=getattr(system, "means", 0),
+            "equations", unknowns=n_unknowns, means=getattr(system, "n_time_means", 0),
             context=self._handle, angle_weights=counts,
             n_record_entries=getattr(system, "n_record_entries", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,

@@ -367,7 +367,7 @@ class PathPoint:
 
 def means_of(system: System) -> int:
     """Return the number of leading unknowns that are means over time."""
-    return int(getattr(system, "means", 0))
+    return int(getattr(system, "n_time_means", 0))
 
 
 def motion_square(oscillation_square: float, mean_square: float) -> float:

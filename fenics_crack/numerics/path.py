@@ -16,7 +16,7 @@ If J is not formed, det J is unknown. Then
 - The tangent with the smaller angle to the previous tangent is taken.
 - The chord must agree with both tangents, or a step across a narrow turn might lead back.
 - Crossings with other branches go unnoticed.
-- A system may give some unknowns less weight in these angles (``counts``).
+- A system may give some unknowns less weight in these angles (``angle_weights``).
 
 The steps run in the kernel (``kernel/path.c``), many of them in one call for compiled equations
 (:mod:`equations`). An :class:`Event` may lie between two points: a fold, a wanted parameter, a

@@ -455,7 +455,7 @@ class Plain:
 
     def __init__(self, family: System) -> None:
         self._family = family
-        self.means = getattr(family, "means", 0)
+        self.n_time_means = getattr(family, "n_time_means", 0)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """As the family."""

@@ -32,10 +32,10 @@ from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
     MultiplierControl,
     count_changes,
-    leading_multipliers,
+    leading_multipliers_and_counts,
 )
 from fenics_crack.curves.orbits import Orbits
-from fenics_crack.curves.stability import monodromy
+from fenics_crack.curves.stability import monodromy_of_linear_flow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
@@ -216,7 +216,7 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     for stretch in path:
         at = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
         assert stretch.control_values[-1] == pytest.approx(
-            leading_multipliers(np.linalg.eigvals(at.monodromy[None]))[0], abs=1e-7
+            leading_multipliers_and_counts(np.linalg.eigvals(at.monodromy[None]))[0], abs=1e-7
         )
     assert path.event is not None and len(seen) > 2
 
@@ -417,7 +417,7 @@ def row(*values: complex) -> np.ndarray:
         else:
             blocks[size, size] = value
             size += 1
-    return leading_multipliers(np.linalg.eigvals(blocks[None, :size, :size]))[0]
+    return leading_multipliers_and_counts(np.linalg.eigvals(blocks[None, :size, :size]))[0]
 
 
 @pytest.mark.parametrize("damping", ["modal", "matrix"])
@@ -526,7 +526,7 @@ def test_against_an_integrator(damping: str) -> None:
     law = fc.SmoothedPenalty(np.array([3.0, 5.0, 9.0]), 4.0)
     found = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=20)
     exact = integrated(law, found)
-    matrix = monodromy(structure, law, found.gap_coefficients, found.base_omega)
+    matrix = monodromy_of_linear_flow(structure, law, found.gap_coefficients, found.base_omega)
     assert relative(matrix, exact) < 2e-6
     stability = fc.floquet(structure, found)
     largest = np.abs(np.linalg.eigvals(exact)).max()
@@ -542,7 +542,7 @@ def test_pairs_behind_a_compliance() -> None:
     law = fc.SmoothedPenalty(20.0, 4.0)
     found = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=8)
     gap, above = found.slow_gap_coefficients, found.static_above
-    matrix = monodromy(structure, law, gap, found.base_omega, above)
+    matrix = monodromy_of_linear_flow(structure, law, gap, found.base_omega, above)
     assert relative(matrix, integrated(law, found)) < 2e-6
     assert fc.floquet(structure, found).verdict != "undecided"
 
@@ -575,7 +575,7 @@ def test_mathieu(order: int, even: bool) -> None:
     one = np.ones((1, 1))
     structure = fc.Structure.from_matrices(one, characteristic(order, q) * one, gap=one)
     gap = np.array([[0.0], [-2.0 * q], [0.0]])
-    matrix = monodromy(structure, Square(), gap, 2.0)
+    matrix = monodromy_of_linear_flow(structure, Square(), gap, 2.0)
     assert np.trace(matrix) == pytest.approx(2.0 * (-1.0) ** order, abs=2e-5)
     assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)
 
@@ -596,9 +596,9 @@ def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -
     """However many stretches of the period are advanced together."""
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
     gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
-    one = monodromy(structure, law, gap, 1.1)
+    one = monodromy_of_linear_flow(structure, law, gap, 1.1)
     monkeypatch.setattr("fenics_crack.curves.stability.CACHE_BLOCK_SIZE", 1)
-    assert relative(monodromy(structure, law, gap, 1.1), one) < 1e-10
+    assert relative(monodromy_of_linear_flow(structure, law, gap, 1.1), one) < 1e-10
 
 
 # --- curves ---------------------------------------------------------------------------------------
@@ -792,5 +792,5 @@ def test_change_over_half_a_period_is_twice_the_odd_harmonics() -> None:
     coefficients = np.random.default_rng(3).standard_normal((7, 2))
     later = coefficients * (-1.0) ** ((np.arange(7) + 1) // 2)[:, None]
     system = SimpleNamespace(shape=coefficients.shape)
-    change = BalanceEquations.half_period_change(system, coefficients, 0.0)  # type: ignore[arg-type]
+    change = BalanceEquations.relative_half_period_change(system, coefficients, 0.0)  # type: ignore[arg-type]
     assert change == pytest.approx(relative(later, coefficients), rel=1e-12)

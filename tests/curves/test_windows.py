@@ -14,7 +14,7 @@ from verdicts import random_chain
 import fenics_crack as fc
 from fenics_crack.cli.given import new_scene
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.curves.orbit_events import collision_severity
+from fenics_crack.curves.orbit_events import step_collision_severities
 
 STEP, FINER = 0.05, 50
 """Default step over the range; its parts, each of which is examined."""
@@ -142,7 +142,7 @@ def test_multipliers_of_a_pair_that_meet(coupling: float, sides: tuple[float, fl
     damping = 0.01
     generators = [np.array([[0.0, coupling + a], [coupling - a, 0.0]]) for a in sides]
     matrices = -np.exp(-damping) * np.array([scipy.linalg.expm(one) for one in generators])
-    assert collision_severity(matrices) == pytest.approx([coupling / damping], rel=0.05)
+    assert step_collision_severities(matrices) == pytest.approx([coupling / damping], rel=0.05)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
@@ -150,7 +150,7 @@ def test_a_pair_that_comes_nearer_and_does_not_meet(side: float) -> None:
     """Both matrices have it in the same order along the circle: it has not met in between."""
     generators = [np.array([[0.0, 0.2 + a], [0.2 - a, 0.0]]) for a in (0.3 * side, 0.21 * side)]
     matrices = -np.exp(-0.01) * np.array([scipy.linalg.expm(one) for one in generators])
-    assert collision_severity(matrices).tolist() == [0.0]
+    assert step_collision_severities(matrices).tolist() == [0.0]
 
 
 @pytest.mark.parametrize(("opposite", "expected"), [(True, 2.0), (False, 0.0)])
@@ -163,13 +163,15 @@ def test_two_pairs_that_meet(opposite: bool, expected: float) -> None:
         generator = np.array([[-damping[0] + 1j * a, coupling], [back, -damping[1] - 1j * a]])
         one = np.exp(1j) * scipy.linalg.expm(generator)
         matrices.append(np.block([[one.real, -one.imag], [one.imag, one.real]]))
-    assert collision_severity(np.array(matrices)) == pytest.approx([expected], abs=0.1)
+    assert step_collision_severities(np.array(matrices)) == pytest.approx([expected], abs=0.1)
 
 
 def test_multipliers_that_are_double_or_zero() -> None:
     """Defective matrices have fewer eigenvectors than needed: nothing is said, nothing fails."""
     defective = np.array([[0.5, 1.0, 0.0], [0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
-    assert np.isfinite(collision_severity(np.array([defective, defective, np.zeros((3, 3))]))).all()
+    assert np.isfinite(
+        step_collision_severities(np.array([defective, defective, np.zeros((3, 3))]))
+    ).all()
 
 
 @pytest.mark.nightly
@@ -193,4 +195,4 @@ def test_multipliers_of_rounding() -> None:
     matrices[:, :2, :2] = scipy.linalg.expm([[-0.1, 1.0], [-1.0, -0.1]])
     matrices[:, 2:, :2] = rng.normal(size=(2, 3, 2))
     matrices[:, :, 2:] = 1e-13 * rng.normal(size=(2, 5, 3))
-    assert collision_severity(matrices) == pytest.approx([0.0], abs=1e-6)
+    assert step_collision_severities(matrices) == pytest.approx([0.0], abs=1e-6)
