@@ -56,13 +56,13 @@ class BalanceEquations(CurveSystem):
         if problem.static_above is None:
             problem = problem.with_common_cutoff(self._common_cutoff(problem, start, end))
         if problem.is_projected:
-            requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
-            raise InputError("contact", problem.contact, requirement)
+            contact_requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
+            raise InputError("contact", problem.contact, contact_requirement)
         self.problem, self.start, self.end = problem, start, end
         self._unvaried_compliance_model = ModalCompliance(
             problem.structure_with_row_pairs, problem.base_omega, problem.load
         )
-        self._last_system: tuple[float, ContactSystem] | None = None
+        self._last_value_and_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
         self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
         self.angle_weights: np.ndarray | None = None
@@ -88,7 +88,7 @@ class BalanceEquations(CurveSystem):
         return max(self.vary(problem, value).cutoff for value in (start, end))
 
     @cached_property
-    def _integrals(self) -> ContactIntegrals:
+    def _contact_integrals(self) -> ContactIntegrals:
         """Fourier integrals of the contact force under the problem's law."""
         return self.problem.integrals()
 
@@ -116,7 +116,7 @@ class BalanceEquations(CurveSystem):
         """Make the harmonic-balance equations at a parameter value."""
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance_model_at(value))
-        return ContactSystem(self.compliance_model_at(value), self._integrals)
+        return ContactSystem(self.compliance_model_at(value), self._contact_integrals)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
@@ -125,9 +125,9 @@ class BalanceEquations(CurveSystem):
 
     def system(self, value: float) -> ContactSystem:
         """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
-        if self._last_system is None or self._last_system[0] != value:
-            self._last_system = value, self._make_system(value)
-        return self._last_system[1]
+        if self._last_value_and_system is None or self._last_value_and_system[0] != value:
+            self._last_value_and_system = value, self._make_system(value)
+        return self._last_value_and_system[1]
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         """Return the model of the dynamic compliance at a parameter value."""
@@ -174,11 +174,11 @@ class BalanceEquations(CurveSystem):
         stiffness, or less with a residual flexibility.
         """
         if self.compiled is not None:
-            largest_compliance = self.compiled.largest_compliance(parameter)
+            max_compliance_row_sum = self.compiled.largest_compliance(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
-            largest_compliance = float(np.abs(dynamic_part).sum(axis=2).max())
-        return residual_rounding(4.0 * largest_compliance * self.max_force_slope)
+            max_compliance_row_sum = float(np.abs(dynamic_part).sum(axis=2).max())
+        return residual_rounding(4.0 * max_compliance_row_sum * self.max_force_slope)
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to the motion.
@@ -191,21 +191,23 @@ class BalanceEquations(CurveSystem):
     def _compile_with_modes(
         self,
         start_system: ContactSystem,
-        omega_and_change: tuple[float, float],
-        damping_and_change: tuple[float, float],
+        base_omega_and_change: tuple[float, float],
+        damping_factor_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
         """Make the kernel's equations along frequencies, or along factors for the damping.
 
         Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
         the motion's period.
         """
-        modal_part = self._unvaried_compliance_model.modal_part(
-            omega_and_change, damping_and_change, self.problem.residual
+        modal_part_fields = self._unvaried_compliance_model.modal_part(
+            base_omega_and_change, damping_factor_and_change, self.problem.residual
         )
         return (
             None
-            if modal_part is None
-            else start_system.compile(self._unvaried_compliance_model.gap_without_modes, modal_part)
+            if modal_part_fields is None
+            else start_system.compile(
+                self._unvaried_compliance_model.gap_without_modes, modal_part_fields
+            )
         )
 
 
@@ -256,10 +258,10 @@ class _BalanceOfVariedStructure(BalanceEquations):
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations if v changes only the gap without contact, linearly."""
-        residual_by_value = self._unvaried_compliance_model.derivative(
+        residual_derivative = self._unvaried_compliance_model.derivative(
             self.name, np.zeros(start_system.shape)
         )
-        linear_gap_rate = -(self.end - self.start) * residual_by_value
+        linear_gap_rate = -(self.end - self.start) * residual_derivative
         return start_system.compile(
             start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate
         )
@@ -274,10 +276,10 @@ class BalanceAlongLoad(_BalanceOfVariedStructure):
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         super().check_value(structure, key, value)
         if structure.whole.rotation is not None:
-            requirement = (
+            parameter_requirement = (
                 "another one: the structure rotates, and its mean load is partly centrifugal"
             )
-            raise InputError("parameter", "load", requirement)
+            raise InputError("parameter", "load", parameter_requirement)
 
 
 class BalanceAlongDamping(_BalanceOfVariedStructure):
@@ -292,9 +294,9 @@ class BalanceAlongDamping(_BalanceOfVariedStructure):
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        damping_and_change = (self.start, self.end - self.start)
+        damping_factor_and_change = (self.start, self.end - self.start)
         return self._compile_with_modes(
-            start_system, (self.problem.base_omega, 0.0), damping_and_change
+            start_system, (self.problem.base_omega, 0.0), damping_factor_and_change
         )
 
 
@@ -329,11 +331,13 @@ class BalanceAlongFriction(BalanceEquations):
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        friction = friction_of(problem.contact)
-        if friction is None:
+        unvaried_friction_law = friction_of(problem.contact)
+        if unvaried_friction_law is None:
             raise InputError("parameter", "friction", "another one: the law has no friction")
-        coefficient = np.multiply(value, friction.coefficient)
-        return replace(problem, contact=replace(friction, coefficient=coefficient))
+        friction_coefficient = np.multiply(value, unvaried_friction_law.coefficient)
+        return replace(
+            problem, contact=replace(unvaried_friction_law, coefficient=friction_coefficient)
+        )
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         return by_friction(point) / value
@@ -368,30 +372,31 @@ class BalanceAlongSpeed(BalanceEquations):
         A mode that crosses the cutoff would become quasi-static.
         """
         min_cutoff = super()._common_cutoff(problem, start, end)
-        rotor = as_run_up_structure(problem.structure)
+        run_up_structure = as_run_up_structure(problem.structure)
         speeds = start, 0.5 * (start + end), end
-        natural_frequencies = np.array([rotor.at_speed(speed).omega for speed in speeds])
-        lower_frequencies = natural_frequencies.max(axis=0)[:-1]
-        upper_frequencies = natural_frequencies.min(axis=0)[1:]
-        is_separated = (upper_frequencies > min_cutoff) & (
-            upper_frequencies > lower_frequencies * (1.0 + 1e-6)
+        natural_frequencies = np.array([run_up_structure.at_speed(speed).omega for speed in speeds])
+        lower_mode_frequencies = natural_frequencies.max(axis=0)[:-1]
+        upper_mode_frequencies = natural_frequencies.min(axis=0)[1:]
+        can_hold_cutoff = (upper_mode_frequencies > min_cutoff) & (
+            upper_mode_frequencies > lower_mode_frequencies * (1.0 + 1e-6)
         )
-        return float(
-            max([min_cutoff, *np.sqrt(lower_frequencies * upper_frequencies)[is_separated][:1]])
-        )
+        separating_cutoffs = np.sqrt(lower_mode_frequencies * upper_mode_frequencies)[
+            can_hold_cutoff
+        ]
+        return float(max([min_cutoff, *separating_cutoffs[:1]]))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)
         return ModalCompliance(problem.structure_with_row_pairs, problem.base_omega, problem.load)
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        step = CENTRAL_DIFFERENCE_STEP * value
-        end_residuals = (
+        speed_step = CENTRAL_DIFFERENCE_STEP * value
+        residuals_at_both_speeds = (
             self._make_system(speed).linearise(point.unknown).residual
-            for speed in (value - step, value + step)
+            for speed in (value - speed_step, value + speed_step)
         )
-        lower_residual, upper_residual = end_residuals
-        return np.asarray((upper_residual - lower_residual) / (2.0 * step))
+        residual_at_lower_speed, residual_at_upper_speed = residuals_at_both_speeds
+        return np.asarray((residual_at_upper_speed - residual_at_lower_speed) / (2.0 * speed_step))
 
 
 def as_run_up_structure(structure: Structure) -> RunUpStructure:
@@ -412,14 +417,14 @@ class BalanceAtResonance(BalanceEquations):
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        load_weights = value * np.eye(len(problem.structure.force))
-        load_weights[0, 0] = 1.0
-        return replace(problem, structure=problem.structure.varied(load=load_weights))
+        load_weight_matrix = value * np.eye(len(problem.structure.force))
+        load_weight_matrix[0, 0] = 1.0
+        return replace(problem, structure=problem.structure.varied(load=load_weight_matrix))
 
 
 BALANCE_EQUATIONS: dict[str, type[BalanceEquations]] = {
-    waves.name: waves
-    for waves in (
+    equations_class.name: equations_class
+    for equations_class in (
         BalanceAlongFrequency,
         BalanceAlongLoad,
         BalanceAlongContactStiffness,
