@@ -380,10 +380,8 @@ class BalanceAlongSpeed(BalanceEquations):
         can_hold_cutoff = (upper_mode_frequencies > min_cutoff) & (
             upper_mode_frequencies > lower_mode_frequencies * (1.0 + 1e-6)
         )
-        separating_cutoffs = np.sqrt(lower_mode_frequencies * upper_mode_frequencies)[
-            can_hold_cutoff
-        ]
-        return float(max([min_cutoff, *separating_cutoffs[:1]]))
+        possible_cutoffs = np.sqrt(lower_mode_frequencies * upper_mode_frequencies)[can_hold_cutoff]
+        return float(max([min_cutoff, *possible_cutoffs[:1]]))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
         problem = self.problem_at(value)

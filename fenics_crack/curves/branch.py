@@ -1,8 +1,8 @@
 """Branches that leave a curve at a bifurcation, and their junction with the curve.
 
 The equations are F(x, p) = 0, with the derivatives J = dF/dx and F_p = dF/dp. At a branch point the
-new tangent is a null vector of [J, F_p], orthogonal to the old tangent. At a period doubling the
-new tangent is a null vector of J, from the equations with twice the period.
+branch's tangent is a null vector of [J, F_p], orthogonal to the parent's tangent. At a period
+doubling the branch's tangent is a null vector of J, from the equations with twice the period.
 
 References
 ----------
@@ -59,18 +59,20 @@ class ReturnToParent(Event):
 
     def detect(self, segment: PathSegment) -> np.ndarray:
         return np.asarray(
-            np.any([event.detect(segment) for event in self._crossing_events], axis=0)
+            np.any(
+                [crossing_event.detect(segment) for crossing_event in self._crossing_events], axis=0
+            )
         )
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        for event in self._crossing_events:
-            point = event.locate(system, ends, rtol)
-            if point is not None:
-                relative_half_period_change = self._system.relative_half_period_change(
-                    point.unknown, point.parameter
+        for crossing_event in self._crossing_events:
+            crossing_point = crossing_event.locate(system, ends, rtol)
+            if crossing_point is not None:
+                relative_change = self._system.relative_half_period_change(
+                    crossing_point.unknown, crossing_point.parameter
                 )
-                if relative_half_period_change <= math.sqrt(ARRIVAL_DISTANCE):
-                    return point
+                if relative_change <= math.sqrt(ARRIVAL_DISTANCE):
+                    return crossing_point
         return None
 
 
@@ -85,10 +87,10 @@ def path_points_with_chord(
     end_states = curve.points[[first_index, last_index]]
     first_unknown, last_unknown = map(system.unknown, end_states, end_values)
     first_parameter, last_parameter = map(system.parameter, end_values)
-    chord_vector = last_unknown - first_unknown, last_parameter - first_parameter
-    chord = Tangent(*chord_vector, *norm_weights_at(system, last_unknown))
-    first_point = PathPoint(first_unknown, first_parameter, 0, chord)
-    return first_point, PathPoint(last_unknown, last_parameter, 0, chord)
+    unknown_and_parameter_change = last_unknown - first_unknown, last_parameter - first_parameter
+    chord_tangent = Tangent(*unknown_and_parameter_change, *norm_weights_at(system, last_unknown))
+    first_path_point = PathPoint(first_unknown, first_parameter, 0, chord_tangent)
+    return first_path_point, PathPoint(last_unknown, last_parameter, 0, chord_tangent)
 
 
 def branch_start(
@@ -108,42 +110,51 @@ def branch_start(
     longest_step : float
         Longest step along the branch.
     curve : ResponseCurve, optional
-        Parent branch; the points next to the bifurcation give the old tangent.
+        Parent branch; the points next to the bifurcation give its tangent.
 
     Raises
     ------
     ConvergenceError
         No point of another branch was found.
     """
-    kind, [state] = bifurcation.kind, bifurcation.point.points
-    unknown = system.unknown(state, bifurcation.value)
+    kind, [bifurcation_state] = bifurcation.kind, bifurcation.point.points
+    unknown = system.unknown(bifurcation_state, bifurcation.value)
     parameter, is_doubling = system.parameter(bifurcation.value), kind == "period_doubling"
-    old_tangent = None
+    parent_tangent = None
     if curve is not None:
-        nearest_index, last_index = curve.nearest(bifurcation), len(curve) - 1
-        neighbours = path_points_with_chord(
-            system, curve, max(nearest_index - 1, 0), min(nearest_index + 1, last_index)
+        nearest_index, last_curve_index = curve.nearest(bifurcation), len(curve) - 1
+        neighbour_path_points = path_points_with_chord(
+            system, curve, max(nearest_index - 1, 0), min(nearest_index + 1, last_curve_index)
         )
-        old_tangent = neighbours[0].tangent
-    branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, old_tangent)
-    origin = PathPoint(unknown, parameter, 0, branch_tangent)
-    tolerance = max(PathOptions.rtol, system.rounding(parameter))
+        parent_tangent = neighbour_path_points[0].tangent
+    branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, parent_tangent)
+    bifurcation_point = PathPoint(unknown, parameter, 0, branch_tangent)
+    residual_tolerance = max(PathOptions.rtol, system.rounding(parameter))
     # Distances from the bifurcation to try, relative to the longest step.
-    for step in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
+    for step_length in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
-            point = predict_and_correct(system, origin, step, tolerance, reach=longest_step)
-            if point is None or MIN_DIRECTION_COSINE * chord_length(system, origin, point) > step:
+            candidate_point = predict_and_correct(
+                system, bifurcation_point, step_length, residual_tolerance, reach=longest_step
+            )
+            if (
+                candidate_point is None
+                or MIN_DIRECTION_COSINE * chord_length(system, bifurcation_point, candidate_point)
+                > step_length
+            ):
                 continue
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_new = (
                 not is_doubling
-                or system.relative_half_period_change(point.unknown, point.parameter) > step
+                or system.relative_half_period_change(
+                    candidate_point.unknown, candidate_point.parameter
+                )
+                > step_length
             )
-            if is_new and 0.0 <= point.parameter <= 1.0:
-                unknown_change = point.unknown - unknown
-                parameter_change = point.parameter - parameter
-                chord = replace(branch_tangent, x=unknown_change, p=parameter_change)
-                return replace(point, tangent=chord)
+            if is_new and 0.0 <= candidate_point.parameter <= 1.0:
+                unknown_change = candidate_point.unknown - unknown
+                parameter_change = candidate_point.parameter - parameter
+                branch_chord_tangent = replace(branch_tangent, x=unknown_change, p=parameter_change)
+                return replace(candidate_point, tangent=branch_chord_tangent)
     branch_words = f"branch from {kind} at {system.name} = {system.value(parameter):g}"
     raise ConvergenceError(f"{branch_words}: no point of another branch was found next to it")
 
@@ -153,35 +164,37 @@ def _branch_tangent(
     unknown: np.ndarray,
     parameter: float,
     is_doubling: bool,
-    old_tangent: Tangent | None,
+    parent_tangent: Tangent | None,
 ) -> Tangent:
     """Return the unit tangent to the branch at a bifurcation.
 
     With the equations F(x, p) = 0, J = dF/dx and F_p = dF/dp: at a period doubling the tangent lies
-    in the null space of J. Otherwise it lies in the null space of [J, F_p], orthogonal to the old
-    tangent.
+    in the null space of J. Otherwise it lies in the null space of [J, F_p], orthogonal to the
+    parent's tangent.
     """
     linearisation = system.linearise(unknown, parameter)
-    old_tangent = old_tangent or tangent_of(system, unknown, linearisation)
-    parameter_scale = math.sqrt(old_tangent.weight)  # gives p the units of x
+    parent_tangent = parent_tangent or tangent_of(system, unknown, linearisation)
+    parameter_scale = math.sqrt(parent_tangent.weight)  # gives p the units of x
     if is_doubling:
         tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
-        parameter_derivative = linearisation.by_parameter.reshape(-1, 1)
+        residual_by_parameter = linearisation.by_parameter.reshape(-1, 1)
         null_vectors = scipy.linalg.svd(
-            np.hstack([linearisation.jacobian, parameter_derivative * parameter_scale])
+            np.hstack([linearisation.jacobian, residual_by_parameter * parameter_scale])
         )[2][-2:]
-        old_components = null_vectors @ np.append(
-            old_tangent.x.ravel(), old_tangent.p / parameter_scale
+        parent_components = null_vectors @ np.append(
+            parent_tangent.x.ravel(), parent_tangent.p / parameter_scale
         )
-        tangent_vector = old_components[1] * null_vectors[0] - old_components[0] * null_vectors[1]
+        tangent_vector = (
+            parent_components[1] * null_vectors[0] - parent_components[0] * null_vectors[1]
+        )
     parameter_component = float(tangent_vector[-1]) * parameter_scale
     tangent_length = math.sqrt(
-        old_tangent.weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
+        parent_tangent.weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
         + parameter_component**2
     )
     return Tangent(
-        tangent_vector[:-1].reshape(old_tangent.x.shape) / tangent_length,
+        tangent_vector[:-1].reshape(parent_tangent.x.shape) / tangent_length,
         parameter_component / tangent_length,
-        old_tangent.weight,
+        parent_tangent.weight,
     )
