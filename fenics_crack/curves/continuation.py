@@ -126,11 +126,11 @@ class GrowingCurve:
         self._tolerance, self._is_branch = tolerance, is_branch
         self.most_points = step_limits.most_points
         self._start_point = self._last_point = start_point
-        self.points = [self._convert_point(start_point)]
-        self._special_points: list[tuple[str, CurvePoint]] = []
+        self.points = [self._convert_path_point(start_point)]
+        self._kinds_and_special_points: list[tuple[str, CurvePoint]] = []
         self.complete, self.has_returned, self.status = False, False, "not begun"
 
-    def _convert_point(self, point: PathPoint) -> CurvePoint:
+    def _convert_path_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
         return self._curve_point(
             point.parameter, point.unknown, point.iterations, point.control_values
@@ -165,7 +165,7 @@ class GrowingCurve:
         """Points so far, without the verdicts of harmonic balance."""
         system, points = self.system, self.points
         problem, is_exact = system.problem, self._tolerance is not None
-        multipliers = [
+        leading_multipliers = [
             leading_multiplier_in_upper_half(point.multipliers)
             for point in points
             if point.multipliers is not None
@@ -185,15 +185,15 @@ class GrowingCurve:
             tolerance=self._tolerance,
             samples=problem.samples,
             static_above=None if is_exact else problem.static_cutoff,
-            multipliers=np.array(multipliers) if is_exact else None,
+            multipliers=np.array(leading_multipliers) if is_exact else None,
             branch=self._is_branch,
         )
         bifurcations = []
-        for kind, special_point in self._special_points:
-            state = system.state(special_point.unknown, special_point.value)
+        for kind, curve_point in self._kinds_and_special_points:
+            point_state = system.state(curve_point.unknown, curve_point.value)
             bifurcations.append(
                 curve.bifurcation(
-                    kind, special_point.value, special_point.omega, state, special_point.multipliers
+                    kind, curve_point.value, curve_point.omega, point_state, curve_point.multipliers
                 )
             )
         return replace(curve, bifurcations=tuple(bifurcations))
@@ -218,8 +218,8 @@ class GrowingCurve:
         The values are printed in their unit; default: the value at the last point.
         """
         axis = parameter_axis(self.system.name, True)
-        point_count = counted(len(self.points), "point")
-        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count}"
+        point_count_text = counted(len(self.points), "point")
+        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count_text}"
 
     # --- how it goes on ---------------------------------------------------------------------------
 
@@ -227,8 +227,8 @@ class GrowingCurve:
         """Yield the last point so far, then all points that follow."""
         yield self.points[-1]
         for segment in self._segments():
-            for point_segment in segment.split_points():
-                yield self._record(point_segment)
+            for one_point_segment in segment.split_points():
+                yield self._record(one_point_segment)
 
     def run(self) -> None:
         """Follow the curve to its end.
@@ -246,13 +246,13 @@ class GrowingCurve:
         last_point = self._last_point
         longest_step = self._step_limits.longest_step
         self.status = "under way"
-        events: list[Event] = [kind() for kind in system.event_classes]
+        events: list[Event] = [event_class() for event_class in system.event_classes]
         events += [Target(1.0), ClosedLoop(self._start_point, system)]
         if self._is_branch:
             events.append(Target(0.0))
             if system.problem.subharmonic % 2 == 0:
                 events.insert(0, ReturnToParent(system))
-        options = PathOptions(
+        path_options = PathOptions(
             initial_step=0.2 * longest_step,
             max_step=longest_step,
             min_step=max(ARRIVAL_DISTANCE, system.rounding(last_point.parameter)),
@@ -260,7 +260,9 @@ class GrowingCurve:
             points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
             span=(-self._step_limits.turning_back, np.inf),
         )
-        path = Path(system, last_point, options, events, system.make_step_control(longest_step))
+        path = Path(
+            system, last_point, path_options, events, system.make_step_control(longest_step)
+        )
         yield from path
         assert path.end_reason is not None
         self.complete = path.event is not None
@@ -273,21 +275,23 @@ class GrowingCurve:
 
     def _record(self, segment: PathSegment) -> CurvePoint:
         """Append a segment's points and special points; return its last point."""
-        special_points = [
-            (event.kind, self._convert_point(point))
-            for event, point in segment.located_events
+        kinds_and_special_points = [
+            (event.kind, self._convert_path_point(path_point))
+            for event, path_point in segment.located_events
             if event.kind
         ]
-        self._special_points += special_points
+        self._kinds_and_special_points += kinds_and_special_points
         multipliers_and_counts = (
             segment.control_values if "control_values" in vars(segment) else [None] * len(segment)
         )
-        parameters, iterations = segment.parameters.tolist(), segment.iterations.tolist()
+        parameters, all_iterations = segment.parameters.tolist(), segment.iterations.tolist()
         self.points += map(
-            self._curve_point, parameters, segment.unknowns, iterations, multipliers_and_counts
+            self._curve_point, parameters, segment.unknowns, all_iterations, multipliers_and_counts
         )
         self._last_point = segment[-1]
-        kinds_and_values = tuple((kind, point.value) for kind, point in special_points)
+        kinds_and_values = tuple(
+            (kind, curve_point.value) for kind, curve_point in kinds_and_special_points
+        )
         self.points[-1] = replace(self.points[-1], bifurcations=kinds_and_values)
         return self.points[-1]
 
@@ -383,8 +387,8 @@ class Continuation(GrowingCurve):
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
         check_range(problem, parameter, start, end)
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # may not reach 0
-            max_return = min(step_limits.turning_back, 0.9 * start / (end - start))
-            step_limits = replace(step_limits, turning_back=max_return)
+            allowed_return_fraction = min(step_limits.turning_back, 0.9 * start / (end - start))
+            step_limits = replace(step_limits, turning_back=allowed_return_fraction)
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_ORBIT_HARMONICS))
         if parameter in ("omega", "speed"):
@@ -409,9 +413,13 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            point = branch_start(system, initial, step_limits.longest_step, branch_of)
+            path_point = branch_start(system, initial, step_limits.longest_step, branch_of)
             start_point = first_point(
-                system, point.unknown, point.parameter, point.iterations, point.tangent
+                system,
+                path_point.unknown,
+                path_point.parameter,
+                path_point.iterations,
+                path_point.tangent,
             )
         elif exact:
             orbit = _find_start_orbit(start_problem, initial)
@@ -484,11 +492,11 @@ def check_range(problem: Problem, parameter: str, start: float, end: float) -> N
     check_choice("parameter", parameter, BALANCE_EQUATIONS)
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
-    names = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
-    for name, value in zip(names, (start, end), strict=True):
-        BALANCE_EQUATIONS[parameter].check_value(structure, name, value)
+    end_keys = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
+    for end_key, value in zip(end_keys, (start, end), strict=True):
+        BALANCE_EQUATIONS[parameter].check_value(structure, end_key, value)
     if start == end:
-        raise InputError(names[1], end, f"different from {names[0]}")
+        raise InputError(end_keys[1], end, f"different from {end_keys[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):
         requirement = "both of one sign: without clearance nothing is left of the motion at 0"
         raise InputError("start, end", (start, end), requirement)
@@ -502,11 +510,11 @@ def _find_start_orbit(
         return initial
     if initial is not None:
         check_initial(problem, initial)
-    search = initial_orbit(problem, initial)
-    if search.orbit is None:
-        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+    search_result = initial_orbit(problem, initial)
+    if search_result.orbit is None:
+        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search_result.reason}"
         advice_words = (
             "with harmonics in place of a tolerance the curve of harmonic balance is followed"
         )
         raise ConvergenceError(f"{failure_words}; {advice_words}")
-    return search.orbit
+    return search_result.orbit
