@@ -67,9 +67,9 @@ DESCRIPTION_BY_PARAMETER = {
 """Parameters of a curve, with their units, by name (:attr:`ResponseCurve.parameter`)."""
 
 MIN_ORBIT_HARMONICS = SearchOptions.harmonics[0]
-"""Minimum harmonics of the load frequency in a solution of exact orbits."""
-INSTANTS_PER_PERIOD = 256
-"""Instants per period at which points of a curve are evaluated."""
+"""Minimum harmonics of the load frequency in a solution from an exact orbit."""
+OBSERVED_INSTANTS_PER_PERIOD = 256
+"""Instants per period at which the motion at a point is observed."""
 MISSED_WINDOW_TO_STEP_RATIO = 0.1
 """Width of a window that a curve may miss, relative to the longest step.
 
@@ -290,8 +290,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def system(self) -> BalanceEquations | Orbits:
         """Equations from the first parameter value to the farthest one."""
         farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
-        end_values = float(self.values[0]), float(self.values[farthest_index])
-        return system_along(self.exact, self.problem, self.parameter, *end_values)
+        first_and_farthest_values = float(self.values[0]), float(self.values[farthest_index])
+        return system_along(self.exact, self.problem, self.parameter, *first_and_farthest_values)
 
     # --- its points -------------------------------------------------------------------------------
 
@@ -312,29 +312,29 @@ class ResponseCurve(ObservedMotion, Tabular):
         search.
         """
         if self.tolerance is not None:
-            if index not in self._solutions:
+            if index not in self._solution_by_index:
                 problem, orbit = self.problem_of(index), self.orbit(index)
-                self._solutions[index] = solution_of_orbit(problem, orbit, self.tolerance)
-            return self._solutions[index]
-        problem, point = self._harmonic_balance_point(index)
-        assessment = Assessment(problem.wave(point), flow=self._common_flow)
+                self._solution_by_index[index] = solution_of_orbit(problem, orbit, self.tolerance)
+            return self._solution_by_index[index]
+        problem, contact_point = self._problem_and_contact_point(index)
+        assessment = Assessment(problem.wave(contact_point), flow=self._common_flow)
         return solution_of(
-            problem, point, status="point of a curve", search=search, assessment=assessment
+            problem, contact_point, status="point of a curve", search=search, assessment=assessment
         )
 
     @cached_property
-    def _solutions(self) -> dict[int, PeriodicSolution]:
+    def _solution_by_index(self) -> dict[int, PeriodicSolution]:
         """Solutions of exact orbits that were asked for, by the index of their point."""
         return {}
 
-    def _harmonic_balance_point(self, index: int) -> tuple[Problem, ContactPoint]:
+    def _problem_and_contact_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """Return a point's problem and linearised harmonic-balance equations."""
         problem, equations = self.problem_of(index), self.system
         if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
-            system = problem.system(problem.compliance())
+            contact_system = problem.system(problem.compliance())
         else:
-            system = equations.system(float(self.values[index]))
-        return problem, system.linearise(self.points[index])
+            contact_system = equations.system(float(self.values[index]))
+        return problem, contact_system.linearise(self.points[index])
 
     @cached_property
     def _common_flow(self) -> ContactFlow | None:
@@ -363,11 +363,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         Over the frequency, the motions of many points are computed together.
         """
         if self._common_flow is None or not isinstance(self.system, BalanceEquations):
-            for problem, point in map(self._harmonic_balance_point, places):
-                yield Assessment(problem.wave(point))
+            for point_problem, contact_point in map(self._problem_and_contact_point, places):
+                yield Assessment(point_problem.wave(contact_point))
             return
         equations = self.system
-        system, compliance = (
+        contact_system, compliance_model = (
             equations.system(equations.start),
             equations.compliance_model_at(equations.start),
         )
@@ -377,15 +377,27 @@ class ResponseCurve(ObservedMotion, Tabular):
             for first_position in range(0, len(places), points_per_chunk)
         ):
             unknowns, omega = self.points[chunk_indices], self.omega[chunk_indices]
-            forces = np.stack([system.integrals.force(unknown) for unknown in unknowns], axis=1)
-            displacements = compliance.displacements(omega / self.subharmonic, forces)
+            force_coefficients = np.stack(
+                [contact_system.integrals.force(unknown) for unknown in unknowns], axis=1
+            )
+            displacement_coefficients = compliance_model.displacements(
+                omega / self.subharmonic, force_coefficients
+            )
             for index, unknown in enumerate(unknowns):
-                force = np.ascontiguousarray(forces[:, index])
-                gap, displacement = system.gap(unknown, force), displacements[:, index]
-                wave = replace(
-                    equations.problem.wave_of(displacement, gap, force), omega=float(omega[index])
+                point_force_coefficients = np.ascontiguousarray(force_coefficients[:, index])
+                point_gap_coefficients, point_displacement_coefficients = (
+                    contact_system.gap(unknown, point_force_coefficients),
+                    displacement_coefficients[:, index],
                 )
-                yield Assessment(wave, flow=self._common_flow)
+                harmonic_motion = replace(
+                    equations.problem.wave_of(
+                        point_displacement_coefficients,
+                        point_gap_coefficients,
+                        point_force_coefficients,
+                    ),
+                    omega=float(omega[index]),
+                )
+                yield Assessment(harmonic_motion, flow=self._common_flow)
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
@@ -406,18 +418,18 @@ class ResponseCurve(ObservedMotion, Tabular):
         )
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        indices = range(len(self))
-        motions: Iterator[PeriodicOrbit | PeriodicSolution]
+        point_indices = range(len(self))
+        orbits_or_solutions: Iterator[PeriodicOrbit | PeriodicSolution]
         if self.exact:
-            motions = map(self.orbit, indices)
+            orbits_or_solutions = map(self.orbit, point_indices)
         else:
-            assessments = self.assessments(indices)
-            motions = (
+            point_assessments = self.assessments(point_indices)
+            orbits_or_solutions = (
                 PeriodicSolution(**vars(assessment.wave), assessment=assessment)
-                for assessment in assessments
+                for assessment in point_assessments
             )
-        for motion in motions:
-            yield from motion.records(rows, INSTANTS_PER_PERIOD)
+        for orbit_or_solution in orbits_or_solutions:
+            yield from orbit_or_solution.records(rows, OBSERVED_INSTANTS_PER_PERIOD)
 
     # --- stability --------------------------------------------------------------------------------
 
@@ -493,15 +505,15 @@ class ResponseCurve(ObservedMotion, Tabular):
         ``value`` is the parameter, ``omega`` the load frequency [rad/s]. ``point`` is a row of
         :attr:`points`.
         """
-        point_fields = {"values": value, "omega": omega, "iterations": 0, "points": point}
-        arrays = {name: np.array([entry]) for name, entry in point_fields.items()}
+        entry_by_name = {"values": value, "omega": omega, "iterations": 0, "points": point}
+        array_by_name = {name: np.array([entry]) for name, entry in entry_by_name.items()}
         leading_multipliers = (
             None
             if multipliers is None
             else np.array([leading_multiplier_in_upper_half(multipliers)])
         )
         point_curve = replace(
-            self, **arrays, multipliers=leading_multipliers, irregular=None, bifurcations=()
+            self, **array_by_name, multipliers=leading_multipliers, irregular=None, bifurcations=()
         )
         return Bifurcation(kind, point_curve, multipliers)
 
@@ -511,15 +523,19 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         It has multipliers if the points are exact orbits.
         """
-        curve = self if self.exact else replace(self, multipliers=None, irregular=None)
+        source_curve = self if self.exact else replace(self, multipliers=None, irregular=None)
         bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]
-        curves: list[ResponseCurve] = [curve.part([0]), *bifurcation_curves, curve.part([-1])]
-        array_fields = [_array_fields(part_curve) for part_curve in curves]
+        one_point_curves: list[ResponseCurve] = [
+            source_curve.part([0]),
+            *bifurcation_curves,
+            source_curve.part([-1]),
+        ]
+        arrays_of_curves = [_array_fields(one_point_curve) for one_point_curve in one_point_curves]
         joined_columns = {
-            name: np.concatenate([arrays[name] for arrays in array_fields])
-            for name in array_fields[0]
+            name: np.concatenate([array_by_name[name] for array_by_name in arrays_of_curves])
+            for name in arrays_of_curves[0]
         }
-        return replace(curve, **joined_columns, bifurcations=())
+        return replace(source_curve, **joined_columns, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
         """Return the index of the point nearest to a bifurcation."""
@@ -544,9 +560,9 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         None stands for the watched dof. :meth:`peak` examines the response, too.
         """
-        amplitude = self.amplitude(dof)
-        index = int(np.argmax(amplitude))
-        peak_value, peak_amplitude, _ = interpolate_peak_and_damping(self.values, amplitude, index)
+        amplitudes = self.amplitude(dof)
+        index = int(np.argmax(amplitudes))
+        peak_value, peak_amplitude, _ = interpolate_peak_and_damping(self.values, amplitudes, index)
         return Top(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
@@ -591,27 +607,27 @@ class ResponseCurve(ObservedMotion, Tabular):
         open_indices = set(np.linspace(0, len(self) - 1, 40).astype(int).tolist())
         while open_indices:
             for index in open_indices:
-                error_by_index[index] = self._displacement_error(index)
+                error_by_index[index] = self._estimate_displacement_error(index)
             open_indices = {
-                (start_index + end_index) // 2
-                for start_index, end_index in pairwise(sorted(error_by_index))
-                if end_index - start_index > 1
-                and (error_by_index[start_index] > LARGE_ERROR)
-                != (error_by_index[end_index] > LARGE_ERROR)
+                (lower_index + upper_index) // 2
+                for lower_index, upper_index in pairwise(sorted(error_by_index))
+                if upper_index - lower_index > 1
+                and (error_by_index[lower_index] > LARGE_ERROR)
+                != (error_by_index[upper_index] > LARGE_ERROR)
             }
         indices = sorted(error_by_index)
         return np.interp(
             np.arange(len(self)), indices, [error_by_index[index] for index in indices]
         )
 
-    def _displacement_error(self, index: int) -> float:
+    def _estimate_displacement_error(self, index: int) -> float:
         """Return the estimated error of the displacement at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
             orbit_solution = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
-            more_modes = orbit_solution.assessment.more_modes
-            if more_modes is not None:
-                return UNKNOWN if more_modes.errors is None else more_modes.errors[1]
+            more_modes_motion = orbit_solution.assessment.more_modes
+            if more_modes_motion is not None:
+                return UNKNOWN if more_modes_motion.errors is None else more_modes_motion.errors[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------
@@ -642,5 +658,9 @@ class ResponseCurve(ObservedMotion, Tabular):
 
 def _array_fields(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """Return the array fields of a curve by name."""
-    field_values = {entry.name: getattr(curve, entry.name) for entry in fields(curve)}
-    return {name: column for name, column in field_values.items() if isinstance(column, np.ndarray)}
+    value_by_field = {
+        curve_field.name: getattr(curve, curve_field.name) for curve_field in fields(curve)
+    }
+    return {
+        name: column for name, column in value_by_field.items() if isinstance(column, np.ndarray)
+    }
