@@ -160,10 +160,12 @@ def continue_parameter(
     ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     check_options("continue_parameter", options, CurveOptions.__annotations__)
-    curve_options: dict[str, Any] = dict(options)
-    keys = ("harmonics", "samples", "subharmonic", "initial")
-    harmonics, samples, subharmonic, initial = (curve_options.pop(key, None) for key in keys)
-    tolerance = curve_options.get("tolerance")
+    remaining_options: dict[str, Any] = dict(options)
+    problem_keys = ("harmonics", "samples", "subharmonic", "initial")
+    harmonics, samples, subharmonic, initial = (
+        remaining_options.pop(key, None) for key in problem_keys
+    )
+    tolerance = remaining_options.get("tolerance")
     if tolerance is not None and harmonics is not None:
         raise InputError("tolerance", tolerance, "left out where harmonics are given")
     if tolerance is not None and not is_small(structure):
@@ -180,7 +182,7 @@ def continue_parameter(
     def grow(curve_start: float, curve_end: float, first_guess: Any = initial) -> GrowingCurve:
         ends, guess = (curve_start, curve_end), first_guess
         return Continuation(
-            problem, parameter, *ends, exact=is_exact, initial=guess, **curve_options
+            problem, parameter, *ends, exact=is_exact, initial=guess, **remaining_options
         )
 
     def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
@@ -189,10 +191,10 @@ def continue_parameter(
     try:
         growing_curve = grow(start, end)
     except ConvergenceError:
-        other_curve = None if tolerance is None else follow_other_curve()
-        if other_curve is None:
+        other_growing_curve = None if tolerance is None else follow_other_curve()
+        if other_growing_curve is None:
             raise
-        growing_curve = other_curve
+        growing_curve = other_growing_curve
     return run_to_end(growing_curve, progress, throw, follow_other_curve)
 
 
@@ -210,16 +212,18 @@ def _find_other_curve(
     """
     n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
     # If there is no orbit at the start, each search takes long.
-    n_searches = MAX_CURVE_SEARCHES if first_curve is not None else 1
-    search_values = np.linspace(end, start, MAX_CURVE_SEARCHES, endpoint=False)[:n_searches]
+    n_allowed_searches = MAX_CURVE_SEARCHES if first_curve is not None else 1
+    search_values = np.linspace(end, start, MAX_CURVE_SEARCHES, endpoint=False)[:n_allowed_searches]
     for search_value in search_values.tolist():
         start_solution: PeriodicSolution | PeriodicOrbit | None = None
         for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
                 growing_curve = grow(stage_start, stage_end, start_solution)
-                max_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
-                max_points = max(n_first_points, max_unknowns // growing_curve.system.n_unknowns)
-                n_left_points = max(1, max_points - n_spent_points)
+                n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
+                n_allowed_points = max(
+                    n_first_points, n_allowed_unknowns // growing_curve.system.n_unknowns
+                )
+                n_left_points = max(1, n_allowed_points - n_spent_points)
                 growing_curve.most_points = min(n_left_points, growing_curve.most_points)
                 growing_curve.run()
             except ConvergenceError:
@@ -292,14 +296,14 @@ def follow_branch(
     if not min(start, end) < bifurcation.value < max(start, end):
         raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
     period_factor = 2 if bifurcation.kind == "period_doubling" else 1
-    problem = replace(
+    branch_problem = replace(
         curve.problem,
         harmonics=period_factor * curve.problem.harmonics,
         samples=curve.problem.samples and period_factor * curve.problem.samples,
         subharmonic=period_factor * curve.subharmonic,
     )
     growing_curve = Continuation(
-        problem, curve.parameter, start, end,
+        branch_problem, curve.parameter, start, end,
         exact=curve.exact, initial=bifurcation, branch_of=curve, **options,  # type: ignore[misc]
     )  # fmt: skip
     return run_to_end(growing_curve, progress, throw)
@@ -332,10 +336,10 @@ def run_to_end(
         try:
             _run_with_progress(growing_curve, progress)
             if find_other_curve is not None and growing_curve.has_returned:
-                other_curve = find_other_curve(growing_curve)
-                if other_curve is None and not growing_curve.complete:
+                other_growing_curve = find_other_curve(growing_curve)
+                if other_growing_curve is None and not growing_curve.complete:
                     growing_curve.status += " (no other curve was met from its end on)"
-                growing_curve = other_curve or growing_curve
+                growing_curve = other_growing_curve or growing_curve
         except ConvergenceError as error:
             growing_curve.status = str(error)
         curve = growing_curve.curve
