@@ -60,7 +60,7 @@ from fenics_crack.numerics.equations import ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
 from fenics_crack.numerics.path import Event, PathSegment, SegmentEnds, StepControl, find_zero
 
-MIN_LOG_CHANGE = 0.01
+ACCEPTED_LOG_CHANGE = 0.01
 """Change of ln |mu| over a step that is always accepted."""
 
 MIN_STEP_RATIO = 0.01
@@ -131,7 +131,7 @@ def count_changes(multipliers_and_counts: np.ndarray) -> np.ndarray:
     return count_change
 
 
-def step_collision_severities(monodromy: np.ndarray) -> np.ndarray:
+def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
     """Return how close collisions bring Floquet multipliers to leaving the unit circle.
 
     If two multipliers mu_j and mu_k collide between two points, their ln |mu| separate. One leaves
@@ -139,8 +139,8 @@ def step_collision_severities(monodromy: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    monodromy : (n_points, n, n)
-        The points' monodromy matrices.
+    monodromy_matrices : (n_points, n, n)
+        Of the points, in order along the path.
 
     Returns
     -------
@@ -148,13 +148,13 @@ def step_collision_severities(monodromy: np.ndarray) -> np.ndarray:
         Largest separation between each point and the next, relative to that limit: above 1, a
         multiplier leaves the circle. inf if multipliers are not found.
     """
-    n_points, n_states = monodromy.shape[:2]
-    severity = np.empty(n_points - 1)
-    matrices = np.ascontiguousarray(monodromy)
+    n_points, n_states = monodromy_matrices.shape[:2]
+    severities = np.empty(n_points - 1)
+    contiguous_matrices = np.ascontiguousarray(monodromy_matrices)
     kernel.collision_severities(
-        n_points, n_states, pointer(matrices), MULTIPLIER_TOLERANCE, pointer(severity)
+        n_points, n_states, pointer(contiguous_matrices), MULTIPLIER_TOLERANCE, pointer(severities)
     )
-    return severity
+    return severities
 
 
 class MultiplierControl(StepControl):
@@ -178,13 +178,13 @@ class MultiplierControl(StepControl):
         log_modulus = np.log(
             np.maximum(np.abs(segment.control_values[:, :-3]), MULTIPLIER_TOLERANCE)
         )
-        log_change, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
-        max_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), MIN_LOG_CHANGE)
-        is_coarse = np.any(np.abs(log_change) > max_change, axis=1)
-        if len(log_change) > 1:
+        log_changes, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
+        allowed_log_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), ACCEPTED_LOG_CHANGE)
+        is_coarse = np.any(np.abs(log_changes) > allowed_log_change, axis=1)
+        if len(log_changes) > 1:
             length_ratio = (lengths[1:] / lengths[:-1])[:, None]
-            prediction_error = np.abs(log_change[1:] - length_ratio * log_change[:-1])
-            is_coarse[1:] |= np.any(prediction_error > max_change[1:], axis=1)
+            prediction_error = np.abs(log_changes[1:] - length_ratio * log_changes[:-1])
+            is_coarse[1:] |= np.any(prediction_error > allowed_log_change[1:], axis=1)
         n_states = math.isqrt(segment.records.shape[1])
         matrices = segment.records[first_index:].reshape(-1, n_states, n_states)
         has_collision = step_collision_severities(matrices) > 0.5
@@ -232,14 +232,17 @@ class NeimarkSacker(Event):
             multiplier_pair_excess(multipliers_of(end), multiplier_pair_index) for end in ends
         ]
         # A pair within the tolerance of the circle may have been outside all along.
-        offset = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
+        crossing_excess = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
-            excess = multiplier_pair_excess(multipliers_of(point), multiplier_pair_index) - offset
+            excess = (
+                multiplier_pair_excess(multipliers_of(point), multiplier_pair_index)
+                - crossing_excess
+            )
             return excess if abs(excess) > ROOT_TOLERANCE else 0.0
 
-        zero_point, residual = find_zero(system, ends, crossing_function, rtol)
-        return zero_point if abs(residual) <= MULTIPLIER_TOLERANCE else None
+        zero_point, excess_at_zero = find_zero(system, ends, crossing_function, rtol)
+        return zero_point if abs(excess_at_zero) <= MULTIPLIER_TOLERANCE else None
 
 
 def multipliers_of(point: PathPoint) -> np.ndarray:
@@ -255,8 +258,8 @@ def period_doubling_function(multipliers: np.ndarray) -> float:
     ``ROOT_TOLERANCE``.
     """
     factors = np.where(multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers))
-    product = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
-    return product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
+    scaled_product = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
+    return scaled_product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
 
 
 def multiplier_pair_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
