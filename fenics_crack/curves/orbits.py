@@ -72,7 +72,7 @@ class Orbits(CurveSystem):
         self.balance_class = BALANCE_EQUATIONS[parameter]
         self.logarithmic, self.subharmonic = self.balance_class.logarithmic, problem.subharmonic
         self._start_flow = self._make_flow(start)
-        self._last_flow: tuple[float, ContactFlow] = start, self._start_flow
+        self._last_value_and_flow: tuple[float, ContactFlow] = start, self._start_flow
         self.shape = (self._start_flow.size,)
 
     def problem_at(self, value: float) -> Problem:
@@ -91,9 +91,9 @@ class Orbits(CurveSystem):
         """Return the exact flow at a parameter value; the last flow is kept."""
         if self.name == "omega" or value == self.start:
             return self._start_flow
-        if self._last_flow[0] != value:
-            self._last_flow = value, self._make_flow(value)
-        return self._last_flow[1]
+        if self._last_value_and_flow[0] != value:
+            self._last_value_and_flow = value, self._make_flow(value)
+        return self._last_value_and_flow[1]
 
     @cached_property
     def scale(self) -> np.ndarray:
@@ -158,30 +158,30 @@ class Orbits(CurveSystem):
         The given states are in the modes at the curve's start. Shape: (n_unknowns,
         n_unknowns).
         """
-        modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
+        modal_basis_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
-        return scipy.linalg.block_diag(modal_change, modal_change, friction_identity)
+        return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)
 
     def _advance_motion(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> Motion:
         """Return the motion over a fraction of the period."""
         value = self.value(parameter)
-        omega, state = self.omega(value), self.state(unknown, value)
-        period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow(value).advance(state, omega, period_fraction * period)
+        omega, start_state = self.omega(value), self.state(unknown, value)
+        orbit_period = 2.0 * np.pi * self.subharmonic / omega
+        return self.flow(value).advance(start_state, omega, period_fraction * orbit_period)
 
     def advance_unknown(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> np.ndarray:
         """Return the motion's unknowns x after a fraction of the period."""
-        state = self._advance_motion(unknown, parameter, period_fraction).state
-        return self.unknown(state, self.value(parameter))
+        end_state = self._advance_motion(unknown, parameter, period_fraction).state
+        return self.unknown(end_state, self.value(parameter))
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return an orbit's change over half its period, relative to its size."""
-        change = self.advance_unknown(unknown, parameter, 0.5) - unknown
-        return float(np.linalg.norm(change) / (np.linalg.norm(unknown) or 1.0))
+        unknown_change = self.advance_unknown(unknown, parameter, 0.5) - unknown
+        return float(np.linalg.norm(unknown_change) / (np.linalg.norm(unknown) or 1.0))
 
     # --- what paths require -----------------------------------------------------------------------
 
@@ -195,7 +195,7 @@ class Orbits(CurveSystem):
         ):
             return None
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
-        flow = start_flow = self._start_flow
+        kernel_flow = start_flow = self._start_flow
         kernel_fields: dict[str, Any] = (
             {"rest_states": self._scaled_rest_and_change}
             if self._scaled_rest_and_change.any()
@@ -204,7 +204,9 @@ class Orbits(CurveSystem):
         if self.name != "omega":
             end_flow = self.flow(self.end)
             # The kernel changes this flow, so it is not shared.
-            flow = self._make_flow(max(self.start, self.end) if is_over_damping else self.start)
+            kernel_flow = self._make_flow(
+                max(self.start, self.end) if is_over_damping else self.start
+            )
             if is_over_damping:
                 damping_change = end_flow.modes.damping - start_flow.modes.damping
                 damping = start_flow.modes.damping
@@ -212,11 +214,11 @@ class Orbits(CurveSystem):
                 kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
                 load_change = end_flow.modal_load - start_flow.modal_load
-                gap_change = end_flow.load_gap - start_flow.load_gap
-                kernel_fields |= {"force": flow.modal_load, "force_rate": load_change}
-                kernel_fields |= {"gap": flow.load_gap, "gap_rate": gap_change}
+                load_gap_change = end_flow.load_gap - start_flow.load_gap
+                kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": load_change}
+                kernel_fields |= {"gap": kernel_flow.load_gap, "gap_rate": load_gap_change}
         return ShootingEquations(
-            flow, self.scale, omega_and_change, self.subharmonic, **kernel_fields
+            kernel_flow, self.scale, omega_and_change, self.subharmonic, **kernel_fields
         )
 
     def rounding(self, parameter: float) -> float:
@@ -241,11 +243,11 @@ class Orbits(CurveSystem):
         residual = self.unknown(motion.state, value) - unknown
 
         def monodromy() -> np.ndarray:
-            tangent = motion.track.tangent
+            tangent_matrix = motion.track.tangent
             if self.name == "speed":
                 transformation = self._state_transformation(value)
-                tangent = np.linalg.solve(transformation, tangent @ transformation)
-            return np.asarray(self.scale[:, None] * tangent / self.scale)
+                tangent_matrix = np.linalg.solve(transformation, tangent_matrix @ transformation)
+            return np.asarray(self.scale[:, None] * tangent_matrix / self.scale)
 
         def by_parameter() -> np.ndarray:
             if self.name == "speed" or self._start_flow.friction:
@@ -257,8 +259,8 @@ class Orbits(CurveSystem):
             rest_change = self._scaled_rest_and_change[1]
             return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
-        events, pieces = motion.events, motion.pieces
-        return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
+        n_events, n_pieces = motion.events, motion.pieces
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:
         """Return Floquet multipliers and their counts (:func:`leading_multipliers_and_counts`).
