@@ -127,34 +127,36 @@ def interpolate_peak_and_damping(
     """
     from scipy.interpolate import CubicSpline  # loading takes longer than drawing a curve
 
-    peak_point = float(values[peak_index]), float(amplitudes[peak_index])
+    peak_value, peak_amplitude = float(values[peak_index]), float(amplitudes[peak_index])
     first_index, last_index = (
-        _half_power_index(values, amplitudes, peak_index, step) for step in (-1, 1)
+        _half_power_index(values, amplitudes, peak_index, index_step) for index_step in (-1, 1)
     )
     if not first_index < peak_index < last_index:
-        return *peak_point, math.nan
+        return peak_value, peak_amplitude, math.nan
     value_steps = np.diff(values[peak_index - 1 : peak_index + 2])
     if value_steps[0] * value_steps[1] <= 0.0:
-        return *peak_point, math.nan
+        return peak_value, peak_amplitude, math.nan
     peak_slice = slice(first_index, last_index + 1)
-    side_values = values[peak_slice]
-    relative_amplitudes = np.maximum(amplitudes[peak_slice] / peak_point[1], np.finfo(float).eps)
-    slice_step = 1 if side_values[-1] > side_values[0] else -1
-    inverse_square = CubicSpline(
-        side_values[::slice_step], relative_amplitudes[::slice_step] ** -2.0
+    values_around_peak = values[peak_slice]
+    relative_amplitudes = np.maximum(amplitudes[peak_slice] / peak_amplitude, np.finfo(float).eps)
+    ascending_step = 1 if values_around_peak[-1] > values_around_peak[0] else -1
+    spline = CubicSpline(
+        values_around_peak[::ascending_step], relative_amplitudes[::ascending_step] ** -2.0
     )
-    minima = inverse_square.derivative().roots(extrapolate=False)
+    values_at_minima = spline.derivative().roots(extrapolate=False)
     neighbour_values = np.sort(values[[peak_index - 1, peak_index + 1]])
-    minima = minima[(minima > neighbour_values[0]) & (minima < neighbour_values[1])]
-    top_value = float(min(minima, key=inverse_square, default=peak_point[0]))
-    if not inverse_square(top_value) > 0.0:  # as next to a zero response
-        return top_value, peak_point[1], math.nan
-    half_power_values = inverse_square.solve(2.0 * inverse_square(top_value), extrapolate=False)
-    band_start = half_power_values[half_power_values < top_value].max(initial=-math.inf)
-    band_end = half_power_values[half_power_values > top_value].min(initial=math.inf)
-    width = band_end - band_start
+    values_at_minima = values_at_minima[
+        (values_at_minima > neighbour_values[0]) & (values_at_minima < neighbour_values[1])
+    ]
+    top_value = float(min(values_at_minima, key=spline, default=peak_value))
+    if not spline(top_value) > 0.0:  # as next to a zero response
+        return top_value, peak_amplitude, math.nan
+    half_power_values = spline.solve(2.0 * spline(top_value), extrapolate=False)
+    band_start_value = half_power_values[half_power_values < top_value].max(initial=-math.inf)
+    band_end_value = half_power_values[half_power_values > top_value].min(initial=math.inf)
+    width = band_end_value - band_start_value
     damping = float(width / (2.0 * top_value)) if math.isfinite(width) else math.nan
-    return top_value, peak_point[1] * float(inverse_square(top_value) ** -0.5), damping
+    return top_value, peak_amplitude * float(spline(top_value) ** -0.5), damping
 
 
 def damping_by_half_power_width(
@@ -170,17 +172,18 @@ def damping_by_half_power_width(
 
 
 def _half_power_index(
-    values: np.ndarray, amplitudes: np.ndarray, peak_index: int, step: int
+    values: np.ndarray, amplitudes: np.ndarray, peak_index: int, index_step: int
 ) -> int:
     """Return the first index below half the peak's power, on one side.
 
-    If the curve ends or turns back before, return the last point before. ``step`` is -1 or 1.
+    If the curve ends or turns back before, return the last point before. ``index_step`` is
+    -1 or 1.
     """
     index, last_value_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)
-    while amplitudes[index] >= half_power_amplitude and 0 <= index + step < len(values):
-        value_change = values[index + step] - values[index]
+    while amplitudes[index] >= half_power_amplitude and 0 <= index + index_step < len(values):
+        value_change = values[index + index_step] - values[index]
         if value_change * last_value_change < 0.0 or value_change == 0.0:
             break
-        index, last_value_change = index + step, value_change
+        index, last_value_change = index + index_step, value_change
     return index
