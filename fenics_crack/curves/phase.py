@@ -3,11 +3,11 @@
 The condensed equations F(s, v, w) = 0 (:mod:`contact_system`) have the load's frequency w, and a
 factor v for the vibrating part of the load. One equation is added:
 
-    Re P / Im P = 0,        P = f_k^H u_k.
+    Re P / Im P = 0,        P = f_k^H u_k,
 
-f_k and u_k are complex coefficients for the exciting harmonic k: f_k of the load, on a wheel only
-on the watched blade, and u_k of the displacement. Re P / Im P is linear in w next to the resonance
-of a single mode. The Jacobian is bordered by a row and a column.
+with the complex work P. f_k and u_k are complex coefficients for the exciting harmonic k: f_k of
+the load, on a wheel only on the watched blade, and u_k of the displacement. Re P / Im P is linear in
+w next to the resonance of a single mode. The Jacobian is bordered by a row and a column.
 
 Contact with open or closed pairs is conewise linear. The motion is therefore v times the
 motion under the load itself, with the mean load and the clearance divided by v. Both are in the
@@ -48,30 +48,32 @@ class Drive:
     ----------
     harmonic : int
         k.
-    load_rows : (2, n_dofs) [N]
+    cosine_and_sine_load : (2, n_dofs) [N]
         Cosine and sine parts of the load; on a wheel, only on the watched blade.
     """
 
     harmonic: int
-    load_rows: np.ndarray
+    cosine_and_sine_load: np.ndarray
 
     @classmethod
     def of_structure(cls, structure: Structure, harmonic: int) -> Drive:
         """Return a harmonic in a structure's load."""
-        rows = slice(2 * harmonic - 1, 2 * harmonic + 1)
-        return cls(harmonic, structure.whole.load_on_sector(structure, rows))
+        row_slice = slice(2 * harmonic - 1, 2 * harmonic + 1)
+        return cls(harmonic, structure.whole.load_on_sector(structure, row_slice))
 
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
         """Return P at a point, or there with given contact forces [N m]."""
-        displacement = compliance_model_of(point).selected_displacement(
-            self.load_rows, point.force if force is None else force
+        work_coefficients = compliance_model_of(point).selected_displacement(
+            self.cosine_and_sine_load, point.force if force is None else force
         )
-        return self._complex_work_of(displacement)
+        return self._complex_work_of(work_coefficients)
 
     def complex_work_by_omega(self, point: ContactPoint) -> complex:
         """Return dP/dw for fixed contact forces."""
         return self._complex_work_of(
-            compliance_model_of(point).selected_displacement_by_omega(self.load_rows, point.force)
+            compliance_model_of(point).selected_displacement_by_omega(
+                self.cosine_and_sine_load, point.force
+            )
         )
 
     def _complex_work_of(self, coefficients: np.ndarray) -> complex:
@@ -93,7 +95,7 @@ def compliance_model_of(point: ContactPoint) -> ModalCompliance:
 class PhasePoint(Linearisation):
     """Equations at a point, with the unknowns s and w.
 
-    s is divided by the system's size times v, and w by the problem's frequency.
+    s is divided by the system's ``slow_gap_size`` times v, and w by the problem's frequency.
 
     Attributes
     ----------
@@ -111,40 +113,42 @@ class PhasePoint(Linearisation):
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
         self.unknown, self.problem, self.drive = unknown, system.problem, system.drive
-        self._size, self.omega = system.size, system.omega(1.0, unknown)
-        self.contact_point = system.waves.system(self.omega).linearise(system.state(unknown, 1.0))
+        self._slow_gap_size, self.omega = system.slow_gap_size, system.omega(1.0, unknown)
+        self.contact_point = system.frequency_equations.system(self.omega).linearise(
+            system.state(unknown, 1.0)
+        )
         self.complex_work = system.drive.complex_work(self.contact_point)
         value = system.value(parameter)
-        self._inverse_load = 1.0 / value
-        self._inverse_load_rate = -system.value_rate(value) / value**2
+        self._inverse_factor = 1.0 / value
+        self._inverse_factor_rate = -system.value_rate(value) / value**2
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
         contact_residual = self.contact_point.residual.copy()
-        contact_residual[0] += (1.0 - self._inverse_load) * self.contact_point.system.linear[0]
+        contact_residual[0] += (1.0 - self._inverse_factor) * self.contact_point.system.linear[0]
         return np.append(
-            contact_residual / self._size, self.complex_work.real / self.complex_work.imag
+            contact_residual / self._slow_gap_size, self.complex_work.real / self.complex_work.imag
         )
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
-        derivative = np.zeros_like(self.unknown)
-        derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_load_rate * self.contact_point.system.linear[0] / self._size
+        residual_derivative = np.zeros_like(self.unknown)
+        residual_derivative[: len(self.contact_point.gap[0])] = (
+            -self._inverse_factor_rate * self.contact_point.system.linear[0] / self._slow_gap_size
         )
-        return derivative
+        return residual_derivative
 
-    def _phase_change(self, change: complex) -> float:
+    def _phase_change(self, work_change: complex) -> float:
         """Return the change in Re P / Im P by a change in the complex work P."""
-        power = self.complex_work
-        return (change.real - power.real / power.imag * change.imag) / power.imag
+        work = self.complex_work
+        return (work_change.real - work.real / work.imag * work_change.imag) / work.imag
 
-    def _complex_work_change(self, change: np.ndarray) -> complex:
+    def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
         """Return the change in P by a change in the slow gap (2H+1, n_pairs) [m]."""
         return (
             self.drive.complex_work(
                 self.contact_point,
-                self.contact_point.force + self.contact_point.forces.apply(change),
+                self.contact_point.force + self.contact_point.forces.apply(slow_gap_change),
             )
             - self.complex_work
         )
@@ -162,13 +166,15 @@ class PhasePoint(Linearisation):
         )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        change = self._size * self.contact_point.solve(
+        gap_change = self._slow_gap_size * self.contact_point.solve(
             right_side[:-1].reshape(self.contact_point.unknown.shape)
         )
-        remainder = right_side[-1] - self._phase_change(self._complex_work_change(change))
+        remainder = right_side[-1] - self._phase_change(self._complex_work_change(gap_change))
         omega_change = remainder / self._phase_change(self.complex_work_by_frequency)
-        relative_change = (change + omega_change * self.unknown_by_frequency) / self._size
-        return np.append(relative_change, omega_change / self.problem.omega)
+        scaled_gap_change = (
+            gap_change + omega_change * self.unknown_by_frequency
+        ) / self._slow_gap_size
+        return np.append(scaled_gap_change, omega_change / self.problem.omega)
 
     @property
     def sign(self) -> float:
@@ -199,13 +205,13 @@ class PhasePoint(Linearisation):
 class ResonanceSystem(CurveSystem):
     """Phase resonance over the factor v of a load.
 
-    The unknowns are s / (size v), and the frequency relative to the problem's frequency.
+    The unknowns are s / (``slow_gap_size`` v), and w relative to the problem's frequency.
 
     Attributes
     ----------
     start_unknown : (n_unknowns,)
         Guess for the resonance at ``start``, from a nearby point.
-    size : float [m]
+    slow_gap_size : float [m]
         Size of the slow gap's vibration at this point, over v.
     """
 
@@ -219,22 +225,30 @@ class ResonanceSystem(CurveSystem):
         factor_range: tuple[float, float] = (1, 2),
     ) -> None:
         self.start, self.end = factor_range
-        self.waves = waves = BalanceAlongFrequency(problem, problem.omega, 0.5 * problem.omega)
-        slow_gap = waves.system(problem.omega).slow_gap(nearby_point.gap, nearby_point.force)
-        slow_gap = slow_gap / self.start
-        self.size = float(np.linalg.norm(slow_gap[1:]))
-        self.start_unknown = np.append(slow_gap / self.size, 1.0)
-        self.problem, self.drive, self.n_time_means = waves.problem, drive, waves.n_time_means
+        self.frequency_equations = equations = BalanceAlongFrequency(
+            problem, problem.omega, 0.5 * problem.omega
+        )
+        slow_gap_coefficients = equations.system(problem.omega).slow_gap(
+            nearby_point.gap, nearby_point.force
+        )
+        slow_gap_coefficients = slow_gap_coefficients / self.start
+        self.slow_gap_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
+        self.start_unknown = np.append(slow_gap_coefficients / self.slow_gap_size, 1.0)
+        self.problem, self.drive, self.n_time_means = (
+            equations.problem,
+            drive,
+            equations.n_time_means,
+        )
         self.shape = self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
-        return self.waves.rounding(0.0)
+        return self.frequency_equations.rounding(0.0)
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return float(unknown[-1]) * self.problem.omega
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self.size * value * unknown[:-1].reshape(-1, self.n_time_means)
+        return self.slow_gap_size * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
         return PhasePoint(self, unknown, parameter)
