@@ -6,8 +6,8 @@ factor v for the vibrating part of the load. One equation is added:
     Re P / Im P = 0,        P = f_k^H u_k,
 
 with the complex work P. f_k and u_k are complex coefficients for the exciting harmonic k: f_k of
-the load, on a wheel only on the watched blade, and u_k of the displacement. Re P / Im P is linear in
-w next to the resonance of a single mode. The Jacobian is bordered by a row and a column.
+the load, on a wheel only on the watched blade, and u_k of the displacement. Re P / Im P is linear
+in w next to the resonance of a single mode. The Jacobian is bordered by a row and a column.
 
 Contact with open or closed pairs is conewise linear. The motion is therefore v times the
 motion under the load itself, with the mean load and the clearance divided by v. Both are in the

@@ -48,7 +48,7 @@ from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
 from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
 
-PHASE_SEARCH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
+RESONANCE_PATH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
 """Options for the response curve to the first resonance.
 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
@@ -129,41 +129,48 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
         No first solution, or no resonance on the curve.
     """
     if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
-        requirement = "the penalty law or the constraint, without friction, and subharmonic = 1"
-        raise InputError("contact", problem.contact, f"{requirement}, for a phase resonance")
-    requirement = "one that moves a damped mode"
+        contact_requirement = (
+            "the penalty law or the constraint, without friction, and subharmonic = 1,"
+            " for a phase resonance"
+        )
+        raise InputError("contact", problem.contact, contact_requirement)
+    load_requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
-        raise InputError("load", "no damped mode answers to it", requirement)
+        raise InputError("load", "no damped mode answers to it", load_requirement)
     start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # a linear phase is then not 0
-    waves = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
-    start_unknown = Solver(waves.problem_at(start_omega)).solve().slow_gap_coefficients
-    contact_point = waves.linearise(start_unknown, 0.0)
-    n_harmonics = len(problem.structure.force) // 2
+    equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
+    start_unknown = Solver(equations.problem_at(start_omega)).solve().slow_gap_coefficients
+    contact_point = equations.linearise(start_unknown, 0.0)
+    n_load_harmonics = len(problem.structure.force) // 2
     drives = [
-        Drive.of_structure(problem.structure, harmonic + 1) for harmonic in range(n_harmonics)
+        Drive.of_structure(problem.structure, harmonic + 1) for harmonic in range(n_load_harmonics)
     ]
     drive = max(drives, key=lambda drive: abs(drive.complex_work(contact_point).imag))
-    power = drive.complex_work(contact_point)
-    if not abs(power.imag) > MAX_LOCATION_RESIDUAL * abs(power):
-        raise InputError("load", "no damped mode answers to it", requirement)
+    complex_work = drive.complex_work(contact_point)
+    if not abs(complex_work.imag) > MAX_LOCATION_RESIDUAL * abs(complex_work):
+        raise InputError("load", "no damped mode answers to it", load_requirement)
 
-    def in_phase(point: PathPoint) -> float:
-        power = drive.complex_work(waves.linearise(point.unknown, point.parameter))
-        return power.real / abs(power)
+    def phase_cosine(path_point: PathPoint) -> float:
+        complex_work = drive.complex_work(
+            equations.linearise(path_point.unknown, path_point.parameter)
+        )
+        return complex_work.real / abs(complex_work)
 
-    start_point = point_on_path(waves, start_unknown, 0.0)
-    if power.real > 0.0:  # the resonance is above
-        start_point = replace(start_point, tangent=start_point.tangent.reverse())
-    zero_point = Path(
-        waves, start_point, PHASE_SEARCH_OPTIONS, [_PhaseResonanceEvent(in_phase)]
+    start_path_point = point_on_path(equations, start_unknown, 0.0)
+    if complex_work.real > 0.0:  # the resonance is above
+        start_path_point = replace(start_path_point, tangent=start_path_point.tangent.reverse())
+    resonance_path_point = Path(
+        equations, start_path_point, RESONANCE_PATH_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
     ).run()
-    if zero_point is None:
+    if resonance_path_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {near_omega:.6g} rad/s on")
-    problem = replace(waves.problem, omega=waves.value(zero_point.parameter))
-    system = ResonanceSystem(
-        problem, drive, waves.linearise(zero_point.unknown, zero_point.parameter)
+    problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
+    resonance_system = ResonanceSystem(
+        problem,
+        drive,
+        equations.linearise(resonance_path_point.unknown, resonance_path_point.parameter),
     )
-    return system.linearise(system.start_unknown, 0.0)
+    return resonance_system.linearise(resonance_system.start_unknown, 0.0)
 
 
 def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> PhasePoint:
@@ -210,14 +217,16 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
         except ConvergenceError:
             break
         amplitude_change = finer_point.solution.amplitude() / point.solution.amplitude() - 1.0
-        frequency_shift = (finer_point.omega - point.omega) / finer_point.width
-        harmonics_error = abs(amplitude_change) + 2.0 * frequency_shift**2
+        frequency_shift_in_widths = (finer_point.omega - point.omega) / finer_point.width
+        harmonics_error = abs(amplitude_change) + 2.0 * frequency_shift_in_widths**2
         error = max(harmonics_error, finer_point.solution.report.displacement)
         point, n_harmonics = finer_point, 2 * n_harmonics
     return point, error
 
 
-def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhasePoint, float]:
+def _find_order_crossing_and_rate(
+    point: PhasePoint, order: float | None
+) -> tuple[PhasePoint, float]:
     """Find the resonance that an engine order meets, over the rotor speed.
 
     The secant method varies the speed.
@@ -253,7 +262,7 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
-def _prepare_search(
+def _small_problem_and_start_omega(
     problem: Problem, near_omega: float | None, tolerance: float | None
 ) -> tuple[Problem, float]:
     """Return the problem with a small structure, and the start frequency for the search.
@@ -334,18 +343,18 @@ def resonance_at(
     >>> found.omega, found.solution.amplitude(), found.several
     """
     if isinstance(problem, Structure):
-        harmonics = max(Problem.harmonics, least_harmonics(problem, 1))
-        problem = Problem(problem, parameter, near, harmonics)
+        n_harmonics = max(Problem.harmonics, least_harmonics(problem, 1))
+        problem = Problem(problem, parameter, near, n_harmonics)
         near, parameter = None, "omega"
     check_choice("parameter", parameter, ("omega", "speed"))
     order, error = None, math.nan
     if parameter == "speed":
         order = problem.omega / as_run_up_structure(problem.structure).speed
-    point = first_resonance(*_prepare_search(problem, near, tolerance))
-    point, resonance_rate = _find_order_crossing(point, order)
+    point = first_resonance(*_small_problem_and_start_omega(problem, near, tolerance))
+    point, resonance_rate = _find_order_crossing_and_rate(point, order)
     if tolerance is not None:
         point, error = _refine_to_tolerance(point, tolerance)
-        point, resonance_rate = _find_order_crossing(point, order)
+        point, resonance_rate = _find_order_crossing_and_rate(point, order)
     omega, omega_per_value = point.omega, order or 1.0
     width, harmonic = point.width / omega_per_value / (1.0 - resonance_rate), point.drive.harmonic
     return Resonance(
@@ -409,32 +418,33 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    (problem, near), vary_load = (
-        _prepare_search(problem, near, tolerance),
+    (problem, near), problem_at_load_factor = (
+        _small_problem_and_start_omega(problem, near, tolerance),
         BALANCE_EQUATIONS["resonance"].vary,
     )
     if tolerance is not None:
-        end_point = _refine_to_tolerance(first_resonance(vary_load(problem, end), near), tolerance)[
-            0
-        ]
+        end_point = _refine_to_tolerance(
+            first_resonance(problem_at_load_factor(problem, end), near), tolerance
+        )[0]
         problem = problem.with_harmonics(end_point.problem.harmonics)
-    point = first_resonance(vary_load(problem, start), near)
+    point = first_resonance(problem_at_load_factor(problem, start), near)
     start_problem = replace(point.problem, structure=problem.structure, omega=point.omega)
     system = ResonanceSystem(start_problem, point.drive, point.contact_point, (start, end))
     growing_curve = GrowingCurve(
         system, first_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
     )
     curve = run_to_end(growing_curve, progress, throw)
-    path_positions = [
+    unknowns_and_parameters = [
         (curve_point.unknown, system.parameter(curve_point.value))
         for curve_point in growing_curve.points
     ]
     n_multimode_points = sum(
-        abs(system.linearise(*position).distance_to_peak_in_widths) > MAX_DISTANCE_TO_PEAK
-        for position in path_positions
+        abs(system.linearise(*unknown_and_parameter).distance_to_peak_in_widths)
+        > MAX_DISTANCE_TO_PEAK
+        for unknown_and_parameter in unknowns_and_parameters
     )
     if n_multimode_points:
-        point_count = f"{n_multimode_points} of {counted(len(curve), 'point')}"
-        remark = f"at {point_count} several modes answer together"
+        point_count_text = f"{n_multimode_points} of {counted(len(curve), 'point')}"
+        remark = f"at {point_count_text} several modes answer together"
         curve = replace(curve, status=f"{curve.status}; {remark}")
     return curve
