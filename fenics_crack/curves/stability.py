@@ -71,7 +71,7 @@ from fenics_crack.numerics.newton import motion_size
 def monodromy_of_linear_flow(
     structure: Structure,
     contact: ContactLaw,
-    gap: np.ndarray,
+    gap_coefficients: np.ndarray,
     base_omega: float,
     static_cutoff: float | None = None,
 ) -> np.ndarray:
@@ -85,7 +85,7 @@ def monodromy_of_linear_flow(
     structure : Structure
         Small structure.
     contact : ContactLaw
-    gap : (2H+1, n_pairs) [m]
+    gap_coefficients : (2H+1, n_pairs) [m]
         Gap coefficients; with ``static_cutoff``, coefficients of the slow gap.
     base_omega : float [rad/s]
     static_cutoff : float, optional [rad/s]
@@ -99,27 +99,29 @@ def monodromy_of_linear_flow(
         The law's tangent is not the slope of its force along the solution.
     """
     modes = all_modes(structure).with_static_modes(static_cutoff)
-    gap_samples = sample_period(gap, 4 * len(gap))
+    gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
     if modes.residual is not None:
-        forces = smooth_forces_and_slopes(contact, modes.residual, gap_samples)[0]
-        gap_samples = gap_samples - forces @ modes.residual
+        force_samples = smooth_forces_and_slopes(contact, modes.residual, gap_samples)[0]
+        gap_samples = gap_samples - force_samples @ modes.residual
     check_slope(contact, gap_samples)
     state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
-    n_steps = 1 << (4 * len(gap)).bit_length()
-    coarser_product = matrix = _multiply_steps(modes, contact, gap, base_omega, n_steps)
-    change_size = matrix_size = np.inf
-    while n_steps < 2**13 and not change_size <= MULTIPLIER_TOLERANCE * matrix_size < np.inf:
+    n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
+    coarser_product = matrix = _multiply_steps(
+        modes, contact, gap_coefficients, base_omega, n_steps
+    )
+    change_norm = matrix_norm = np.inf
+    while n_steps < 2**13 and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf:
         n_steps *= 2
-        product = _multiply_steps(modes, contact, gap, base_omega, n_steps)
+        product = _multiply_steps(modes, contact, gap_coefficients, base_omega, n_steps)
         coarser_matrix = matrix
         matrix = product + (product - coarser_product) / 3.0
         coarser_product = product
-        scaled_matrices = (
-            state_scale[:, None] * part_matrix / state_scale
-            for part_matrix in (matrix - coarser_matrix, matrix)
+        scaled_change_and_matrix = (
+            state_scale[:, None] * change_or_matrix / state_scale
+            for change_or_matrix in (matrix - coarser_matrix, matrix)
         )
-        change_size, matrix_size = (
-            float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_matrices
+        change_norm, matrix_norm = (
+            float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_change_and_matrix
         )
     if not np.all(np.isfinite(matrix)):
         raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
@@ -127,8 +129,9 @@ def monodromy_of_linear_flow(
 
 
 def _multiply_steps(
-    modes: AllModes, contact: ContactLaw, gap: np.ndarray, base_omega: float, n_steps: int
-) -> np.ndarray:
+    modes: AllModes, contact: ContactLaw, gap_coefficients: np.ndarray, base_omega: float,
+    n_steps: int,
+) -> np.ndarray:  # fmt: skip
     """Return the monodromy matrix by N equal steps, with N a power of two.
 
     Parts of the period are computed side by side, and their matrices then multiplied in sequence.
@@ -140,7 +143,7 @@ def _multiply_steps(
     """
     h = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
-    gap_samples = sample_period(gap, n_steps)
+    gap_samples = sample_period(gap_coefficients, n_steps)
     if modes.residual is None:
         kicks = h * contact.tangent(gap_samples)[:, :, None]
     else:
@@ -148,11 +151,11 @@ def _multiply_steps(
     n_stretches = 1
     while n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < CACHE_BLOCK_SIZE:
         n_stretches *= 2
-    stretch_kicks = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
+    kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
     transition = modes.transition(h)[0]
     states = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
-        for kick in stretch_kicks.swapaxes(0, 1):
+        for kick in kicks_of_stretches.swapaxes(0, 1):
             states[:, n_modes:] -= _velocity_change(modes, kick, states[:, :n_modes])
             states = _advance_without_contact(modes, transition, states)
         product = states[0]
@@ -171,9 +174,9 @@ def _velocity_change(modes: AllModes, kick: np.ndarray, displacement: np.ndarray
     coupled pairs. P are the modes at the pairs, and q the modal displacements.
     """
     pair_displacement = modes.pairs.T @ displacement
-    is_diagonal = modes.residual is None
-    impulse = kick * pair_displacement if is_diagonal else kick @ pair_displacement
-    return np.asarray(modes.pairs @ impulse)
+    has_uncoupled_pairs = modes.residual is None
+    pair_impulse = kick * pair_displacement if has_uncoupled_pairs else kick @ pair_displacement
+    return np.asarray(modes.pairs @ pair_impulse)
 
 
 def _advance_without_contact(
@@ -246,25 +249,25 @@ def shoot(
     >>> distance = orbit.multipliers
     """
     check_count("settle", settle, 0)
-    assessment, n_load_periods = _assessment_of(structure, solution, contact), solution.subharmonic
+    assessment, subharmonic = _assessment_of(structure, solution, contact), solution.subharmonic
     assert assessment.wave.contact is not None
     flow = exact_flow(structure, assessment.wave.contact)
     orbit = None if settle else assessment.orbit
     if orbit is None:
-        orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
-        settled_unknown = orbits.start
+        orbit_equations = FlowOrbits(flow, solution.omega, assessment.states[0], subharmonic)
+        settled_unknown = orbit_equations.start
         for _ in range(settle):
-            settled_unknown = orbits.advance_period(settled_unknown, 1.0)
-        start_state = orbits.state(settled_unknown)
+            settled_unknown = orbit_equations.advance_period(settled_unknown, 1.0)
+        start_state = orbit_equations.state(settled_unknown)
         orbit = search_orbit(
-            flow, solution.omega, [start_state[None]], n_load_periods, prefer_stable=False,
+            flow, solution.omega, [start_state[None]], subharmonic, prefer_stable=False,
             starts=(ORBIT_STARTS["guesses"], ORBIT_STARTS["path"]),
         ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
-        refined_orbit = find_orbit(
+        reconverged_orbit = find_orbit(
             orbit.flow, orbit.omega, orbit.state, subharmonic=orbit.subharmonic
         )
-        orbit = refined_orbit or orbit
+        orbit = reconverged_orbit or orbit
     if orbit is None or not orbit.residual <= tolerance:
         residual_words = "" if orbit is None else f"; closest {orbit.residual:.1e}"
         raise ConvergenceError(f"shooting: no periodic orbit near the solution{residual_words}")
@@ -358,37 +361,39 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     assessment = replace(solution, structure=structure).assessment
     if assessment.irregular_motion is not None:
         return (assessment.irregular_motion,)
-    has_monodromy = (
+    can_form_monodromy = (
         assessment.flow is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
     )
-    verdict = stability_of(assessment).verdict if has_monodromy else "no exact flow"
-    orbit = assessment.orbit if has_monodromy else None
-    if verdict != "unstable" or orbit is None:
+    solution_verdict = stability_of(assessment).verdict if can_form_monodromy else "no exact flow"
+    nearest_orbit = assessment.orbit if can_form_monodromy else None
+    if solution_verdict != "unstable" or nearest_orbit is None:
         requirement = (
             f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
         )
-        raise InputError("solution", verdict, requirement)
-    orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
+        raise InputError("solution", solution_verdict, requirement)
+    orbit_equations = FlowOrbits(
+        nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
+    )
     multipliers, eigenvectors = np.linalg.eig(
-        orbits.scale[:, None] * orbit.monodromy / orbits.scale
+        orbit_equations.scale[:, None] * nearest_orbit.monodromy / orbit_equations.scale
     )
     leading_index = int(np.abs(multipliers).argmax())
     mu, start_change = multipliers[leading_index], eigenvectors[:, leading_index].real
-    states = orbit.sampled.whole_states
-    rms_motion = motion_size(orbits.scale * states) / np.sqrt(len(states))
+    orbit_states = nearest_orbit.sampled.whole_states
+    rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
-    motions: list[Attractor] = []
-    start_unknowns = orbits.start + start_change, orbits.start - start_change
+    distinct_attractors: list[Attractor] = []
+    start_unknowns = orbit_equations.start + start_change, orbit_equations.start - start_change
     for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
-        motion = find_attractor(orbits, start_unknown)
+        attractor = find_attractor(orbit_equations, start_unknown)
         if not any(
-            motion.orbit
-            and earlier_motion.orbit
-            and is_same_orbit(motion.orbit, earlier_motion.orbit)
-            for earlier_motion in motions
+            attractor.orbit
+            and earlier_attractor.orbit
+            and is_same_orbit(attractor.orbit, earlier_attractor.orbit)
+            for earlier_attractor in distinct_attractors
         ):
-            motions.append(motion)
-    return tuple(motions)
+            distinct_attractors.append(attractor)
+    return tuple(distinct_attractors)
 
 
 def from_rest(solution: PeriodicSolution) -> Attractor | None:
@@ -400,23 +405,23 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
-    orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
-    return find_attractor(orbits, np.zeros(flow.size), SearchOptions.periods(flow))
+    orbit_equations = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
+    return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:
     """Return the stability of an assessed solution by its nearest exact orbit."""
-    orbit, motion = assessment.orbit, assessment.irregular_motion
+    orbit, irregular_motion = assessment.orbit, assessment.irregular_motion
     if orbit is None:
         assert assessment.flow is not None
         multipliers = np.full(assessment.flow.size, np.nan + 0j)
-        if motion is not None:
-            multipliers[0] = motion.growth
+        if irregular_motion is not None:
+            multipliers[0] = irregular_motion.growth
             return Stability(
                 multipliers,
                 "irregular",
                 np.nan,
-                reason=f"no orbit was found, and the exact motion {motion.description}",
+                reason=f"no orbit was found, and the exact motion {irregular_motion.description}",
             )
         if assessment.prediction is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             multipliers = eigenvalues(assessment.prediction.monodromy)
@@ -437,27 +442,35 @@ def _stability_by_linear_flow(
 
     The uncertainty is their difference from the multipliers with twice the harmonics.
     """
-    gap, static_cutoff, uncertainty = solution.slow_gap_coefficients, solution.static_above, np.inf
+    gap_coefficients, static_cutoff, uncertainty = (
+        solution.slow_gap_coefficients,
+        solution.static_above,
+        np.inf,
+    )
     try:
         multipliers = eigenvalues(
-            monodromy_of_linear_flow(structure, contact, gap, solution.base_omega, static_cutoff)
+            monodromy_of_linear_flow(
+                structure, contact, gap_coefficients, solution.base_omega, static_cutoff
+            )
         )
-        wave = replace(solution, structure=structure, contact=contact)
-        finer_solution = with_twice_the_harmonics(wave) if gap.size else solution
+        assessed_solution = replace(solution, structure=structure, contact=contact)
+        finer_solution = (
+            with_twice_the_harmonics(assessed_solution) if gap_coefficients.size else solution
+        )
         if finer_solution is not None:
-            finer_gap = finer_solution.slow_gap_coefficients
+            finer_gap_coefficients = finer_solution.slow_gap_coefficients
             finer_matrix = monodromy_of_linear_flow(
-                structure, contact, finer_gap, solution.base_omega, static_cutoff
+                structure, contact, finer_gap_coefficients, solution.base_omega, static_cutoff
             )
             uncertainty = float(abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0])))
     except ConvergenceError as error:
         unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
-    largest_modulus, truncation_error, reason = abs(multipliers[0]), solution.report.truncation, ""
-    if truncation_error >= UNKNOWN or not np.isfinite(uncertainty):
+    largest_modulus, solution_error, reason = abs(multipliers[0]), solution.report.truncation, ""
+    if solution_error >= UNKNOWN or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
-    elif truncation_error > LARGE_ERROR:
-        reason = f"the truncated harmonics change it by {percent(truncation_error)}; use more"
+    elif solution_error > LARGE_ERROR:
+        reason = f"the truncated harmonics change it by {percent(solution_error)}; use more"
     elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, uncertainty):
         reason = "its largest multiplier is 1 within its uncertainty"
     verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
