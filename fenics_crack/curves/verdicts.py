@@ -89,12 +89,12 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 multipliers[index] = _leading_multiplier_if_decided(stability_of(assessment))
         if np.isnan(multipliers).all():
             break
-    growth = _growth_along(curve, np.isnan(multipliers))
-    multipliers = np.where(growth > 1.0, growth, multipliers)
-    return replace(curve, multipliers=multipliers, irregular=growth > 1.0)
+    growth_factors = _growth_factors_along(curve, np.isnan(multipliers))
+    multipliers = np.where(growth_factors > 1.0, growth_factors, multipliers)
+    return replace(curve, multipliers=multipliers, irregular=growth_factors > 1.0)
 
 
-def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
+def _growth_factors_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
     """Measure the growth of disturbances at some points without a verdict.
 
     ``is_open`` (n,) is True at points without a verdict.
@@ -105,21 +105,22 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
         Factor by which a disturbance grows per period. Between two irregular points, geometric
         interpolation; elsewhere nan.
     """
-    growth, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
-    spread_indices = np.linspace(
+    growth_factors, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
+    spread_positions = np.linspace(
         0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices))
     )
-    followed_indices = open_indices[spread_indices.astype(int)].tolist()
+    followed_indices = open_indices[spread_positions.astype(int)].tolist()
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
-        if motion := assessment.irregular_motion:
-            growth[index] = motion.growth
+        if irregular_motion := assessment.irregular_motion:
+            growth_factors[index] = irregular_motion.growth
     for start_index, end_index in pairwise(followed_indices):
-        stretch, end_growths = slice(start_index, end_index + 1), growth[[start_index, end_index]]
-        if is_open[stretch].all() and np.prod(end_growths) > 0.0:
-            growth[stretch] = np.geomspace(*end_growths, end_index + 1 - start_index)
-    return growth
+        stretch = slice(start_index, end_index + 1)
+        end_factors = growth_factors[[start_index, end_index]]
+        if is_open[stretch].all() and np.prod(end_factors) > 0.0:
+            growth_factors[stretch] = np.geomspace(*end_factors, end_index + 1 - start_index)
+    return growth_factors
 
 
 def _leading_multiplier_if_decided(stability: Stability) -> complex:
@@ -137,7 +138,11 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     begin("stability of each point")
     solutions = (curve.solution(index, search=False) for index in range(len(curve)))
     stabilities = [floquet(solution.structure, solution) for solution in solutions]
-    bifurcations = [point for point in curve.bifurcations if point.kind in ("fold", "branch_point")]
+    bifurcations = [
+        bifurcation
+        for bifurcation in curve.bifurcations
+        if bifurcation.kind in ("fold", "branch_point")
+    ]
     multipliers = np.array([stability.multipliers for stability in stabilities])
     multipliers_and_counts = leading_multipliers_and_counts(multipliers)
     has_crossing = count_changes(multipliers_and_counts)[:, 1:] != 0.0
@@ -180,22 +185,23 @@ def _locate_bifurcation(
     """
     system = curve.system
     assert isinstance(system, BalanceEquations)
-    ends = path_points_with_chord(system, curve, index, index + 1)
-    first_end, last_end = (
-        point_on_path(system, point.unknown, point.parameter, point.tangent) for point in ends
+    chord_ends = path_points_with_chord(system, curve, index, index + 1)
+    first_end_point, last_end_point = (
+        point_on_path(system, path_point.unknown, path_point.parameter, path_point.tangent)
+        for path_point in chord_ends
     )
 
-    def evaluate_test(point: PathPoint) -> float:
-        problem = system.problem_at(system.value(point.parameter))
+    def evaluate_test(path_point: PathPoint) -> float:
+        problem = system.problem_at(system.value(path_point.parameter))
         static_cutoff, omega = problem.static_cutoff, problem.base_omega
         matrix = monodromy_of_linear_flow(
-            problem.structure, problem.contact, point.unknown, omega, static_cutoff
+            problem.structure, problem.contact, path_point.unknown, omega, static_cutoff
         )
         return test_function(eigenvalues(matrix))
 
-    bifurcation_point = ZeroCrossing(evaluate_test).locate(
-        system, (first_end, last_end), system.rounding(last_end.parameter)
+    zero_point = ZeroCrossing(evaluate_test).locate(
+        system, (first_end_point, last_end_point), system.rounding(last_end_point.parameter)
     )
-    assert bifurcation_point is not None
-    value, unknown = system.value(bifurcation_point.parameter), bifurcation_point.unknown
+    assert zero_point is not None
+    value, unknown = system.value(zero_point.parameter), zero_point.unknown
     return value, system.omega(value, unknown), unknown
