@@ -97,7 +97,7 @@ def branch_start(
     system: BalanceEquations | Orbits,
     bifurcation: Bifurcation,
     longest_step: float,
-    curve: ResponseCurve | None = None,
+    parent_curve: ResponseCurve | None = None,
 ) -> PathPoint:
     """Return the first point of the branch that begins at a bifurcation.
 
@@ -109,8 +109,8 @@ def branch_start(
     bifurcation : Bifurcation
     longest_step : float
         Longest step along the branch.
-    curve : ResponseCurve, optional
-        Parent branch; the points next to the bifurcation give its tangent.
+    parent_curve : ResponseCurve, optional
+        The points next to the bifurcation give its tangent.
 
     Raises
     ------
@@ -121,12 +121,12 @@ def branch_start(
     unknown = system.unknown(bifurcation_state, bifurcation.value)
     parameter, is_doubling = system.parameter(bifurcation.value), kind == "period_doubling"
     parent_tangent = None
-    if curve is not None:
-        nearest_index, last_curve_index = curve.nearest(bifurcation), len(curve) - 1
-        neighbour_path_points = path_points_with_chord(
-            system, curve, max(nearest_index - 1, 0), min(nearest_index + 1, last_curve_index)
+    if parent_curve is not None:
+        nearest_index, end_index = parent_curve.nearest(bifurcation), len(parent_curve) - 1
+        neighbour_points = path_points_with_chord(
+            system, parent_curve, max(nearest_index - 1, 0), min(nearest_index + 1, end_index)
         )
-        parent_tangent = neighbour_path_points[0].tangent
+        parent_tangent = neighbour_points[0].tangent
     branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, parent_tangent)
     bifurcation_point = PathPoint(unknown, parameter, 0, branch_tangent)
     residual_tolerance = max(PathOptions.rtol, system.rounding(parameter))

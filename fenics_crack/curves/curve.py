@@ -530,10 +530,10 @@ class ResponseCurve(ObservedMotion, Tabular):
             *bifurcation_curves,
             source_curve.part([-1]),
         ]
-        arrays_of_curves = [_array_fields(one_point_curve) for one_point_curve in one_point_curves]
+        array_dicts = [_array_fields(one_point_curve) for one_point_curve in one_point_curves]
         joined_columns = {
-            name: np.concatenate([array_by_name[name] for array_by_name in arrays_of_curves])
-            for name in arrays_of_curves[0]
+            name: np.concatenate([array_by_name[name] for array_by_name in array_dicts])
+            for name in array_dicts[0]
         }
         return replace(source_curve, **joined_columns, bifurcations=())
 

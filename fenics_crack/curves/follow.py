@@ -179,17 +179,21 @@ def continue_parameter(
         tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
     )
 
-    def grow(curve_start: float, curve_end: float, first_guess: Any = initial) -> GrowingCurve:
+    def make_curve(
+        curve_start: float, curve_end: float, first_guess: Any = initial
+    ) -> GrowingCurve:
         ends, guess = (curve_start, curve_end), first_guess
         return Continuation(
             problem, parameter, *ends, exact=is_exact, initial=guess, **remaining_options
         )
 
     def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
-        return _find_other_curve(grow, start, end, returned_curve) if initial is None else None
+        return (
+            _find_other_curve(make_curve, start, end, returned_curve) if initial is None else None
+        )
 
     try:
-        growing_curve = grow(start, end)
+        growing_curve = make_curve(start, end)
     except ConvergenceError:
         other_growing_curve = None if tolerance is None else follow_other_curve()
         if other_growing_curve is None:
@@ -199,7 +203,10 @@ def continue_parameter(
 
 
 def _find_other_curve(
-    grow: Callable[..., GrowingCurve], start: float, end: float, first_curve: GrowingCurve | None
+    make_curve: Callable[..., GrowingCurve],
+    start: float,
+    end: float,
+    first_curve: GrowingCurve | None,
 ) -> GrowingCurve | None:
     """Follow another curve from the start; None if the searches fail.
 
@@ -218,7 +225,7 @@ def _find_other_curve(
         start_solution: PeriodicSolution | PeriodicOrbit | None = None
         for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
-                growing_curve = grow(stage_start, stage_end, start_solution)
+                growing_curve = make_curve(stage_start, stage_end, start_solution)
                 n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
                 n_allowed_points = max(
                     n_first_points, n_allowed_unknowns // growing_curve.system.n_unknowns
