@@ -165,10 +165,10 @@ def continue_parameter(
     harmonics, samples, subharmonic, initial = (
         remaining_options.pop(key, None) for key in problem_keys
     )
-    tolerance = remaining_options.get("tolerance")
-    if tolerance is not None and harmonics is not None:
-        raise InputError("tolerance", tolerance, "left out where harmonics are given")
-    if tolerance is not None and not is_small(structure):
+    error_tolerance = remaining_options.get("tolerance")
+    if error_tolerance is not None and harmonics is not None:
+        raise InputError("tolerance", error_tolerance, "left out where harmonics are given")
+    if error_tolerance is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     subharmonic = 1 if subharmonic is None else subharmonic
     check_count("subharmonic", subharmonic, 1)
@@ -176,7 +176,9 @@ def continue_parameter(
         harmonics = max(Problem.harmonics, least_harmonics(structure, subharmonic))
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     is_exact = (
-        tolerance is not None and samples is None and has_orbits(problem, parameter, start, end)
+        error_tolerance is not None
+        and samples is None
+        and has_orbits(problem, parameter, start, end)
     )
 
     def make_curve(
@@ -195,7 +197,7 @@ def continue_parameter(
     try:
         growing_curve = make_curve(start, end)
     except ConvergenceError:
-        other_growing_curve = None if tolerance is None else follow_other_curve()
+        other_growing_curve = None if error_tolerance is None else follow_other_curve()
         if other_growing_curve is None:
             raise
         growing_curve = other_growing_curve

@@ -87,12 +87,12 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
         real ones above 1 (r), real ones below -1 (d), complex pairs outside the circle (c).
     """
     modulus = np.abs(multipliers)
-    leading_order = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
-    rows = np.arange(len(leading_order))[:, None]
-    multipliers = multipliers[rows, leading_order]
-    is_outside = modulus[rows, leading_order] > 1.0 + MULTIPLIER_TOLERANCE
+    leading_indices = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
+    point_indices = np.arange(len(leading_indices))[:, None]
+    multipliers = multipliers[point_indices, leading_indices]
+    is_outside = modulus[point_indices, leading_indices] > 1.0 + MULTIPLIER_TOLERANCE
     multipliers_and_counts = np.empty(
-        (len(leading_order), leading_order.shape[1] + 3), dtype=complex
+        (len(leading_indices), leading_indices.shape[1] + 3), dtype=complex
     )
     multipliers_and_counts[:, :-3] = multipliers
     is_real = multipliers.imag == 0.0

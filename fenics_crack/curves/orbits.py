@@ -49,7 +49,7 @@ from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
 
-FORWARD_STEP = math.sqrt(MACHINE_EPSILON)
+FORWARD_PARAMETER_STEP = math.sqrt(MACHINE_EPSILON)
 """Step in p for forward differences. Truncation and rounding error are then about equal."""
 
 
@@ -251,7 +251,7 @@ class Orbits(CurveSystem):
 
         def by_parameter() -> np.ndarray:
             if self.name == "speed" or self._start_flow.friction:
-                step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
+                step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
             softness_rate = -self.value_rate(value) / value * motion.track.flow.softness

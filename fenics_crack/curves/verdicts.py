@@ -94,7 +94,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     return replace(curve, multipliers=multipliers, irregular=growth_factors > 1.0)
 
 
-def _growth_factors_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
+def _growth_factors_along(curve: ResponseCurve, is_undecided: np.ndarray) -> np.ndarray:
     """Measure the growth of disturbances at some points without a verdict.
 
     ``is_open`` (n,) is True at points without a verdict.
@@ -105,11 +105,11 @@ def _growth_factors_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarr
         Factor by which a disturbance grows per period. Between two irregular points, geometric
         interpolation; elsewhere nan.
     """
-    growth_factors, open_indices = np.full(len(curve), np.nan), np.flatnonzero(is_open)
+    growth_factors, undecided_indices = np.full(len(curve), np.nan), np.flatnonzero(is_undecided)
     spread_positions = np.linspace(
-        0, len(open_indices) - 1, min(MAX_FOLLOWED_POINTS, len(open_indices))
+        0, len(undecided_indices) - 1, min(MAX_FOLLOWED_POINTS, len(undecided_indices))
     )
-    followed_indices = open_indices[spread_positions.astype(int)].tolist()
+    followed_indices = undecided_indices[spread_positions.astype(int)].tolist()
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
@@ -118,7 +118,7 @@ def _growth_factors_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarr
     for start_index, end_index in pairwise(followed_indices):
         stretch = slice(start_index, end_index + 1)
         end_factors = growth_factors[[start_index, end_index]]
-        if is_open[stretch].all() and np.prod(end_factors) > 0.0:
+        if is_undecided[stretch].all() and np.prod(end_factors) > 0.0:
             growth_factors[stretch] = np.geomspace(*end_factors, end_index + 1 - start_index)
     return growth_factors
 
