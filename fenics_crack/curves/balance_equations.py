@@ -199,14 +199,14 @@ class BalanceEquations(CurveSystem):
         Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
         the motion's period.
         """
-        modal_part_fields = self._unvaried_compliance_model.modal_part(
+        modal_fields = self._unvaried_compliance_model.modal_part(
             base_omega_and_change, damping_factor_and_change, self.problem.residual
         )
         return (
             None
-            if modal_part_fields is None
+            if modal_fields is None
             else start_system.compile(
-                self._unvaried_compliance_model.gap_without_modes, modal_part_fields
+                self._unvaried_compliance_model.gap_without_modes, modal_fields
             )
         )
 

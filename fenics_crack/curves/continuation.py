@@ -413,13 +413,9 @@ class Continuation(GrowingCurve):
             check_memory(problem.structure, problem.harmonics)
         system = system_along(exact, problem, parameter, start, end)
         if isinstance(initial, Bifurcation):
-            path_point = branch_start(system, initial, step_limits.longest_step, branch_of)
+            point = branch_start(system, initial, step_limits.longest_step, branch_of)
             start_point = first_point(
-                system,
-                path_point.unknown,
-                path_point.parameter,
-                path_point.iterations,
-                path_point.tangent,
+                system, point.unknown, point.parameter, point.iterations, point.tangent
             )
         elif exact:
             orbit = _find_start_orbit(start_problem, initial)

@@ -411,17 +411,18 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
 
 def stability_of(assessment: Assessment) -> Stability:
     """Return the stability of an assessed solution by its nearest exact orbit."""
-    orbit, irregular_motion = assessment.orbit, assessment.irregular_motion
+    orbit, irregular_attractor = assessment.orbit, assessment.irregular_motion
     if orbit is None:
         assert assessment.flow is not None
         multipliers = np.full(assessment.flow.size, np.nan + 0j)
-        if irregular_motion is not None:
-            multipliers[0] = irregular_motion.growth
+        if irregular_attractor is not None:
+            multipliers[0] = irregular_attractor.growth
             return Stability(
                 multipliers,
                 "irregular",
                 np.nan,
-                reason=f"no orbit was found, and the exact motion {irregular_motion.description}",
+                reason="no orbit was found, and the exact motion "
+                f"{irregular_attractor.description}",
             )
         if assessment.prediction is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
             multipliers = eigenvalues(assessment.prediction.monodromy)
