@@ -234,12 +234,8 @@ class ResonanceSystem(CurveSystem):
         slow_gap_coefficients = slow_gap_coefficients / self.start
         self.slow_gap_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
         self.start_unknown = np.append(slow_gap_coefficients / self.slow_gap_size, 1.0)
-        self.problem, self.drive, self.n_time_means = (
-            equations.problem,
-            drive,
-            equations.n_time_means,
-        )
-        self.shape = self.start_unknown.shape
+        self.problem, self.drive = equations.problem, drive
+        self.n_time_means, self.shape = equations.n_time_means, self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
         return self.frequency_equations.rounding(0.0)
