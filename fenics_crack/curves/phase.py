@@ -95,7 +95,7 @@ def compliance_model_of(point: ContactPoint) -> ModalCompliance:
 class PhasePoint(Linearisation):
     """Equations at a point, with the unknowns s and w.
 
-    s is divided by the system's ``slow_gap_size`` times v, and w by the problem's frequency.
+    s is divided by the system's ``vibration_size`` times v, and w by the problem's frequency.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class PhasePoint(Linearisation):
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
         self.unknown, self.problem, self.drive = unknown, system.problem, system.drive
-        self._slow_gap_size, self.omega = system.slow_gap_size, system.omega(1.0, unknown)
+        self._vibration_size, self.omega = system.vibration_size, system.omega(1.0, unknown)
         self.contact_point = system.frequency_equations.system(self.omega).linearise(
             system.state(unknown, 1.0)
         )
@@ -127,14 +127,14 @@ class PhasePoint(Linearisation):
         contact_residual = self.contact_point.residual.copy()
         contact_residual[0] += (1.0 - self._inverse_factor) * self.contact_point.system.linear[0]
         return np.append(
-            contact_residual / self._slow_gap_size, self.complex_work.real / self.complex_work.imag
+            contact_residual / self._vibration_size, self.complex_work.real / self.complex_work.imag
         )
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         residual_derivative = np.zeros_like(self.unknown)
         residual_derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_factor_rate * self.contact_point.system.linear[0] / self._slow_gap_size
+            -self._inverse_factor_rate * self.contact_point.system.linear[0] / self._vibration_size
         )
         return residual_derivative
 
@@ -166,14 +166,14 @@ class PhasePoint(Linearisation):
         )
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        gap_change = self._slow_gap_size * self.contact_point.solve(
+        gap_change = self._vibration_size * self.contact_point.solve(
             right_side[:-1].reshape(self.contact_point.unknown.shape)
         )
         remainder = right_side[-1] - self._phase_change(self._complex_work_change(gap_change))
         omega_change = remainder / self._phase_change(self.complex_work_by_frequency)
         scaled_gap_change = (
             gap_change + omega_change * self.unknown_by_frequency
-        ) / self._slow_gap_size
+        ) / self._vibration_size
         return np.append(scaled_gap_change, omega_change / self.problem.omega)
 
     @property
@@ -205,13 +205,13 @@ class PhasePoint(Linearisation):
 class ResonanceSystem(CurveSystem):
     """Phase resonance over the factor v of a load.
 
-    The unknowns are s / (``slow_gap_size`` v), and w relative to the problem's frequency.
+    The unknowns are s / (``vibration_size`` v), and w relative to the problem's frequency.
 
     Attributes
     ----------
     start_unknown : (n_unknowns,)
         Guess for the resonance at ``start``, from a nearby point.
-    slow_gap_size : float [m]
+    vibration_size : float [m]
         Size of the slow gap's vibration at this point, over v.
     """
 
@@ -232,8 +232,8 @@ class ResonanceSystem(CurveSystem):
             nearby_point.gap, nearby_point.force
         )
         slow_gap_coefficients = slow_gap_coefficients / self.start
-        self.slow_gap_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
-        self.start_unknown = np.append(slow_gap_coefficients / self.slow_gap_size, 1.0)
+        self.vibration_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
+        self.start_unknown = np.append(slow_gap_coefficients / self.vibration_size, 1.0)
         self.problem, self.drive = equations.problem, drive
         self.n_time_means, self.shape = equations.n_time_means, self.start_unknown.shape
 
@@ -244,7 +244,7 @@ class ResonanceSystem(CurveSystem):
         return float(unknown[-1]) * self.problem.omega
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self.slow_gap_size * value * unknown[:-1].reshape(-1, self.n_time_means)
+        return self.vibration_size * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
         return PhasePoint(self, unknown, parameter)
