@@ -46,7 +46,7 @@ class BalanceEquations(CurveSystem):
     ----------
     has_varying_integrals : bool
         True if the law, or the residual flexibility, changes along the parameter.
-    counts : (2H+1, 1) or None
+    angle_weights : (2H+1, 1) or None
         Weights of the unknowns in angles between tangents; None: all 1.
     """
 
@@ -65,7 +65,7 @@ class BalanceEquations(CurveSystem):
         self._last_system: tuple[float, ContactSystem] | None = None
         start_system = self.system(start)
         self.shape, self.matrix_free = start_system.shape, start_system.matrix_free
-        self.counts: np.ndarray | None = None
+        self.angle_weights: np.ndarray | None = None
         """Weights of the unknowns in angles between tangents.
 
         If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
@@ -73,7 +73,7 @@ class BalanceEquations(CurveSystem):
         """
         if self.matrix_free:
             harmonic_order = (np.arange(self.shape[0]) + 1) // 2
-            self.counts = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
+            self.angle_weights = 1.0 / np.maximum(harmonic_order, 1)[:, None] ** 2.0
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -146,7 +146,7 @@ class BalanceEquations(CurveSystem):
     # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
-    def compiled(self) -> CompiledEquations | None:
+    def compiled_equations(self) -> CompiledEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
         system = self.system(self.start)
         return self._compile_equations(system) if system.integrals.exact else None
@@ -163,7 +163,7 @@ class BalanceEquations(CurveSystem):
         )
 
     @property
-    def means(self) -> int:
+    def n_time_means(self) -> int:
         """Number of leading unknowns that are means over time, one per gap row."""
         return int(self.shape[1])
 
@@ -173,8 +173,8 @@ class BalanceEquations(CurveSystem):
         It follows from the largest slope of R lambda over the gap: compliance R times contact
         stiffness, or less with a residual flexibility.
         """
-        if self.compiled is not None:
-            largest_compliance = self.compiled.largest_compliance(parameter)
+        if self.compiled_equations is not None:
+            largest_compliance = self.compiled_equations.largest_compliance(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
             largest_compliance = float(np.abs(dynamic_part).sum(axis=2).max())

@@ -34,8 +34,8 @@ from fenics_crack.numerics.newton import (
     tangent_of,
 )
 from fenics_crack.numerics.path import (
-    ARRIVAL_DISTANCE,
-    MIN_DIRECTION_COSINE,
+    MIN_EQUAL_DIRECTION_COSINE,
+    MIN_RESOLVED_DISTANCE,
     BranchPoint,
     Event,
     Fold,
@@ -67,7 +67,7 @@ class ReturnToParent(Event):
             point = event.locate(system, ends, rtol)
             if point is not None:
                 half_period_change = self._system.half_period_change(point.unknown, point.parameter)
-                if half_period_change <= math.sqrt(ARRIVAL_DISTANCE):
+                if half_period_change <= math.sqrt(MIN_RESOLVED_DISTANCE):
                     return point
         return None
 
@@ -129,8 +129,13 @@ def branch_start(
     # Distances from the bifurcation to try, relative to the longest step.
     for step in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
-            point = predict_and_correct(system, origin, step, tolerance, reach=longest_step)
-            if point is None or MIN_DIRECTION_COSINE * chord_length(system, origin, point) > step:
+            point = predict_and_correct(
+                system, origin, step, tolerance, max_parameter_change=longest_step
+            )
+            if (
+                point is None
+                or MIN_EQUAL_DIRECTION_COSINE * chord_length(system, origin, point) > step
+            ):
                 continue
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_new = (
@@ -160,7 +165,7 @@ def _branch_tangent(
     """
     linearisation = system.linearise(unknown, parameter)
     old_tangent = old_tangent or tangent_of(system, unknown, linearisation)
-    parameter_scale = math.sqrt(old_tangent.weight)  # gives p the units of x
+    parameter_scale = math.sqrt(old_tangent.unknowns_weight)  # gives p the units of x
     if is_doubling:
         tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
@@ -174,11 +179,11 @@ def _branch_tangent(
         tangent_vector = old_components[1] * null_vectors[0] - old_components[0] * null_vectors[1]
     parameter_component = float(tangent_vector[-1]) * parameter_scale
     tangent_length = math.sqrt(
-        old_tangent.weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
+        old_tangent.unknowns_weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
         + parameter_component**2
     )
     return Tangent(
         tangent_vector[:-1].reshape(old_tangent.x.shape) / tangent_length,
         parameter_component / tangent_length,
-        old_tangent.weight,
+        old_tangent.unknowns_weight,
     )

@@ -220,7 +220,7 @@ class ResonanceSystem(CurveSystem):
         slow_gap = slow_gap / self.start
         self.size = float(np.linalg.norm(slow_gap[1:]))
         self.start_unknown = np.append(slow_gap / self.size, 1.0)
-        self.problem, self.drive, self.means = waves.problem, drive, waves.means
+        self.problem, self.drive, self.n_time_means = waves.problem, drive, waves.n_time_means
         self.shape = self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
@@ -230,7 +230,7 @@ class ResonanceSystem(CurveSystem):
         return float(unknown[-1]) * self.problem.omega
 
     def state(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        return self.size * value * unknown[:-1].reshape(-1, self.means)
+        return self.size * value * unknown[:-1].reshape(-1, self.n_time_means)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> PhasePoint:
         return PhasePoint(self, unknown, parameter)

@@ -46,7 +46,13 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
-from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
+from fenics_crack.numerics.path import (
+    MIN_RESOLVED_DISTANCE,
+    EndReason,
+    Path,
+    PathOptions,
+    ZeroCrossing,
+)
 
 PHASE_SEARCH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
 """Options for the response curve to the first resonance.
@@ -134,7 +140,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", requirement)
-    start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # a linear phase is then not 0
+    start_omega = near_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
     waves = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(waves.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = waves.linearise(start_unknown, 0.0)
@@ -156,7 +162,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
         start_point = replace(start_point, tangent=start_point.tangent.reverse())
     zero_point = Path(
         waves, start_point, PHASE_SEARCH_OPTIONS, [_PhaseResonanceEvent(in_phase)]
-    ).run()
+    ).run_to_terminal_event()
     if zero_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {near_omega:.6g} rad/s on")
     problem = replace(waves.problem, omega=waves.value(zero_point.parameter))
@@ -243,7 +249,7 @@ def _find_order_crossing(point: PhasePoint, order: float | None) -> tuple[PhaseP
     speed, resonance_rate = rotor.speed, rotor.stiffening(omega * point.drive.harmonic)
     for _ in range(MAX_SPEED_CORRECTIONS):
         next_speed = (omega / order - resonance_rate * speed) / (1.0 - resonance_rate)
-        if abs(next_speed - speed) <= ARRIVAL_DISTANCE * speed:
+        if abs(next_speed - speed) <= MIN_RESOLVED_DISTANCE * speed:
             return point, resonance_rate
         point = _find_nearby_resonance(
             point, structure=rotor.at_speed(next_speed), omega=order * next_speed

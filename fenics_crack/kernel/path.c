@@ -18,7 +18,7 @@ enum {
 /* Return the norm of a point's tangent. */
 static norm metric_at(const path *points, int place)
 {
-    return (norm){points->weights[place], points->time_mean_weights[place]};
+    return (norm){points->unknowns_weights[place], points->time_mean_weights[place]};
 }
 
 /* Add the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
@@ -139,13 +139,13 @@ static void append(equations *system, path *points, double p, double slope, norm
                  parameter_change = p - points->parameters[next - 1];
     for (int i = 0; i < n; i++) work[i] = x[i] - x[i - n];
     points->parameters[next] = p, points->slopes[next] = slope;
-    points->weights[next] = metric.weight;
+    points->unknowns_weights[next] = metric.weight;
     points->time_mean_weights[next] = metric.time_mean_weight;
     points->iterations[next] = n_iterations, points->crossings[next] = crosses_branch;
     if (points->records)
         system->record(system, points->records + (size_t)next * system->n_record_entries);
     const double square = product(system, metric_at(points, next - 1), work, work);
-    points->lengths[next] = sqrt(square + parameter_change * parameter_change);
+    points->chord_lengths[next] = sqrt(square + parameter_change * parameter_change);
 }
 
 /* Pass a corner after the last point, which steps cannot resolve, as when stiff contact begins to
@@ -347,7 +347,7 @@ static int search_between(equations *system, int n, const stepping *options, con
         if (outcome != FOUND) return outcome;
         norm next_metric;
         ends->slopes[next] = unit_tangent(system, n, x, next_tangent, &next_metric);
-        ends->weights[next] = next_metric.weight,
+        ends->unknowns_weights[next] = next_metric.weight,
         ends->time_mean_weights[next] = next_metric.time_mean_weight;
         if (product(system, metric, next_tangent, tangent) + ends->slopes[next] * slope < 0.0)
             reverse_tangent(n, next_tangent, ends->slopes + next);

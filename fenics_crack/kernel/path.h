@@ -18,7 +18,9 @@ typedef struct {
  * two of them with tangents. */
 typedef struct {
     int capacity, n_known;
-    double *unknowns, *parameters, *tangents, *slopes, *weights, *time_mean_weights, *lengths;
+    double *unknowns, *parameters, *tangents, *slopes; /* x, p, t_x, t_p */
+    double *unknowns_weights, *time_mean_weights;      /* of the norm */
+    double *chord_lengths;                             /* from the point before */
     int *iterations;
     signed char *crossings; /* whether another branch crosses before the point */
     double *records; /* (capacity, equations.n_record_entries), or NULL: not kept */

@@ -99,9 +99,9 @@ class System(Protocol):
 
     The unknowns are equal on every rank. A system may have further attributes:
 
-    - ``compiled``: equations in the kernel.
-    - ``counts``: weight of each unknown in angles between tangents.
-    - ``means``: number of leading unknowns that are means over time.
+    - ``compiled_equations``: equations in the kernel.
+    - ``angle_weights``: weight of each unknown in angles between tangents.
+    - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in a linearisation's ``record``.
     - ``observe(records)``: values (n, ...) for a step control, from records (n, n_record_entries).
     """
@@ -181,11 +181,11 @@ class Equations(ABC):
     shape: tuple[int, ...]
     function_table: Any
     follows_many_points = True
-    _last_linearisation: ReferenceType[Any] | None = None
+    _last_linearisation_reference: ReferenceType[Any] | None = None
     """Point at which the kernel evaluated the equations last, a weak reference; None if unknown."""
 
     @property
-    def compiled(self) -> Equations | None:
+    def compiled_equations(self) -> Equations | None:
         """Return the equations themselves, which the kernel's loops can run."""
         return self
 
@@ -193,9 +193,9 @@ class Equations(ABC):
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """Return F and J at the last point of the kernel."""
 
-    def run(self, loop: Any, *arguments: Any) -> int:
+    def run_unchecked(self, loop: Any, *arguments: Any) -> int:
         """Call a C loop on the equations and return its outcome code."""
-        self._last_linearisation = None
+        self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
 
     def check_outcome(self, outcome: int) -> bool:
@@ -220,7 +220,7 @@ def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
 
     ``shape`` is the shape of the unknowns.
     """
-    compiled_equations: Equations | None = getattr(system, "compiled", None)
+    compiled_equations: Equations | None = getattr(system, "compiled_equations", None)
     return _PythonEquations(system, shape) if compiled_equations is None else compiled_equations
 
 
@@ -233,12 +233,12 @@ class _PythonEquations(Equations):
         self.shape, self._state = shape, _PythonState(system, shape)
         self._handle = ffi.new_handle(self._state)
         n_unknowns = int(np.prod(shape))
-        counts = getattr(system, "counts", None)
-        if counts is not None:
-            counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
+        angle_weights = getattr(system, "angle_weights", None)
+        if angle_weights is not None:
+            angle_weights = np.ascontiguousarray(np.broadcast_to(angle_weights, shape), dtype=float)
         self._struct = Struct(
-            "equations", unknowns=n_unknowns, means=getattr(system, "means", 0),
-            context=self._handle, angle_weights=counts,
+            "equations", unknowns=n_unknowns, means=getattr(system, "n_time_means", 0),
+            context=self._handle, angle_weights=angle_weights,
             n_record_entries=getattr(system, "n_record_entries", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,

@@ -33,7 +33,9 @@ MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum error of a predicted maximum, relative to the nine values' range."""
 
 
-def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None) -> np.ndarray:
+def find_maximum_values(
+    samples: np.ndarray, functions: PeriodicFunctions | None = None
+) -> np.ndarray:
     """Return each periodic function's maximum: (m,).
 
     Without ``functions``, return each column's largest sample.

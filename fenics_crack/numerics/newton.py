@@ -101,7 +101,7 @@ def gmres(
     return solution
 
 
-class SingleSystem(System, Protocol):
+class SnesSystem(System, Protocol):
     """Equations F = 0 for SNES, at a given p, with F in the units of x."""
 
     shape: tuple[int, ...]
@@ -110,12 +110,12 @@ class SingleSystem(System, Protocol):
     """True if J is only multiplied by vectors: GMRES then solves with it."""
 
 
-def can_solve_in_kernel(system: SingleSystem) -> bool:
+def can_solve_in_kernel(system: SnesSystem) -> bool:
     """Return True if the kernel can replace SNES.
 
     The kernel must have the equations, and no PETSc option may be given for SNES.
     """
-    has_kernel_equations = getattr(system, "compiled", None) is not None
+    has_kernel_equations = getattr(system, "compiled_equations", None) is not None
     return has_kernel_equations and not PETSc.Options(OPTIONS_PREFIX).getAll()
 
 
@@ -162,7 +162,9 @@ class Snes(ABC):
     def linearise(self, unknown: Any) -> None:
         """Update the matrix to the Jacobian at a vector."""
 
-    def run(self, start: np.ndarray, tolerance: float, max_iterations: int) -> tuple[bool, int]:
+    def solve_in_place(
+        self, start: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[bool, int]:
         """Solve F = 0 from a guess, given by the rows on this rank.
 
         The solution replaces this object's vector of unknowns.
@@ -215,13 +217,13 @@ class Snes(ABC):
             petsc_object.destroy()
 
 
-class Newton(Snes):
+class SystemSnes(Snes):
     """SNES for a system that solves with its Jacobian, or multiplies by it.
 
     The unknowns are equal on every rank.
     """
 
-    def __init__(self, system: SingleSystem, history: list[float] | None = None) -> None:
+    def __init__(self, system: SnesSystem, history: list[float] | None = None) -> None:
         self.system, self._parameter = system, 0.0
         self._last_evaluation: tuple[np.ndarray, Linearisation] | None = None
         self._linearisation: Linearisation
@@ -243,7 +245,7 @@ class Newton(Snes):
             solver.getPC().setType("python")
             solver.getPC().setPythonContext(self)
 
-    def solve(
+    def solve_and_linearise(
         self, start: np.ndarray, parameter: float, tolerance: float, max_iterations: int
     ) -> tuple[Linearisation, bool, int]:
         """Solve at a parameter from a guess.
@@ -256,7 +258,7 @@ class Newton(Snes):
         n_iterations : int
         """
         self._parameter, self._last_evaluation = parameter, None
-        has_converged, n_iterations = self.run(start, tolerance, max_iterations)
+        has_converged, n_iterations = self.solve_in_place(start, tolerance, max_iterations)
         return self._linearisation_at(self._unknown), has_converged, n_iterations
 
     def _linearisation_at(self, unknown: Any) -> Linearisation:
@@ -298,7 +300,7 @@ MAX_FULL_STEPS = 20
 """Maximum full steps from a guess at a given parameter."""
 MAX_STALLED_STEPS = 8
 """Maximum consecutive steps that together fail to halve the residual."""
-MAX_PARAMETER_REACH = 3.0
+MAX_PARAMETER_CHANGE_IN_STEPS = 3.0
 """Maximum distance of the parameter from its prediction, in steps."""
 
 
@@ -318,7 +320,7 @@ class Tangent:
 
     x: np.ndarray
     p: float
-    weight: float
+    unknowns_weight: float
     time_mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
@@ -328,10 +330,10 @@ class Tangent:
     def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
         if self.time_mean_weight == 1.0:
-            return self.weight * float(np.vdot(vector, other_vector))
-        x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
+            return self.unknowns_weight * float(np.vdot(vector, other_vector))
+        x, y, n_means = vector.ravel(), other_vector.ravel(), count_time_means(system)
         oscillation_product = float(x[n_means:] @ y[n_means:])
-        return self.weight * (
+        return self.unknowns_weight * (
             oscillation_product + self.time_mean_weight * float(x[:n_means] @ y[:n_means])
         )
 
@@ -358,16 +360,16 @@ class PathPoint:
     crosses_branch: bool = False
     """True if another branch crosses between the previous point and this point."""
     linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
-    length: float = float("nan")
+    chord_length_from_previous: float = float("nan")
     """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
-    control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
+    step_control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
     """Values for a step control, computed from ``record``."""
 
 
-def means_of(system: System) -> int:
+def count_time_means(system: System) -> int:
     """Return the number of leading unknowns that are means over time."""
-    return int(getattr(system, "means", 0))
+    return int(getattr(system, "n_time_means", 0))
 
 
 def motion_square(oscillation_square: float, mean_square: float) -> float:
@@ -422,7 +424,7 @@ def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     time_mean_weight : float
         Factor of the means' squares within |x|^2.
     """
-    mean_unknowns = unknown.ravel()[: means_of(system)]
+    mean_unknowns = unknown.ravel()[: count_time_means(system)]
     mean_square = float(mean_unknowns @ mean_unknowns)
     total_square = float(np.vdot(unknown, unknown))
     # Equations are solved to a fraction of this size: it must exceed the rounding of the means.
@@ -468,10 +470,10 @@ def solve_in_plane(
     plane: Tangent | None,
     *,
     tolerance: float,
-    iterations: int = MAX_ITERATIONS,
-    reach: float = np.inf,
-    least_damping: float | None = MIN_DAMPING,
-    stall: int = 0,
+    max_iterations: int = MAX_ITERATIONS,
+    max_parameter_change: float = np.inf,
+    min_damping: float | None = MIN_DAMPING,
+    max_stalled_steps: int = 0,
 ) -> PathPoint | None:
     """Solve by Newton's method in a plane or at a given parameter.
 
@@ -483,12 +485,12 @@ def solve_in_plane(
         Tangent orthogonal to the plane. Default: p stays as given.
     tolerance : float
         |F| / |x| of the solution, with |x| at the point of the tangent.
-    reach : float
+    max_parameter_change : float
         Maximum distance of the parameter from the guess.
-    least_damping : float or None
+    min_damping : float or None
         Minimum factor of a shortened step. Steps are shortened if the residual would grow; None:
         never.
-    stall : int
+    max_stalled_steps : int
         Maximum steps, up to 30, that together fail to halve |F| / |x|; 0: no limit.
 
     Returns
@@ -502,11 +504,13 @@ def solve_in_plane(
     n_iterations, border = np.zeros(1, np.intc), NULL
     if plane is not None:
         normal = require_shape(plane.x, *equations.shape)
-        norm = Struct("norm", weight=plane.weight, time_mean_weight=plane.time_mean_weight)
+        norm = Struct("norm", weight=plane.unknowns_weight, time_mean_weight=plane.time_mean_weight)
         border = Struct("plane", normal=normal, slope=plane.p, metric=norm).address
-    min_damping = -1.0 if least_damping is None else least_damping
-    options = correction_struct(tolerance, reach, iterations, min_damping, stall)
-    outcome = equations.run(
+    min_kernel_damping = -1.0 if min_damping is None else min_damping
+    options = correction_struct(
+        tolerance, max_parameter_change, max_iterations, min_kernel_damping, max_stalled_steps
+    )
+    outcome = equations.run_unchecked(
         kernel.solve_in_plane, border, options.address,
         pointer(require_shape(solution, *equations.shape)),
         pointer(solution_parameter), pointer(n_iterations),
@@ -523,36 +527,50 @@ def solve_in_plane(
 @lru_cache
 def correction_struct(
     tolerance: float,
-    reach: float,
-    iterations: int = MAX_ITERATIONS,
-    least_damping: float = MIN_DAMPING,
-    stall: int = 0,
+    max_parameter_change: float,
+    max_iterations: int = MAX_ITERATIONS,
+    min_damping: float = MIN_DAMPING,
+    max_stalled_steps: int = 0,
 ) -> Struct:
     """Return options of :func:`solve_in_plane` as the C struct ``correction``.
 
-    Along a path ``reach`` is measured in steps.
+    Along a path ``max_parameter_change`` is measured in steps.
     """
     return Struct(
-        "correction", tolerance=tolerance, max_parameter_change=reach, max_iterations=iterations,
-        min_damping=least_damping, max_stalled_steps=stall,
+        "correction", tolerance=tolerance, max_parameter_change=max_parameter_change,
+        max_iterations=max_iterations, min_damping=min_damping,
+        max_stalled_steps=max_stalled_steps,
     )  # fmt: skip
 
 
 def predict_and_correct(
-    system: System, start: PathPoint, step: float, tolerance: float, *, reach: float | None = None
+    system: System,
+    start: PathPoint,
+    step: float,
+    tolerance: float,
+    *,
+    max_parameter_change: float | None = None,
 ) -> PathPoint | None:
     """Return the point at a distance ``step`` along a path; None without success.
 
     The prediction follows the tangent at the start. The returned point keeps that tangent.
-    ``reach`` limits the change of the parameter from its prediction; default: 3 steps.
+    ``max_parameter_change`` limits the change of the parameter from its prediction; default: 3
+    steps.
     """
     tangent = start.tangent
     unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
-    reach = reach or MAX_PARAMETER_REACH * step
-    return solve_in_plane(system, unknown, parameter, tangent, tolerance=tolerance, reach=reach)
+    max_parameter_change = max_parameter_change or MAX_PARAMETER_CHANGE_IN_STEPS * step
+    return solve_in_plane(
+        system,
+        unknown,
+        parameter,
+        tangent,
+        tolerance=tolerance,
+        max_parameter_change=max_parameter_change,
+    )
 
 
-def step_along(
+def try_step(
     system: System, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
     """Return a path's point at a distance ``step`` from a start, with tangent.
@@ -573,17 +591,17 @@ def solve_at(
     parameter: float,
     *,
     tolerance: float,
-    iterations: int = MAX_FULL_STEPS,
-    least_damping: float | None = None,
+    max_iterations: int = MAX_FULL_STEPS,
+    min_damping: float | None = None,
 ) -> PathPoint | None:
     """Solve F(x, p) = 0 by Newton steps from a guess x at given p; None if they fail.
 
-    Steps are full unless ``least_damping`` is given.
+    Steps are full unless ``min_damping`` is given.
     """
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=least_damping,
-        stall=MAX_STALLED_STEPS,
+        tolerance=tolerance, max_iterations=max_iterations, min_damping=min_damping,
+        max_stalled_steps=MAX_STALLED_STEPS,
     )  # fmt: skip
 
 
@@ -600,7 +618,7 @@ def solve_robustly(
     Without ``try_full_steps``, only damped steps are tried.
     """
     point = solve_at(system, unknown, parameter, tolerance=tolerance) if try_full_steps else None
-    return point or solve_at(system, unknown, parameter, tolerance=tolerance, least_damping=0.01)
+    return point or solve_at(system, unknown, parameter, tolerance=tolerance, min_damping=0.01)
 
 
 def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:

@@ -16,7 +16,7 @@ If J is not formed, det J is unknown. Then
 - The tangent with the smaller angle to the previous tangent is taken.
 - The chord must agree with both tangents, or a step across a narrow turn might lead back.
 - Crossings with other branches go unnoticed.
-- A system may give some unknowns less weight in these angles (``counts``).
+- A system may give some unknowns less weight in these angles (``angle_weights``).
 
 The steps run in the kernel (``kernel/path.c``), many of them in one call for compiled equations
 (:mod:`equations`). An :class:`Event` may lie between two points: a fold, a wanted parameter, a
@@ -52,22 +52,22 @@ from fenics_crack.numerics.equations import (
     equations_of,
 )
 from fenics_crack.numerics.newton import (
-    MAX_PARAMETER_REACH,
+    MAX_PARAMETER_CHANGE_IN_STEPS,
     PathPoint,
     Tangent,
     chord_length,
     correction_struct,
     solve_at,
     solve_in_plane,
-    step_along,
     tangent_of,
+    try_step,
 )
 
-MIN_DIRECTION_COSINE = 0.9
+MIN_EQUAL_DIRECTION_COSINE = 0.9
 """Minimum cosine of the angle between two directions that count as equal."""
-POINTS_AFTER_HALVING = 3
+POINTS_PER_CALL_AFTER_HALVING = 3
 """Points per kernel call after a halved step."""
-ARRIVAL_DISTANCE = math.sqrt(MACHINE_EPSILON)
+MIN_RESOLVED_DISTANCE = math.sqrt(MACHINE_EPSILON)
 """Distance to a point of a path below which the point counts as reached, and minimum step. At a
 fold the parameter is then accurate to the square of this distance."""
 
@@ -78,7 +78,7 @@ class PathOptions:
 
     initial_step: float
     max_step: float
-    min_step: float = ARRIVAL_DISTANCE
+    min_step: float = MIN_RESOLVED_DISTANCE
     """Minimum step. If a step would be shorter, the path ends."""
     max_steps: int = 1000
     rtol: float = 1e-9
@@ -111,7 +111,7 @@ class EndReason(Enum):
         return str(self.value).format(max_points=max_points)
 
 
-NOT_IN_KERNEL = "located_events", "control_values"
+FIELD_NAMES_NOT_IN_KERNEL = "located_events", "step_control_values"
 """Fields of a :class:`PathSegment` that the kernel's ``path`` lacks."""
 
 
@@ -124,18 +124,18 @@ class PathSegment(Sequence[PathPoint]):
     ----------
     unknowns, tangents : (n, *shape)
         x, and t_x of the tangent.
-    parameters, slopes, weights, time_mean_weights, lengths : (n,)
+    parameters, slopes, unknowns_weights, time_mean_weights, chord_lengths : (n,)
         p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
     crossings : (n,) int
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
         Events between the last two points, each with its point.
-    records, control_values : (n, n_record_entries) and (n, ...), optional
+    records, step_control_values : (n, n_record_entries) and (n, ...), optional
         For a step control: numbers kept of each point, and the values computed from them.
     """
 
-    control_values: np.ndarray
+    step_control_values: np.ndarray
 
     def __init__(
         self, start_points: Sequence[PathPoint], capacity: int, n_record_entries: int = 0
@@ -144,8 +144,8 @@ class PathSegment(Sequence[PathPoint]):
         if n_record_entries:
             self.records = np.zeros((capacity, n_record_entries))
         self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
-        self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
-        self.weights, self.time_mean_weights = np.zeros((2, capacity))
+        self.parameters, self.slopes, self.chord_lengths = np.zeros((3, capacity))
+        self.unknowns_weights, self.time_mean_weights = np.zeros((2, capacity))
         self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
         self.located_events: list[tuple[Event, PathPoint]] = []
         for index, point in enumerate(start_points):
@@ -155,20 +155,24 @@ class PathSegment(Sequence[PathPoint]):
         """Overwrite the point at an index."""
         self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
         self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
-        self.weights[index], self.time_mean_weights[index] = (
-            point.tangent.weight,
+        self.unknowns_weights[index], self.time_mean_weights[index] = (
+            point.tangent.unknowns_weight,
             point.tangent.time_mean_weight,
         )
-        self.lengths[index] = point.length
+        self.chord_lengths[index] = point.chord_length_from_previous
         if "records" in vars(self) and point.record is not None:
             self.records[index] = point.record
-        if "control_values" in vars(self):
-            self.control_values[index] = point.control_values
+        if "step_control_values" in vars(self):
+            self.step_control_values[index] = point.step_control_values
         self.iterations[index], self.crossings[index] = point.iterations, point.crosses_branch
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
-        arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
+        arrays = {
+            name: array
+            for name, array in vars(self).items()
+            if name not in FIELD_NAMES_NOT_IN_KERNEL
+        }
         return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
 
     def __len__(self) -> int:
@@ -193,13 +197,16 @@ class PathSegment(Sequence[PathPoint]):
                 {name: array[index] for name, array in arrays.items()}, located_events=[]
             )
             return segment
-        norm_weights = float(self.weights[index]), float(self.time_mean_weights[index])
+        norm_weights = float(self.unknowns_weights[index]), float(self.time_mean_weights[index])
         tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
         return PathPoint(
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
-            tangent, bool(self.crossings[index]), length=float(self.lengths[index]),
+            tangent, bool(self.crossings[index]),
+            chord_length_from_previous=float(self.chord_lengths[index]),
             record=self.records[index] if "records" in vars(self) else None,
-            control_values=self.control_values[index] if "control_values" in vars(self) else None,
+            step_control_values=(
+                self.step_control_values[index] if "step_control_values" in vars(self) else None
+            ),
         )  # fmt: skip
 
 
@@ -256,9 +263,9 @@ class BranchPoint(Event):
         start, end = ends
         lower_length, upper_length = 0.0, chord_length(system, start, end)
         start_orientation = _orientation(system, start)
-        while upper_length - lower_length > ARRIVAL_DISTANCE:
+        while upper_length - lower_length > MIN_RESOLVED_DISTANCE:
             middle_length = 0.5 * (lower_length + upper_length)
-            point = step_along(system, start, middle_length, rtol)
+            point = try_step(system, start, middle_length, rtol)
             if point is None:
                 break
             if _orientation(system, point) == start_orientation:
@@ -275,7 +282,7 @@ def _orientation(system: System, point: PathPoint) -> float:
 
 
 class ZeroCrossing(Event):
-    """Sign change of a function of the path's points, located by :func:`find_zero`."""
+    """Sign change of a function of the path's points, located by :func:`find_zero_and_residual`."""
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
@@ -285,10 +292,10 @@ class ZeroCrossing(Event):
         return np.asarray(function_values[1:] * function_values[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        return find_zero(system, ends, self._function, rtol)[0]
+        return find_zero_and_residual(system, ends, self._function, rtol)[0]
 
 
-def find_zero(
+def find_zero_and_residual(
     system: System, ends: SegmentEnds, function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
     """Find the zero of a function f(point) between two points of a path.
@@ -330,14 +337,21 @@ def find_zero(
             p = start.parameter + chord_weight * parameter_change
             p += tangent_weights[0] * start.tangent.p + tangent_weights[1] * end.tangent.p
             solution = solve_in_plane(
-                system, x, p, chord, tolerance=rtol, reach=MAX_PARAMETER_REACH * length
+                system,
+                x,
+                p,
+                chord,
+                tolerance=rtol,
+                max_parameter_change=MAX_PARAMETER_CHANGE_IN_STEPS * length,
             )
             if solution is None or solution.linearisation is None:
                 raise ConvergenceError("path: lost between two points")
             linearisation = solution.linearisation
             tangent = tangent_of(system, solution.unknown, linearisation, chord)
             point = replace(
-                solution, tangent=tangent, control_values=observe_point(system, linearisation)
+                solution,
+                tangent=tangent,
+                step_control_values=observe_for_step_control(system, linearisation),
             )
             points_by_fraction[fraction] = point, function(point)
         return points_by_fraction[fraction][1]
@@ -377,7 +391,7 @@ class Fold(ZeroCrossing):
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         point, length = _find_between(system, ends, None, rtol), chord_length(system, *ends)
-        if point is None and length > 4.0 * ARRIVAL_DISTANCE:  # try shorter steps
+        if point is None and length > 4.0 * MIN_RESOLVED_DISTANCE:  # try shorter steps
             short_steps = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
             for segment in Path(system, ends[0], short_steps, [Fold()]):
                 if segment.located_events:
@@ -413,10 +427,10 @@ class ClosedLoop(Event):
     is_terminal, description = True, "closed loop"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        lengths = segment.lengths[1:]
+        lengths = segment.chord_lengths[1:]
         may_return = (
             np.abs(segment.parameters[:-1] - self.origin.parameter)
-            <= lengths / MIN_DIRECTION_COSINE
+            <= lengths / MIN_EQUAL_DIRECTION_COSINE
         )
         for index in np.flatnonzero(may_return):
             point = segment[int(index)]
@@ -436,10 +450,13 @@ class ClosedLoop(Event):
         cosine = replace(start.tangent, x=to_origin, p=parameter_change).cosine_to(
             start.tangent, system
         )
-        if cosine < MIN_DIRECTION_COSINE:
+        if cosine < MIN_EQUAL_DIRECTION_COSINE:
             return None
-        point = step_along(system, start, cosine * length, rtol)
-        if point is None or point.tangent.cosine_to(origin.tangent, system) < MIN_DIRECTION_COSINE:
+        point = try_step(system, start, cosine * length, rtol)
+        if (
+            point is None
+            or point.tangent.cosine_to(origin.tangent, system) < MIN_EQUAL_DIRECTION_COSINE
+        ):
             return None
         difference = point.unknown - origin.unknown
         return origin if origin.tangent.product(system, difference, difference) < 1e-10 else None
@@ -456,12 +473,12 @@ def _find_between(
     equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
     stepping = Struct(
         "stepping",
-        min_step=ARRIVAL_DISTANCE,
-        correction=correction_struct(rtol, MAX_PARAMETER_REACH),
+        min_step=MIN_RESOLVED_DISTANCE,
+        correction=correction_struct(rtol, MAX_PARAMETER_CHANGE_IN_STEPS),
     )
     target_pointer = NULL if target is None else pointer(np.array([target]))
     path_struct = segment.struct(2)
-    outcome = equations.run(
+    outcome = equations.run_unchecked(
         kernel.find_point_between, stepping.address, target_pointer, path_struct.address
     )
     return segment[path_struct.address.n_known] if equations.check_outcome(outcome) else None
@@ -474,14 +491,14 @@ class StepControl(ABC):
     """Rule to reject long steps of a path by the points' control values."""
 
     @abstractmethod
-    def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
+    def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         """Return True for steps that are too long: (n-1-first_index,) bool.
 
         The segment has n points; steps before the point ``first_index`` are not judged.
         """
 
 
-def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | None:
+def observe_for_step_control(system: System, linearisation: Linearisation) -> np.ndarray | None:
     """Return a point's values for a step control, or None without such values."""
     observe = getattr(system, "observe", None)
     return None if observe is None else np.asarray(observe(linearisation.record[None])[0])
@@ -521,7 +538,7 @@ class Path:
         self._max_step = options.max_step
         max_points = options.points_per_call
         self._points_per_call = (
-            max_points if control is None else min(POINTS_AFTER_HALVING, max_points)
+            max_points if control is None else min(POINTS_PER_CALL_AFTER_HALVING, max_points)
         )
         self.last_point = start = self._with_control_values(start)
         self.end_reason: EndReason | None = None
@@ -533,7 +550,7 @@ class Path:
         for segment in self:
             yield from segment
 
-    def run(self) -> PathPoint | None:
+    def run_to_terminal_event(self) -> PathPoint | None:
         """Follow the whole path; return the point of the terminal event, or None."""
         for _ in self:
             pass
@@ -556,7 +573,9 @@ class Path:
                 if retry_index is None:
                     self._start_points[:] = [*self._start_points, *part[-2:]][-2:]
                 else:
-                    retry_step = 0.25 * min(retry_step, float(segment.lengths[retry_index + 1]))
+                    retry_step = 0.25 * min(
+                        retry_step, float(segment.chord_lengths[retry_index + 1])
+                    )
                     if retry_step < self._options.min_step:
                         self.end_reason = EndReason.END_LOST
                     else:
@@ -619,7 +638,7 @@ class Path:
 
     def _with_control_values(self, point: PathPoint) -> PathPoint:
         """Return a point with the system's record and the values of the step control, if any."""
-        if self._control is None or point.control_values is not None:
+        if self._control is None or point.step_control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
             point.unknown, point.parameter
@@ -627,7 +646,7 @@ class Path:
         return replace(
             point,
             record=linearisation.record.ravel(),
-            control_values=observe_point(self._system, linearisation),
+            step_control_values=observe_for_step_control(self._system, linearisation),
         )
 
     def _rounding_at(self, point: PathPoint) -> float:
@@ -663,14 +682,14 @@ class Path:
         """
         assert self._control is not None
         new_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
-        segment.control_values = np.concatenate(
-            [[point.control_values for point in self._start_points], new_control_values]
+        segment.step_control_values = np.concatenate(
+            [[point.step_control_values for point in self._start_points], new_control_values]
         )
-        lengths = segment.lengths[n_known:].copy()
+        lengths = segment.chord_lengths[n_known:].copy()
         lengths[0] = min(lengths[0], step)  # a chord across a jump is no step
         can_be_halved = lengths > 2.0 * self._options.min_step
         rejected_steps = np.flatnonzero(
-            self._control.too_long(segment, n_known - 1) & can_be_halved
+            self._control.mark_rejected_steps(segment, n_known - 1) & can_be_halved
         )
         if not len(rejected_steps):
             self._max_step = min(2.0 * self._max_step, self._options.max_step)
@@ -683,7 +702,7 @@ class Path:
         if segment.crossings[last_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._step = self._max_step = 0.5 * float(lengths[rejected_steps[0]])
-        self._points_per_call = min(POINTS_AFTER_HALVING, self._options.points_per_call)
+        self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
         return segment[n_known - 1 : last_index + 1] if last_index >= n_known else None
 
     def _follow(self, n_remaining: int) -> PathSegment | None:
@@ -716,12 +735,16 @@ class Path:
         stepping = Struct(
             "stepping", max_step=self._max_step, min_step=options.min_step,
             min_cosine=options.min_cosine, rounding=rounding,
-            correction=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
+            correction=correction_struct(
+                max(options.rtol, rounding), MAX_PARAMETER_CHANGE_IN_STEPS
+            ),
             min_parameter=max(p for p in bounds if p <= parameter),
             max_parameter=min(p for p in bounds if p >= parameter),
         )  # fmt: skip
         step = self._step
-        outcome = self._equations.run(kernel.follow_path, stepping.address, path_struct.address)
+        outcome = self._equations.run_unchecked(
+            kernel.follow_path, stepping.address, path_struct.address
+        )
         self._orientation, self._step = path_struct.address.orientation, path_struct.address.step
         if path_struct.address.n_known == len(start_points):
             self._equations.check_outcome(outcome)
