@@ -238,11 +238,11 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
             ends = points.parameters
             is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
             kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
-            new_lengths = points.lengths[ends > kept_points[-1][-1]]
+            new_lengths = points.chord_lengths[ends > kept_points[-1][-1]]
             step_ratios.append(new_lengths.max() / self.bound)
             self.bound = min(2.0 * self.bound, longest_step)
             if is_long.any():
-                self.bound = 0.5 * points.lengths[kept]
+                self.bound = 0.5 * points.chord_lengths[kept]
             kept_points.append(ends[:kept])
             kept_at_once.append(int(kept) if is_long.any() else 0)
             return is_long[first:]
