@@ -270,8 +270,8 @@ class BlockSystem(Snes):
         if (
             has_converged and stiffness_factor == 1.0
         ):  # the error of u may be far larger than that of F
-            self.solve_in_place(self._unknown.array_r.copy(), 0.0, 1)
-        return self.displacement(self._unknown), has_converged, n_iterations
+            self.solve_in_place(self._unknown_vector.array_r.copy(), 0.0, 1)
+        return self.displacement(self._unknown_vector), has_converged, n_iterations
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)

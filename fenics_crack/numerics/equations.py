@@ -50,13 +50,13 @@ COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
 whose rounding error is larger are refused."""
 
 
-def residual_rounding(slope: float) -> float:
+def residual_rounding(residual_slope: float) -> float:
     """Return the rounding error of a relative residual |F| / |x|.
 
-    ``slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
+    ``residual_slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
     ``COARSE_TOLERANCE``.
     """
-    return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * slope))
+    return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * residual_slope))
 
 
 class Linearisation(ABC):
@@ -135,9 +135,9 @@ class DenseLinearisation(Linearisation):
 
     @property
     def sign(self) -> float:
-        factors, pivots = self._factors
+        lu_matrix, pivots = self._factors
         n_swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
-        n_negative = np.count_nonzero(np.diag(factors) < 0.0)
+        n_negative = np.count_nonzero(np.diag(lu_matrix) < 0.0)
         return -1.0 if (n_swaps + n_negative) % 2 else 1.0
 
 
@@ -153,8 +153,8 @@ def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     pivots : (n,) int
         Row swapped with each row by LAPACK.
     """
-    factors, pivots, _ = dgetrf(matrix.T)
-    return factors, pivots
+    lu_matrix, pivots, _ = dgetrf(matrix.T)
+    return lu_matrix, pivots
 
 
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray) -> np.ndarray:
@@ -230,8 +230,8 @@ class _PythonEquations(Equations):
     follows_many_points = False
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.shape, self._state = shape, _PythonState(system, shape)
-        self._handle = ffi.new_handle(self._state)
+        self.shape, self._callback_state = shape, _PythonState(system, shape)
+        self._handle = ffi.new_handle(self._callback_state)
         n_unknowns = int(np.prod(shape))
         angle_weights = getattr(system, "angle_weights", None)
         if angle_weights is not None:
@@ -247,10 +247,10 @@ class _PythonEquations(Equations):
         self.function_table = self._struct.address
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        return self._state.linearisation
+        return self._callback_state.linearisation
 
     def check_outcome(self, outcome: int) -> bool:
-        failure, self._state.failure = self._state.failure, None
+        failure, self._callback_state.failure = self._callback_state.failure, None
         if failure is not None:
             raise failure
         return super().check_outcome(outcome)
@@ -263,11 +263,11 @@ class _PythonState:
     failure: BaseException | None = None
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.system, self._shape, self._bytes = system, shape, 8 * int(np.prod(shape))
+        self.system, self._shape, self._n_bytes = system, shape, 8 * int(np.prod(shape))
 
     def as_array(self, buffer: Any) -> np.ndarray:
         """Return a kernel buffer as an array in the unknowns' shape."""
-        return np.frombuffer(ffi.buffer(buffer, self._bytes)).reshape(self._shape)
+        return np.frombuffer(ffi.buffer(buffer, self._n_bytes)).reshape(self._shape)
 
 
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -273,7 +273,7 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
 
         def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
             is_long = np.zeros(len(points) - 1, dtype=bool)
-            places = np.flatnonzero(points.crossings[:-1])
+            places = np.flatnonzero(points.crosses_branch[:-1])
             if len(places) and not self.is_done:
                 is_long[places[0] - points_before] = self.is_done = True
             return is_long[first:]
