@@ -71,7 +71,7 @@ class BlockSystem(Snes):
     linear : (2H+1, n_local) [m]
         Solution without contact.
     history : list, optional
-        As in :class:`Snes`.
+        As ``residual_norms`` of :class:`Snes`.
     """
 
     def __init__(

@@ -346,7 +346,7 @@ def find_zero_and_residual(
             x = x + tangent_weights[0] * start.tangent.x + tangent_weights[1] * end.tangent.x
             p = start.parameter + chord_weight * parameter_change
             p += tangent_weights[0] * start.tangent.p + tangent_weights[1] * end.tangent.p
-            solution = solve_in_plane(
+            corrected_point = solve_in_plane(
                 system,
                 x,
                 p,
@@ -354,12 +354,12 @@ def find_zero_and_residual(
                 tolerance=rtol,
                 max_parameter_change=MAX_PARAMETER_CHANGE_IN_STEPS * full_chord_length,
             )
-            if solution is None or solution.linearisation is None:
+            if corrected_point is None or corrected_point.linearisation is None:
                 raise ConvergenceError("path: lost between two points")
-            linearisation = solution.linearisation
-            tangent = tangent_of(system, solution.unknown, linearisation, chord_tangent)
+            linearisation = corrected_point.linearisation
+            tangent = tangent_of(system, corrected_point.unknown, linearisation, chord_tangent)
             point = replace(
-                solution,
+                corrected_point,
                 tangent=tangent,
                 step_control_values=observe_for_step_control(system, linearisation),
             )
@@ -531,7 +531,7 @@ class Path:
         The tangent of this point sets the direction.
     options : PathOptions
     events : sequence of Event
-    control : StepControl, optional
+    step_control : StepControl, optional
         Needs ``n_record_entries`` and ``observe`` of the system.
 
     Attributes
@@ -546,15 +546,18 @@ class Path:
 
     def __init__(
         self, system: System, start: PathPoint, options: PathOptions, events: Sequence[Event] = (),
-        control: StepControl | None = None,
+        step_control: StepControl | None = None,
     ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
-        self._equations, self._control = equations_of(system, start.unknown.shape), control
+        self._equations, self._step_control = (
+            equations_of(system, start.unknown.shape),
+            step_control,
+        )
         self._max_step = options.max_step
         max_points_per_call = options.points_per_call
         self._points_per_call = (
             max_points_per_call
-            if control is None
+            if step_control is None
             else min(POINTS_PER_CALL_AFTER_HALVING, max_points_per_call)
         )
         self.last_point = start = self._with_step_control_values(start)
@@ -624,19 +627,19 @@ class Path:
         for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
             ends = segment[index], segment[index + 1]
             tolerance = max(MAX_LOCATION_RESIDUAL, self._rounding_at(ends[1]))
-            part = segment[part_start_index : index + 2]
+            segment_part = segment[part_start_index : index + 2]
             for event, event_may_occur in zip(self._events, may_occur[:, index], strict=True):
                 location = event.locate(self._system, ends, tolerance) if event_may_occur else None
                 if location is not None:
                     location = self._with_step_control_values(location)
-                    part.located_events.append((event, location))
+                    segment_part.located_events.append((event, location))
                 if location is not None and event.is_terminal:
                     if location is ends[0]:
-                        part = segment[part_start_index : index + 1]
+                        segment_part = segment[part_start_index : index + 1]
                     else:
-                        part.set_point(-1, location)
+                        segment_part.set_point(-1, location)
                     self.end_reason, self.event = EndReason.REACHED, event
-                    yield part, None
+                    yield segment_part, None
                     return
                 if event_may_occur and location is None and event.must_be_located:
                     yield segment[part_start_index : index + 1], index
@@ -645,8 +648,8 @@ class Path:
                 self.end_reason = EndReason.RANGE_LEFT
                 yield segment[part_start_index : index + 1], None
                 return
-            if part.located_events:
-                yield part, None
+            if segment_part.located_events:
+                yield segment_part, None
                 part_start_index = index + 2
         if part_start_index < len(segment):
             yield segment[part_start_index:], None
@@ -655,7 +658,7 @@ class Path:
 
     def _with_step_control_values(self, point: PathPoint) -> PathPoint:
         """Return a point with the system's record and the values of the step control, if any."""
-        if self._control is None or point.step_control_values is not None:
+        if self._step_control is None or point.step_control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
             point.unknown, point.parameter
@@ -677,10 +680,10 @@ class Path:
 
     def _restart(self, point: PathPoint, step: float) -> None:
         """Continue from a point with a given step."""
-        self._start_points, self._step, self._orientation = [point], step, 0.0
+        self._start_points, self._next_step_length, self._orientation = [point], step, 0.0
 
     def _cut_at_rejected_step(
-        self, segment: PathSegment, n_known: int, step: float
+        self, segment: PathSegment, n_known: int, first_step_length: float
     ) -> PathSegment | None:
         """Cut a segment before the first rejected step, and halve the step for the next attempt.
 
@@ -688,7 +691,7 @@ class Path:
         ----------
         n_known : int
             Number of points from earlier calls, at the beginning.
-        step : float
+        first_step_length : float
             Length of the first new step.
 
         Returns
@@ -697,7 +700,7 @@ class Path:
             The last point known before the call and the accepted new points; None if no new point
             is accepted.
         """
-        assert self._control is not None
+        assert self._step_control is not None
         new_step_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
         segment.step_control_values = np.concatenate(
             [
@@ -706,10 +709,12 @@ class Path:
             ]
         )
         step_lengths = segment.chord_lengths[n_known:].copy()
-        step_lengths[0] = min(step_lengths[0], step)  # a chord across a jump is no step
+        step_lengths[0] = min(
+            step_lengths[0], first_step_length
+        )  # a chord across a jump is no step
         can_be_halved = step_lengths > 2.0 * self._options.min_step
         rejected_step_indices = np.flatnonzero(
-            self._control.mark_rejected_steps(segment, n_known - 1) & can_be_halved
+            self._step_control.mark_rejected_steps(segment, n_known - 1) & can_be_halved
         )
         if not len(rejected_step_indices):
             self._max_step = min(2.0 * self._max_step, self._options.max_step)
@@ -721,7 +726,9 @@ class Path:
         last_index = n_known - 1 + int(rejected_step_indices[0])
         if segment.crosses_branch[last_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
-        self._step = self._max_step = 0.5 * float(step_lengths[rejected_step_indices[0]])
+        self._next_step_length = self._max_step = 0.5 * float(
+            step_lengths[rejected_step_indices[0]]
+        )
         self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
         return segment[n_known - 1 : last_index + 1] if last_index >= n_known else None
 
@@ -746,11 +753,13 @@ class Path:
             n_remaining, self._points_per_call if self._equations.follows_many_points else 1
         )
         n_record_entries = (
-            0 if self._control is None else int(self._equations.function_table.n_record_entries)
+            0
+            if self._step_control is None
+            else int(self._equations.function_table.n_record_entries)
         )
         segment = PathSegment(start_points, len(start_points) + n_points, n_record_entries)
         segment_struct = segment.struct(
-            len(start_points), step=self._step, orientation=self._orientation
+            len(start_points), step=self._next_step_length, orientation=self._orientation
         )
         stepping_struct = Struct(
             "stepping", max_step=self._max_step, min_step=path_options.min_step,
@@ -761,18 +770,18 @@ class Path:
             min_parameter=max(bound for bound in parameter_bounds if bound <= parameter),
             max_parameter=min(bound for bound in parameter_bounds if bound >= parameter),
         )  # fmt: skip
-        step = self._step
+        first_step_length = self._next_step_length
         outcome = self._equations.run_unchecked(
             kernel.follow_path, stepping_struct.address, segment_struct.address
         )
-        self._orientation, self._step = (
+        self._orientation, self._next_step_length = (
             segment_struct.address.orientation,
             segment_struct.address.step,
         )
         if segment_struct.address.n_known == len(start_points):
             self._equations.check_outcome(outcome)
-        if segment_struct.address.n_known == len(start_points) or self._control is None:
+        if segment_struct.address.n_known == len(start_points) or self._step_control is None:
             return segment[len(start_points) - 1 : segment_struct.address.n_known]
         return self._cut_at_rejected_step(
-            segment[: segment_struct.address.n_known], len(start_points), step
+            segment[: segment_struct.address.n_known], len(start_points), first_step_length
         )

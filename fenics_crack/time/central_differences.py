@@ -95,7 +95,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     check_mass(structure, MASS_REMEDY)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
-    springs = _springs(structure, contact)
+    springs = _contact_stiffnesses(structure, contact)
     structure_with_friction_rows = add_friction_pairs(contact, structure)
     if is_small(structure):
         open_modes = all_modes(structure_with_friction_rows)
@@ -111,7 +111,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     return int(np.floor(np.pi * largest_omega * (1.0 + 1e-6) / omega)) + 1
 
 
-def _springs(structure: Structure, contact: ContactLaw) -> np.ndarray:
+def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarray:
     """Return the contact stiffness of each gap: (n_rows,) [N/m].
 
     A constraint has 0. The pairs' normal stiffnesses come first; with friction their tangential
@@ -267,7 +267,7 @@ class _ModalDifferences(Scheme):
         modes, (n_modes, n_rows) = self._modes, self._modes.pairs.shape
         springs, friction_members = None, dict[str, Any]()
         if not request.rigid:
-            springs = _springs(request.structure, request.contact)
+            springs = _contact_stiffnesses(request.structure, request.contact)
         if (mu := coefficient_of(request.contact)) is not None:
             assert springs is not None
             self._friction_solver = FrictionSets(np.diag(1.0 / springs), mu)
@@ -292,7 +292,9 @@ class _ModalDifferences(Scheme):
             self._modal_displacement -= modes.pairs @ solve_complementarity(
                 modes.pairs.T @ modes.pairs, initial_gap
             )
-        self._increment = dt * modal_velocity - 0.5 * dt**2 * self._acceleration(modal_velocity)
+        self._increment = dt * modal_velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(
+            modal_velocity
+        )
         initial_energy = 0.5 * float(
             modes.squares @ self._modal_displacement**2 + modal_velocity @ modal_velocity
         )
@@ -332,7 +334,7 @@ class _ModalDifferences(Scheme):
             - self._structure_with_friction_rows.clearance
         )
 
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+    def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero: (n,).
 
         q and v are modal displacements and velocities, w natural frequencies, and P lambda modal
@@ -377,7 +379,7 @@ class _ModalDifferences(Scheme):
 
     def state(self) -> tuple[np.ndarray, ...]:
         modal_velocity = _last_velocity(
-            self._request.step_size, self._increment, self._acceleration
+            self._request.step_size, self._increment, self._acceleration_at_phase_zero
         )
         displacement_and_velocity = (
             self._modes.shapes @ self._modal_displacement,
@@ -417,7 +419,7 @@ class _CentralDifferences(Scheme):
         self._clearance = structure_with_friction_rows.clearance
         if (mu := coefficient_of(request.contact)) is not None:
             self._friction_solver = FrictionSets(
-                np.diag(1.0 / _springs(structure, request.contact)), mu
+                np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
             )
         self._recorded_local_dofs = request.recorded_dofs - structure.first_dof
         self._modes, self._damping_matrix = damped_modes(structure), structure.damping_matrix
@@ -459,7 +461,7 @@ class _CentralDifferences(Scheme):
                 request.start[2] if request.start[2:] else initial_tangential_gap
             )
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
-        self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
+        self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
         self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
     def fill(self, window: Window, number: int) -> None:
@@ -472,7 +474,7 @@ class _CentralDifferences(Scheme):
         self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
-        velocity = _last_velocity(self.step_size, self.increment, self._acceleration)
+        velocity = _last_velocity(self.step_size, self.increment, self._acceleration_at_phase_zero)
         displacement_and_velocity = self.displacement.copy(), velocity
         return (
             displacement_and_velocity
@@ -558,7 +560,7 @@ class _CentralDifferences(Scheme):
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
         return self._modes.mass_shapes @ (self._modes.modal_damping * modal_velocity)
 
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+    def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
         force = self._net_force(0) - self._damping_force(velocity)
         with Factor(self.structure.mass, definite=True) as factored_mass:

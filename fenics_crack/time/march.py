@@ -518,10 +518,10 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
 
 def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change between two periods of the arrays (N, m)."""
-    compared_parts = zip(newest, previous, _sizes(newest), strict=True)
+    compared_parts_and_sizes = zip(newest, previous, _sizes(newest), strict=True)
     return max(
         float(np.linalg.norm(newest_part - previous_part)) / size
-        for newest_part, previous_part, size in compared_parts
+        for newest_part, previous_part, size in compared_parts_and_sizes
     )
 
 
