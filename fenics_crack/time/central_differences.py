@@ -276,8 +276,8 @@ class _ModalDifferences(Scheme):
                 np.zeros(n_rows // 2, dtype=np.int8),
             )
             friction_members = {
-                "friction": self._friction_solver.handle,
-                "stick_places": self._sticking_places,
+                "friction_solver": self._friction_solver.handle,
+                "sticking_places": self._sticking_places,
                 "pair_states": pair_states,
             }
         self._modal_displacement, modal_velocity = (
@@ -308,23 +308,24 @@ class _ModalDifferences(Scheme):
         increment_per_force = dt**2 * force_response
         contiguous = np.ascontiguousarray
         vibration_struct = Struct(
-            "vibration", modes=n_modes, pairs=n_rows, coupled=modes.damping.ndim == 2,
-            squares=contiguous(modes.squares), rows=contiguous(modes.pairs.T),
+            "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
+            squared_frequencies=contiguous(modes.squares), gap_rows=contiguous(modes.pairs.T),
             clearance=np.array(self._structure_with_friction_rows.clearance, dtype=float),
-            springs=springs, load=contiguous(request.structure.force @ modes.shapes),
-            waves=contiguous(request.load_basis), loads=len(request.structure.force),
+            spring_stiffnesses=springs,
+            load_rows=contiguous(request.structure.force @ modes.shapes),
+            load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
             work=np.empty(2 * n_modes + n_rows), **friction_members,
         )  # fmt: skip
         self._kernel_data = Struct(
             "central_differences", vibration=vibration_struct,
-            keep=2.0 * inverse - identity, gain=dt**2 * inverse,
-            push=contiguous(increment_per_force.T),
-            contact=(
+            increment_factor=2.0 * inverse - identity, force_factor=dt**2 * inverse,
+            increment_per_force=contiguous(increment_per_force.T),
+            contact_solver=(
                 ActiveSetSolver(modes.pairs.T @ increment_per_force).handle
                 if request.rigid else None
             ),
             displacements=self._modal_displacement, increment=self._increment,
-            closed=np.zeros(n_rows, bool),
+            is_closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
     def _gap(self) -> np.ndarray:

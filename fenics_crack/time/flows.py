@@ -259,20 +259,21 @@ class ExponentialFlow(Flow):
         set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
             self._initial_contact_solver = ActiveSetSolver(self.compliance)
-            set_members = {"contact": ActiveSetSolver(step_compliance).handle}
+            set_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
             self._initial_friction_solver = FrictionSets(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
             self._friction_solver = FrictionSets(step_compliance, mu)
             set_members = {
-                "friction": self._friction_solver.handle,
-                "stick_places": self._sticking_places,
+                "friction_solver": self._friction_solver.handle,
+                "sticking_places": self._sticking_places,
             }
         self._kernel_data = Struct(
-            "exponential", modes=n_modes, pairs=n_rows, instants=steps_per_period,
-            coupled=modes.damping.ndim == 2, transition=transition, rows=as_doubles(modes.pairs.T),
+            "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
+            has_coupled_modes=modes.damping.ndim == 2, transition=transition,
+            gap_rows=as_doubles(modes.pairs.T),
             force_response=as_doubles(halved_response.T), gap_response=as_doubles(gap_response),
-            linear=self.linear_gap, steady=self.steady_states,
+            steady_gap=self.linear_gap, steady_states=self.steady_states,
             work=np.empty(4 * n_modes + 2 * n_rows),
             **set_members,
         )  # fmt: skip
