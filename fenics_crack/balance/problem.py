@@ -86,7 +86,7 @@ from fenics_crack.numerics.newton import (
     can_solve_in_kernel,
     point_on_path,
     solve_at,
-    solve_robustly,
+    solve_by_full_or_damped_steps,
 )
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
 
@@ -561,7 +561,9 @@ class Search:
         yield guess
         if self._is_spent:
             return
-        point = solve_robustly(system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False)
+        point = solve_by_full_or_damped_steps(
+            system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False
+        )
         self.iterations += MAX_STALLED_STEPS if point is None else point.iterations
         if point is not None:
             yield point.unknown

@@ -45,7 +45,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
-from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
+from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_by_full_or_damped_steps
 from fenics_crack.numerics.path import (
     MIN_RESOLVED_DISTANCE,
     EndReason,
@@ -181,7 +181,9 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     problem = replace(resonance_point.problem, **problem_fields)
     system = ResonanceSystem(problem, resonance_point.drive, resonance_point.contact_point)
     tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
-    path_point = solve_robustly(system, system.start_unknown, 0.0, tolerance=tolerance)
+    path_point = solve_by_full_or_damped_steps(
+        system, system.start_unknown, 0.0, tolerance=tolerance
+    )
     if path_point is None:
         return first_resonance(problem, problem.omega)
     return system.linearise(path_point.unknown, 0.0)

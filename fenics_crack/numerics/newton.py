@@ -629,7 +629,7 @@ def solve_at(
     )  # fmt: skip
 
 
-def solve_robustly(
+def solve_by_full_or_damped_steps(
     system: System,
     unknown: np.ndarray,
     parameter: float,
