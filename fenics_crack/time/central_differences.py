@@ -545,8 +545,8 @@ class _CentralDifferences(Scheme):
                 self._factored_damped_mass.apply, force - self._damping_force(velocity)
             )
         mass_times_velocity = self._apply(self.structure.mass.mult, velocity)
-        modal_parts = np.stack([force @ modes.shapes, mass_times_velocity @ modes.shapes])
-        modal_force, modal_velocity = self.structure.sum_over_ranks(modal_parts)
+        local_modal_parts = np.stack([force @ modes.shapes, mass_times_velocity @ modes.shapes])
+        modal_force, modal_velocity = self.structure.sum_over_ranks(local_modal_parts)
         acceleration = self._apply(self._factored_damped_mass.apply, force)
         return acceleration + modes.shapes @ (
             self._modal_inverse_correction * modal_force - self._modal_decay * modal_velocity
