@@ -71,7 +71,7 @@ class BlockSystem(Snes):
     linear : (2H+1, n_local) [m]
         Solution without contact.
     history : list, optional
-        As in :class:`Snes`.
+        As ``residual_norms`` of :class:`Snes`.
     """
 
     def __init__(
@@ -264,14 +264,14 @@ class BlockSystem(Snes):
         n_iterations : int
         """
         self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
-        has_converged, n_iterations = self.run(
+        has_converged, n_iterations = self.solve_in_place(
             self.vector_of(displacement), tolerance, MAX_ITERATIONS
         )
         if (
             has_converged and stiffness_factor == 1.0
         ):  # the error of u may be far larger than that of F
-            self.run(self._unknown.array_r.copy(), 0.0, 1)
-        return self.displacement(self._unknown), has_converged, n_iterations
+            self.solve_in_place(self._unknown_vector.array_r.copy(), 0.0, 1)
+        return self.displacement(self._unknown_vector), has_converged, n_iterations
 
     def __exit__(self, *exception: object) -> None:
         super().__exit__(*exception)

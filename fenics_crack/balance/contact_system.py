@@ -141,7 +141,7 @@ class ContactSystem:
         return matrices if self.residual is None else matrices - self.residual
 
     @cached_property
-    def compiled(self) -> CompiledEquations | None:
+    def compiled_equations(self) -> CompiledEquations | None:
         """Return the equations in the kernel, or None without exact integrals."""
         if not self.integrals.exact:
             return None
@@ -604,22 +604,27 @@ class CompiledEquations(Equations):
         The table is a pointer that functions of the kernel take. ConvergenceError: no contact
         forces were found at an instant.
         """
-        if self._last_linearisation is None or self._last_linearisation() is not point:
+        if (
+            self._last_linearisation_reference is None
+            or self._last_linearisation_reference() is not point
+        ):
             if not self.check_outcome(
-                self.run(self.function_table.evaluate, pointer(point.unknown), point.parameter)
+                self.run_unchecked(
+                    self.function_table.evaluate, pointer(point.unknown), point.parameter
+                )
             ):
                 raise ConvergenceError("contact: no forces were found at an instant of the period")
-            self._last_linearisation = ref(point)
+            self._last_linearisation_reference = ref(point)
         return self.function_table
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         point = CompiledPoint(self, unknown, parameter)
-        self._last_linearisation = ref(point)
+        self._last_linearisation_reference = ref(point)
         return point
 
     def largest_compliance(self, parameter: float) -> float:
         """Return the largest row sum of abs(R_k - R_inf) at a parameter p [m/N]."""
-        self._last_linearisation = None
+        self._last_linearisation_reference = None
         compliance = float(kernel.largest_dynamic_row_sum(self._point, parameter))
         if not math.isfinite(compliance):
             self.check_outcome(kernel.SINGULAR_STRUCTURE)

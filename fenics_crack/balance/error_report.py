@@ -46,7 +46,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.search import SearchOptions
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING
 from fenics_crack.numerics.fourier import resize_harmonics, sample_period
-from fenics_crack.numerics.newton import motion_square, solve_robustly
+from fenics_crack.numerics.newton import motion_square, solve_by_full_or_damped_steps
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
@@ -284,7 +284,7 @@ def _change_by_better_system(
     start_point = better_system.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
     tolerance = max(COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / size, ROUNDING)
-    end_point = solve_robustly(better_system, start, 1.0, tolerance=tolerance)
+    end_point = solve_by_full_or_damped_steps(better_system, start, 1.0, tolerance=tolerance)
     if end_point is None:
         return UNKNOWN, UNKNOWN
     better_point, n_rows = better_system.linearise(end_point.unknown), len(base_point.force)

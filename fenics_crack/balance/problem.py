@@ -82,11 +82,11 @@ from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import (
     MAX_FULL_STEPS,
     MAX_STALLED_STEPS,
-    Newton,
+    SystemSnes,
     can_solve_in_kernel,
     point_on_path,
     solve_at,
-    solve_robustly,
+    solve_by_full_or_damped_steps,
 )
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
 
@@ -443,7 +443,7 @@ class Search:
         with ExitStack() as stack:
             snes = None
             if not can_solve_in_kernel(system):
-                snes = stack.enter_context(Newton(system, self.history))
+                snes = stack.enter_context(SystemSnes(system, self.history))
             for start in self._ladder(starts):
                 begin(start.name)
                 iterations_before = self.iterations
@@ -459,7 +459,7 @@ class Search:
             not self.has_converged and snes is None and self.budget_fraction == 1.0
         ):  # for the history
             iterations_before = self.iterations
-            with Newton(system, self.history) as snes:
+            with SystemSnes(system, self.history) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
             if self.has_converged:
                 self.record_attempt("full steps of SNES", iterations_before)
@@ -474,13 +474,13 @@ class Search:
             f"{name}: {outcome} ({self.iterations - iterations_before} iterations)"
         )
 
-    def _take_newton_steps(self, snes: Newton | None, guess: np.ndarray) -> Linearisation:
+    def _take_newton_steps(self, snes: SystemSnes | None, guess: np.ndarray) -> Linearisation:
         """Return the point that full Newton steps reach, by SNES or the kernel.
 
         Sets ``has_converged``. If the kernel's steps fail, the point is that of the guess.
         """
         if snes is not None:
-            point, self.has_converged, n_iterations = snes.solve(
+            point, self.has_converged, n_iterations = snes.solve_and_linearise(
                 guess, 1.0, self.tolerance, self._iterations_per_guess
             )
             self.iterations += n_iterations
@@ -507,7 +507,7 @@ class Search:
         """
         max_iterations, step_tolerance = self._iterations_per_guess, max(self.tolerance, tolerance)
         path_point = solve_at(
-            system, guess, parameter, tolerance=step_tolerance, iterations=max_iterations
+            system, guess, parameter, tolerance=step_tolerance, max_iterations=max_iterations
         )
         self.iterations += max_iterations if path_point is None else path_point.iterations
         return None if path_point is None else path_point.linearisation
@@ -561,7 +561,9 @@ class Search:
         yield guess
         if self._is_spent:
             return
-        point = solve_robustly(system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False)
+        point = solve_by_full_or_damped_steps(
+            system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False
+        )
         self.iterations += MAX_STALLED_STEPS if point is None else point.iterations
         if point is not None:
             yield point.unknown
@@ -728,7 +730,7 @@ def _iteration_budget(system: ContactSystem) -> float:
     if isinstance(integrals, FrictionIntegrals):
         return MAX_FRICTION_WORK / (integrals.instants * system.n_cost_unknowns)
     kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
-    if getattr(system, "compiled", None) is not None:
+    if getattr(system, "compiled_equations", None) is not None:
         return kernel_limit
     python_limit = MAX_KERNEL_ITERATIONS / 5  # Python takes five times as long
     return python_limit if system.matrix_free else min(python_limit, kernel_limit)

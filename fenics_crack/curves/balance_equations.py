@@ -146,7 +146,7 @@ class BalanceEquations(CurveSystem):
     # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
-    def compiled(self) -> CompiledEquations | None:
+    def compiled_equations(self) -> CompiledEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
         system = self.system(self.start)
         return self._compile_equations(system) if system.integrals.exact else None
@@ -173,8 +173,8 @@ class BalanceEquations(CurveSystem):
         It follows from the largest slope of R lambda over the gap: compliance R times contact
         stiffness, or less with a residual flexibility.
         """
-        if self.compiled is not None:
-            max_compliance_row_sum = self.compiled.largest_compliance(parameter)
+        if self.compiled_equations is not None:
+            max_compliance_row_sum = self.compiled_equations.largest_compliance(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
             max_compliance_row_sum = float(np.abs(dynamic_part).sum(axis=2).max())

@@ -34,8 +34,8 @@ from fenics_crack.numerics.newton import (
     tangent_of,
 )
 from fenics_crack.numerics.path import (
-    ARRIVAL_DISTANCE,
-    MIN_DIRECTION_COSINE,
+    MIN_EQUAL_DIRECTION_COSINE,
+    MIN_RESOLVED_DISTANCE,
     BranchPoint,
     Event,
     Fold,
@@ -71,7 +71,7 @@ class ReturnToParent(Event):
                 relative_change = self._system.relative_half_period_change(
                     crossing_point.unknown, crossing_point.parameter
                 )
-                if relative_change <= math.sqrt(ARRIVAL_DISTANCE):
+                if relative_change <= math.sqrt(MIN_RESOLVED_DISTANCE):
                     return crossing_point
         return None
 
@@ -134,11 +134,16 @@ def branch_start(
     for step_length in (fraction * longest_step for fraction in (0.1, 0.03, 0.3, 0.01, 1.0)):
         with suppress(ConvergenceError):
             candidate_point = predict_and_correct(
-                system, bifurcation_point, step_length, residual_tolerance, reach=longest_step
+                system,
+                bifurcation_point,
+                step_length,
+                residual_tolerance,
+                max_parameter_change=longest_step,
             )
             if (
                 candidate_point is None
-                or MIN_DIRECTION_COSINE * chord_length(system, bifurcation_point, candidate_point)
+                or MIN_EQUAL_DIRECTION_COSINE
+                * chord_length(system, bifurcation_point, candidate_point)
                 > step_length
             ):
                 continue
@@ -174,7 +179,7 @@ def _branch_tangent(
     """
     linearisation = system.linearise(unknown, parameter)
     parent_tangent = parent_tangent or tangent_of(system, unknown, linearisation)
-    parameter_scale = math.sqrt(parent_tangent.weight)  # gives p the units of x
+    parameter_scale = math.sqrt(parent_tangent.unknowns_weight)  # gives p the units of x
     if is_doubling:
         tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
@@ -190,11 +195,11 @@ def _branch_tangent(
         )
     parameter_component = float(tangent_vector[-1]) * parameter_scale
     tangent_length = math.sqrt(
-        parent_tangent.weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
+        parent_tangent.unknowns_weight * float(tangent_vector[:-1] @ tangent_vector[:-1])
         + parameter_component**2
     )
     return Tangent(
         tangent_vector[:-1].reshape(parent_tangent.x.shape) / tangent_length,
         parameter_component / tangent_length,
-        parent_tangent.weight,
+        parent_tangent.unknowns_weight,
     )

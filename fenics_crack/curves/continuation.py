@@ -56,7 +56,7 @@ from fenics_crack.motion.flow import exact_flow, flow_of
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
-    ARRIVAL_DISTANCE,
+    MIN_RESOLVED_DISTANCE,
     ClosedLoop,
     EndReason,
     Event,
@@ -64,7 +64,7 @@ from fenics_crack.numerics.path import (
     PathOptions,
     PathSegment,
     Target,
-    observe_point,
+    observe_for_step_control,
 )
 
 
@@ -133,7 +133,7 @@ class GrowingCurve:
     def _convert_path_point(self, point: PathPoint) -> CurvePoint:
         """Return a path point as a point of the curve."""
         return self._curve_point(
-            point.parameter, point.unknown, point.iterations, point.control_values
+            point.parameter, point.unknown, point.iterations, point.step_control_values
         )
 
     def _curve_point(
@@ -255,7 +255,7 @@ class GrowingCurve:
         path_options = PathOptions(
             initial_step=0.2 * longest_step,
             max_step=longest_step,
-            min_step=max(ARRIVAL_DISTANCE, system.rounding(last_point.parameter)),
+            min_step=max(MIN_RESOLVED_DISTANCE, system.rounding(last_point.parameter)),
             max_steps=self.most_points + 1 - len(self.points),
             points_per_call=max(1, min(PathOptions.points_per_call, system.points_per_call)),
             span=(-self._step_limits.turning_back, np.inf),
@@ -282,7 +282,9 @@ class GrowingCurve:
         ]
         self._kinds_and_special_points += kinds_and_special_points
         multipliers_and_counts = (
-            segment.control_values if "control_values" in vars(segment) else [None] * len(segment)
+            segment.step_control_values
+            if "step_control_values" in vars(segment)
+            else [None] * len(segment)
         )
         parameters, all_iterations = segment.parameters.tolist(), segment.iterations.tolist()
         self.points += map(
@@ -459,10 +461,15 @@ def first_point(
     """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
-    step_control_values = observe_point(system, linearisation)
+    step_control_values = observe_for_step_control(system, linearisation)
     record = None if step_control_values is None else linearisation.record.ravel()
     return PathPoint(
-        unknown, parameter, iterations, tangent, record=record, control_values=step_control_values
+        unknown,
+        parameter,
+        iterations,
+        tangent,
+        record=record,
+        step_control_values=step_control_values,
     )
 
 

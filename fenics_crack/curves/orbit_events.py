@@ -9,7 +9,8 @@ Every point of the path carries its leading multipliers mu and three counts:
 Between two neighbouring points there is a period doubling if d changes, and a Neimark-Sacker
 bifurcation if c changes. (Folds are found where the parameter turns back.) Two real multipliers
 that meet outside the circle and become a complex pair are no bifurcation. The Illinois method
-(:func:`fenics_crack.numerics.path.find_zero`) locates a bifurcation by a change of sign:
+(:func:`fenics_crack.numerics.path.find_zero_and_residual`) locates a bifurcation by a change of
+sign:
 
     period doubling     product of all 1 + mu
     Neimark-Sacker      |mu_k| - 1 of the k-th pair
@@ -58,7 +59,13 @@ from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion.orbit import MULTIPLIER_TOLERANCE
 from fenics_crack.numerics.equations import ROOT_TOLERANCE, System
 from fenics_crack.numerics.newton import PathPoint
-from fenics_crack.numerics.path import Event, PathSegment, SegmentEnds, StepControl, find_zero
+from fenics_crack.numerics.path import (
+    Event,
+    PathSegment,
+    SegmentEnds,
+    StepControl,
+    find_zero_and_residual,
+)
 
 ACCEPTED_LOG_CHANGE = 0.01
 """Change of ln |mu| over a step that is always accepted."""
@@ -174,11 +181,11 @@ class MultiplierControl(StepControl):
         self._min_step = MIN_STEP_RATIO * longest_step
         self._min_collision_step = MIN_COLLISION_STEP_RATIO * longest_step
 
-    def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
+    def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         log_modulus = np.log(
-            np.maximum(np.abs(segment.control_values[:, :-3]), MULTIPLIER_TOLERANCE)
+            np.maximum(np.abs(segment.step_control_values[:, :-3]), MULTIPLIER_TOLERANCE)
         )
-        log_changes, lengths = np.diff(log_modulus, axis=0), segment.lengths[1:]
+        log_changes, lengths = np.diff(log_modulus, axis=0), segment.chord_lengths[1:]
         allowed_log_change = np.maximum(0.5 * np.abs(log_modulus[:-1]), ACCEPTED_LOG_CHANGE)
         is_coarse = np.any(np.abs(log_changes) > allowed_log_change, axis=1)
         if len(log_changes) > 1:
@@ -192,7 +199,7 @@ class MultiplierControl(StepControl):
         is_coarse &= lengths > self._min_step
         is_coarse |= has_collision & (lengths > self._min_collision_step)
         has_several_events = (
-            np.abs(count_changes(segment.control_values[first_index:])).sum(axis=1) > 1
+            np.abs(count_changes(segment.step_control_values[first_index:])).sum(axis=1) > 1
         )
         return np.asarray(is_coarse | has_several_events)
 
@@ -203,10 +210,10 @@ class PeriodDoubling(Event):
     kind = "period_doubling"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(count_changes(segment.control_values)[:, 1] != 0.0)
+        return np.asarray(count_changes(segment.step_control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        point = find_zero(
+        point = find_zero_and_residual(
             system,
             ends,
             lambda candidate: period_doubling_function(multipliers_of(candidate)),
@@ -221,12 +228,12 @@ class NeimarkSacker(Event):
     kind = "neimark_sacker"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(count_changes(segment.control_values)[:, 2] != 0.0)
+        return np.asarray(count_changes(segment.step_control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        assert ends[0].control_values is not None and ends[1].control_values is not None
+        assert ends[0].step_control_values is not None and ends[1].step_control_values is not None
         multiplier_pair_index = (
-            int(max(ends[0].control_values[-1].real, ends[1].control_values[-1].real)) - 1
+            int(max(ends[0].step_control_values[-1].real, ends[1].step_control_values[-1].real)) - 1
         )
         end_excesses = [
             multiplier_pair_excess(multipliers_of(end), multiplier_pair_index) for end in ends
@@ -241,14 +248,14 @@ class NeimarkSacker(Event):
             )
             return excess if abs(excess) > ROOT_TOLERANCE else 0.0
 
-        zero_point, excess_at_zero = find_zero(system, ends, crossing_function, rtol)
+        zero_point, excess_at_zero = find_zero_and_residual(system, ends, crossing_function, rtol)
         return zero_point if abs(excess_at_zero) <= MULTIPLIER_TOLERANCE else None
 
 
 def multipliers_of(point: PathPoint) -> np.ndarray:
     """Return the leading multipliers at a point of a path: (k,) complex."""
-    assert point.control_values is not None
-    return point.control_values[:-3]
+    assert point.step_control_values is not None
+    return point.step_control_values[:-3]
 
 
 def period_doubling_function(multipliers: np.ndarray) -> float:

@@ -186,7 +186,7 @@ class Orbits(CurveSystem):
     # --- what paths require -----------------------------------------------------------------------
 
     @cached_property
-    def compiled(self) -> ShootingEquations | None:
+    def compiled_equations(self) -> ShootingEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
         is_over_damping = self.name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
@@ -233,8 +233,8 @@ class Orbits(CurveSystem):
         ConvergenceError
             The motion takes more than the budget allows, or is not finite.
         """
-        if self.compiled is not None:
-            return self.compiled.linearise(unknown, parameter)
+        if self.compiled_equations is not None:
+            return self.compiled_equations.linearise(unknown, parameter)
         try:
             motion = self._advance_motion(unknown, parameter)
         except InputError as error:  # Newton's method left the allowed parameters

@@ -45,8 +45,14 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
-from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_robustly
-from fenics_crack.numerics.path import ARRIVAL_DISTANCE, EndReason, Path, PathOptions, ZeroCrossing
+from fenics_crack.numerics.newton import PathPoint, point_on_path, solve_by_full_or_damped_steps
+from fenics_crack.numerics.path import (
+    MIN_RESOLVED_DISTANCE,
+    EndReason,
+    Path,
+    PathOptions,
+    ZeroCrossing,
+)
 
 RESONANCE_PATH_OPTIONS = PathOptions(0.05, 0.3, max_steps=300, points_per_call=8, span=(-4.0, 1.8))
 """Options for the response curve to the first resonance.
@@ -137,7 +143,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     load_requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", load_requirement)
-    start_omega = near_omega * (1.0 - ARRIVAL_DISTANCE)  # a linear phase is then not 0
+    start_omega = near_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
     equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(equations.problem_at(start_omega)).solve().slow_gap_coefficients
     contact_point = equations.linearise(start_unknown, 0.0)
@@ -161,7 +167,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
         start_path_point = replace(start_path_point, tangent=start_path_point.tangent.reverse())
     resonance_path_point = Path(
         equations, start_path_point, RESONANCE_PATH_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
-    ).run()
+    ).run_to_terminal_event()
     if resonance_path_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {near_omega:.6g} rad/s on")
     problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
@@ -182,7 +188,9 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     problem = replace(resonance_point.problem, **problem_fields)
     system = ResonanceSystem(problem, resonance_point.drive, resonance_point.contact_point)
     tolerance = max(MAX_LOCATION_RESIDUAL, system.rounding(0.0))
-    path_point = solve_robustly(system, system.start_unknown, 0.0, tolerance=tolerance)
+    path_point = solve_by_full_or_damped_steps(
+        system, system.start_unknown, 0.0, tolerance=tolerance
+    )
     if path_point is None:
         return first_resonance(problem, problem.omega)
     return system.linearise(path_point.unknown, 0.0)
@@ -252,7 +260,7 @@ def _find_order_crossing_and_rate(
     speed, resonance_rate = rotor.speed, rotor.stiffening(omega * point.drive.harmonic)
     for _ in range(MAX_SPEED_CORRECTIONS):
         next_speed = (omega / order - resonance_rate * speed) / (1.0 - resonance_rate)
-        if abs(next_speed - speed) <= ARRIVAL_DISTANCE * speed:
+        if abs(next_speed - speed) <= MIN_RESOLVED_DISTANCE * speed:
             return point, resonance_rate
         point = _find_nearby_resonance(
             point, structure=rotor.at_speed(next_speed), omega=order * next_speed

@@ -24,7 +24,7 @@ kernel: Any = lib
 """Functions and constants of the C files, by name."""
 NULL: Any = ffi.NULL
 """The null pointer."""
-C_ARRAY_TYPES = {
+C_ARRAY_TYPE_BY_DTYPE = {
     np.dtype(kind): ffi.typeof(f"{name}[]")
     for name, kinds in {
         "double": (float, complex), "int": (np.intc,), "signed char": (bool, np.int8),
@@ -73,9 +73,9 @@ def pointer(array: np.ndarray) -> Any:
     ValueError
         The array has gaps, or a dtype unknown to the kernel.
     """
-    array_type = C_ARRAY_TYPES.get(array.dtype)
+    array_type = C_ARRAY_TYPE_BY_DTYPE.get(array.dtype)
     if array_type is None:
-        allowed_types = ", ".join(map(str, C_ARRAY_TYPES))
+        allowed_types = ", ".join(map(str, C_ARRAY_TYPE_BY_DTYPE))
         raise ValueError(f"numbers of type {array.dtype} instead of {allowed_types}")
     return ffi.from_buffer(array_type, array)
 

@@ -49,7 +49,7 @@ extern "Python" {
 }
 """
 """C declarations of callbacks to equations in Python (``numerics/equations.py``)."""
-WRAPPER_PRAGMA = '#pragma GCC optimize ("O0")'
+UNOPTIMISED_WRAPPERS_PRAGMA = '#pragma GCC optimize ("O0")'
 """Pragma for cffi's wrappers after the headers. Wrappers only pass arguments; -O3 would take four
 times as long to compile."""
 SANITIZER_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
@@ -64,16 +64,18 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
         sort_headers(sorted(KERNEL_FOLDER.glob("*.h"))),
         sorted(KERNEL_FOLDER.glob("*.c")),
     )
-    is_inside = KERNEL_FOLDER.is_relative_to(folder)
-    source_folder = KERNEL_FOLDER.relative_to(folder) if is_inside else KERNEL_FOLDER
+    is_kernel_inside_folder = KERNEL_FOLDER.is_relative_to(folder)
+    source_folder = KERNEL_FOLDER.relative_to(folder) if is_kernel_inside_folder else KERNEL_FOLDER
     ffi, sanitizer_flags = FFI(), SANITIZER_FLAGS if sanitize else []
     for header in headers:  # cffi does not take lines for the preprocessor
         ffi.cdef(re.sub(r"(?m)^#.*$", "", header.read_text(encoding="utf-8")))
     ffi.cdef(PYTHON_CALLBACKS)
     ffi.set_source(
         "fenics_crack.kernel._kernel",
-        "\n".join([*(f'#include "{header.name}"' for header in headers), WRAPPER_PRAGMA]),
-        sources=[str(source_folder / source.name) for source in sources],
+        "\n".join(
+            [*(f'#include "{header.name}"' for header in headers), UNOPTIMISED_WRAPPERS_PRAGMA]
+        ),
+        sources=[str(source_folder / source_path.name) for source_path in sources],
         include_dirs=[str(source_folder)],
         depends=[str(source_folder / header.name) for header in headers],
         extra_compile_args=[*COMPILER_FLAGS, *sanitizer_flags],
@@ -88,8 +90,8 @@ def sort_headers(headers: list[Path]) -> list[Path]:
     sorted_headers: list[Path] = []
     for header in headers:
         include_names = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))
-        includes = sort_headers([KERNEL_FOLDER / name for name in include_names])
-        for header_path in (*includes, header):
+        included_headers = sort_headers([KERNEL_FOLDER / name for name in include_names])
+        for header_path in (*included_headers, header):
             if header_path not in sorted_headers:
                 sorted_headers.append(header_path)
     return sorted_headers

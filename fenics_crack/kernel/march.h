@@ -12,35 +12,37 @@
 #include "sets.h"
 
 typedef struct {
-    int modes, pairs;
-    int coupled;             /* whether the damping couples the modes */
-    const double *squares;   /* (n) w^2 */
-    const double *rows;      /* (p, n) P^T */
-    const double *clearance; /* (p) g0 */
-    const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
-    closed_sets *friction;   /* of springs alone; NULL: none, else p rows are normals, then tangents */
-    double *stick_places;    /* (p / 2) where pairs stick or are, here and at the end */
-    signed char *pair_states; /* (p / 2) their states */
-    int loads;               /* rows of the load: its mean, then a cosine and a sine of each order */
-    const double *load;      /* (loads, n) */
-    const double *waves;     /* (instants, loads) 1, cos, sin ... of a period */
-    double *work;            /* (2 n + p) */
+    int n_modes, n_rows;               /* n, p */
+    int has_coupled_modes;             /* whether the damping couples the modes */
+    const double *squared_frequencies; /* (n) w^2 */
+    const double *gap_rows;            /* (p, n) P^T */
+    const double *clearance;           /* (p) g0 */
+    const double *spring_stiffnesses;  /* (p) k of the penalty law; NULL: rigid contact */
+    closed_sets *friction_solver; /* of springs alone; NULL: no friction, else the p rows are
+                                   * normals, then tangents */
+    double *sticking_places;      /* (p / 2) where pairs stick or are, here and at the end */
+    signed char *pair_states;     /* (p / 2) their states */
+    int n_load_rows; /* of the load: its mean, then a cosine and a sine of each order */
+    const double *load_rows;  /* (n_load_rows, n) */
+    const double *load_basis; /* (instants, n_load_rows) 1, cos, sin ... of a period */
+    double *work;             /* (2 n + p) */
 } vibration;
 
 /* Central differences in increments d_m = q_m - q_{m-1}, with r = f - w^2 q - P lambda:
  *
- *     d_{m+1} = keep d_m + gain r_m,  keep = (2 + dt c)^-1 (2 - dt c),  gain = 2 dt^2 (2 + dt c)^-1,
+ *     d_{m+1} = alpha d_m + beta r_m,
+ *     alpha = (2 + dt c)^-1 (2 - dt c),  beta = 2 dt^2 (2 + dt c)^-1,
  *
  * with the penalty law lambda = k max(0, gap), or rigid: 0 <= lambda, gap_{m+1} <= 0,
- * complementary, where gap_{m+1} falls by P^T gain P lambda.
+ * complementary, where gap_{m+1} falls by P^T beta P lambda.
  */
 typedef struct {
     vibration vibration;
-    const double *keep, *gain; /* by mode */
-    const double *push;        /* (p, n) columns of gain P */
-    sets *contact;             /* of P^T gain P; rigid only */
-    double *displacements, *increment; /* (n) q, d */
-    signed char *closed;       /* (p) of the last step; rigid only */
+    const double *increment_factor, *force_factor; /* alpha, beta by mode */
+    const double *increment_per_force;             /* (p, n) columns of beta P */
+    sets *contact_solver;                          /* of P^T beta P; rigid only */
+    double *displacements, *increment;             /* (n) q, d */
+    signed char *is_closed;                        /* (p) of the last step; rigid only */
 } central_differences;
 
 /* March `steps` steps from instant `first` of the period. gap, force (steps, p) and shape (steps,
@@ -55,19 +57,19 @@ int march_central(const central_differences *s, int first, int steps, double *ga
  *     0 <= lambda_{m+1},  D lambda_{m+1} - s_{m+1} >= 0,  complementary.
  */
 typedef struct {
-    int modes, pairs, instants;
-    int coupled;           /* whether the damping couples the modes */
+    int n_modes, n_rows, n_instants; /* n, p, instants of a period */
+    int has_coupled_modes;           /* whether the damping couples the modes */
     const double
-        *transition;       /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
-    const double *rows;    /* (p, n) P^T */
+        *transition; /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
+    const double *gap_rows;       /* (p, n) P^T */
     const double *force_response; /* (p, 2 n) G^T */
     const double *gap_response;   /* (p, p) [P^T 0] G */
-    const double *linear;  /* (instants, p) l: the gap of the steady motion */
-    const double *steady;  /* (instants, 2 n) */
-    sets *contact;         /* of D; NULL with friction */
-    closed_sets *friction; /* of D; NULL: none, else p rows are normals, then tangents */
-    double *stick_places;  /* (p / 2) where pairs stick or are, here and at the end */
-    double *work;          /* (4 n + 2 p) */
+    const double *steady_gap;     /* (n_instants, p) l: the gap of the steady motion */
+    const double *steady_states;  /* (n_instants, 2 n) */
+    sets *contact_solver;         /* of D; NULL with friction */
+    closed_sets *friction_solver; /* of D; NULL: none, else p rows are normals, then tangents */
+    double *sticking_places;      /* (p / 2) where pairs stick or are, here and at the end */
+    double *work;                 /* (4 n + 2 p) */
 } exponential;
 
 /* March from phase zero. states (steps + 1, 2 n), forces (steps + 1, p) and closed (steps + 1, p),

@@ -18,7 +18,7 @@ enum {
 /* Return the norm of a point's tangent. */
 static norm metric_at(const path *points, int place)
 {
-    return (norm){points->weights[place], points->time_mean_weights[place]};
+    return (norm){points->unknowns_weights[place], points->time_mean_weights[place]};
 }
 
 /* Add the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
@@ -29,8 +29,10 @@ static void add_curvature(const equations *system, const path *points, double st
     if (points->n_known < 2) return;
     const int n = system->unknowns, last = points->n_known - 1;
     const double *point = points->unknowns + (size_t)last * n, *previous_point = point - n;
-    const double *tangent = points->tangents + (size_t)last * n, *previous_tangent = tangent - n;
-    const double slope = points->slopes[last], previous_slope = points->slopes[last - 1];
+    const double *tangent = points->unknown_tangents + (size_t)last * n,
+                 *previous_tangent = tangent - n;
+    const double slope = points->parameter_tangents[last],
+                 previous_slope = points->parameter_tangents[last - 1];
     const norm metric = metric_at(points, last);
     const double parameter_change = points->parameters[last] - points->parameters[last - 1];
     for (int i = 0; i < n; i++) work[i] = point[i] - previous_point[i];
@@ -115,8 +117,8 @@ static void predict(const equations *system, const path *points, double *x, doub
 {
     const int n = system->unknowns, last = points->n_known - 1;
     memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
-    add_scaled(n, x, points->step, points->tangents + (size_t)last * n);
-    *p = points->parameters[last] + points->step * points->slopes[last];
+    add_scaled(n, x, points->step, points->unknown_tangents + (size_t)last * n);
+    *p = points->parameters[last] + points->step * points->parameter_tangents[last];
     add_curvature(system, points, points->step, x, p, work);
 }
 
@@ -138,14 +140,14 @@ static void append(equations *system, path *points, double p, double slope, norm
     const double *x = points->unknowns + (size_t)next * n,
                  parameter_change = p - points->parameters[next - 1];
     for (int i = 0; i < n; i++) work[i] = x[i] - x[i - n];
-    points->parameters[next] = p, points->slopes[next] = slope;
-    points->weights[next] = metric.weight;
+    points->parameters[next] = p, points->parameter_tangents[next] = slope;
+    points->unknowns_weights[next] = metric.weight;
     points->time_mean_weights[next] = metric.time_mean_weight;
-    points->iterations[next] = n_iterations, points->crossings[next] = crosses_branch;
+    points->iterations[next] = n_iterations, points->crosses_branch[next] = crosses_branch;
     if (points->records)
         system->record(system, points->records + (size_t)next * system->n_record_entries);
     const double square = product(system, metric_at(points, next - 1), work, work);
-    points->lengths[next] = sqrt(square + parameter_change * parameter_change);
+    points->chord_lengths[next] = sqrt(square + parameter_change * parameter_change);
 }
 
 /* Pass a corner after the last point, which steps cannot resolve, as when stiff contact begins to
@@ -157,10 +159,10 @@ static int pass_corner(equations *system, int n, const stepping *options, path *
 {
     const int last = points->n_known - 1;
     const double *point = points->unknowns + (size_t)last * n;
-    const double *last_tangent = points->tangents + (size_t)last * n,
-                 last_slope = points->slopes[last];
+    const double *last_tangent = points->unknown_tangents + (size_t)last * n,
+                 last_slope = points->parameter_tangents[last];
     double *x = points->unknowns + (size_t)points->n_known * n;
-    double *tangent = points->tangents + (size_t)points->n_known * n,
+    double *tangent = points->unknown_tangents + (size_t)points->n_known * n,
            *corner_tangent = work + 3 * (n + 1);
     double step = fmax(CORNER_STEP_RATIO * options->max_step, options->min_step);
     for (; step <= LOCAL_STEP_RATIO * options->max_step; step *= sqrt(10.0)) {
@@ -208,11 +210,11 @@ static int advance(equations *system, int n, const stepping *options, path *poin
     const int last = points->n_known - 1;
     const double step = points->step;
     const norm last_metric = metric_at(points, last);
-    const double last_slope = points->slopes[last];
+    const double last_slope = points->parameter_tangents[last];
     const double *last_point = points->unknowns + (size_t)last * n;
-    const double *last_tangent = points->tangents + (size_t)last * n;
+    const double *last_tangent = points->unknown_tangents + (size_t)last * n;
     double *x = points->unknowns + (size_t)points->n_known * n, p;
-    double *tangent = points->tangents + (size_t)points->n_known * n;
+    double *tangent = points->unknown_tangents + (size_t)points->n_known * n;
     const correction correction_options = step_correction(options, step);
     const plane border = {last_tangent, last_slope, last_metric};
     int n_iterations, crosses_branch = 0;
@@ -265,7 +267,7 @@ int follow_path(equations *system, const stepping *options, path *points)
         const double *x = points->unknowns + (size_t)(points->n_known - 1) * n;
         outcome = system->evaluate(system, x, points->parameters[points->n_known - 1]);
         const double sign = outcome == FOUND ? system->sign(system) : NAN;
-        points->orientation = points->slopes[points->n_known - 1] > 0.0 ? sign : -sign;
+        points->orientation = points->parameter_tangents[points->n_known - 1] > 0.0 ? sign : -sign;
     }
     while (outcome == FOUND && points->n_known < points->capacity && is_inside) {
         do outcome = advance(system, n, options, points, &check, work);
@@ -310,19 +312,19 @@ static int search_between(equations *system, int n, const stepping *options, con
     for (int count = 0; count < DBL_MANT_DIG; count++) {
         const double *first_point = ends->unknowns + (size_t)first * n;
         const double *last_point = ends->unknowns + (size_t)last * n;
-        const double *tangent = ends->tangents + (size_t)first * n;
-        const double slope = ends->slopes[first];
+        const double *tangent = ends->unknown_tangents + (size_t)first * n;
+        const double slope = ends->parameter_tangents[first];
         const norm metric = metric_at(ends, first);
         const double p = ends->parameters[first], parameter_change = ends->parameters[last] - p;
         for (int i = 0; i < n; i++) work[i] = last_point[i] - first_point[i];
         const double length = product(system, metric, work, tangent) + parameter_change * slope;
-        const double *last_tangent = ends->tangents + (size_t)last * n;
+        const double *last_tangent = ends->unknown_tangents + (size_t)last * n;
         const double tangent_cosine =
-            product(system, metric, last_tangent, tangent) + ends->slopes[last] * slope;
+            product(system, metric, last_tangent, tangent) + ends->parameter_tangents[last] * slope;
         if (!(length > 0.0 && tangent_cosine > 0.0)) return NOT_FOUND;
         /* p(s) or dp/ds, of s / length */
         const double first_rate = length * slope,
-                     last_rate = length * ends->slopes[last] / tangent_cosine;
+                     last_rate = length * ends->parameter_tangents[last] / tangent_cosine;
         const double cubic_term = first_rate + last_rate - 2.0 * parameter_change,
                      square_term = 3.0 * parameter_change - 2.0 * first_rate - last_rate;
         const double slope_cubic[4] = {0.0, 3.0 * cubic_term, 2.0 * square_term, first_rate};
@@ -334,7 +336,7 @@ static int search_between(equations *system, int n, const stepping *options, con
         if (must_halve) fraction = 0.5;
         const double step = fraction * length;
         double *x = ends->unknowns + (size_t)next * n,
-               *next_tangent = ends->tangents + (size_t)next * n;
+               *next_tangent = ends->unknown_tangents + (size_t)next * n;
         ends->parameters[next] = p + step * slope;
         memcpy(x, first_point, n * sizeof(double));
         add_scaled(n, x, step, tangent);
@@ -346,13 +348,15 @@ static int search_between(equations *system, int n, const stepping *options, con
                              ends->iterations + next, work);
         if (outcome != FOUND) return outcome;
         norm next_metric;
-        ends->slopes[next] = unit_tangent(system, n, x, next_tangent, &next_metric);
-        ends->weights[next] = next_metric.weight,
+        ends->parameter_tangents[next] = unit_tangent(system, n, x, next_tangent, &next_metric);
+        ends->unknowns_weights[next] = next_metric.weight,
         ends->time_mean_weights[next] = next_metric.time_mean_weight;
-        if (product(system, metric, next_tangent, tangent) + ends->slopes[next] * slope < 0.0)
-            reverse_tangent(n, next_tangent, ends->slopes + next);
+        if (product(system, metric, next_tangent, tangent) +
+                ends->parameter_tangents[next] * slope <
+            0.0)
+            reverse_tangent(n, next_tangent, ends->parameter_tangents + next);
         const int is_before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
-                                     : ends->slopes[next] * slope > 0.0;
+                                     : ends->parameter_tangents[next] * slope > 0.0;
         const int replaced_index = is_before ? first : last;
         if (is_before) first = next;
         else last = next;

@@ -18,9 +18,11 @@ typedef struct {
  * two of them with tangents. */
 typedef struct {
     int capacity, n_known;
-    double *unknowns, *parameters, *tangents, *slopes, *weights, *time_mean_weights, *lengths;
+    double *unknowns, *parameters, *unknown_tangents, *parameter_tangents; /* x, p, t_x, t_p */
+    double *unknowns_weights, *time_mean_weights; /* of the norm */
+    double *chord_lengths;                        /* from the point before */
     int *iterations;
-    signed char *crossings; /* whether another branch crosses before the point */
+    signed char *crosses_branch; /* whether another branch crosses before the point */
     double *records; /* (capacity, equations.n_record_entries), or NULL: not kept */
     double step, orientation; /* sign of t_p det J along the path; 0: not asked for yet */
 } path;

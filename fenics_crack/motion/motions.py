@@ -35,7 +35,7 @@ from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place,
 from fenics_crack.basics.tables import Tabular, hertz_of
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.extremes import RecordFunction, find_maxima
+from fenics_crack.numerics.extremes import RecordFunction, find_maximum_values
 
 SLIP_FORCE_RATIO = 1.0 - 1e-6
 """Minimum friction force of a slipping pair, over the friction limit. Orbits are accurate to
@@ -220,7 +220,7 @@ class Record:
             return np.column_stack(columns)
 
         samples = stack_columns(self.motion, self.gap, self.force)
-        return find_maxima(
+        return find_maximum_values(
             samples,
             evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
         )

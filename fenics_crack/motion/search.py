@@ -300,13 +300,13 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
         closed_point = solve_in_plane(
-            orbits, orbits.start, 1.0, None, tolerance=MAX_LOCATION_RESIDUAL, iterations=1
+            orbits, orbits.start, 1.0, None, tolerance=MAX_LOCATION_RESIDUAL, max_iterations=1
         )
         if closed_point is not None:
             yield orbits.orbit(closed_point)
             return
         start_point = point_on_path(system, orbits.start, 0.0)
-        end_point = Path(system, start_point, path_options, [Target(1.0)]).run()
+        end_point = Path(system, start_point, path_options, [Target(1.0)]).run_to_terminal_event()
         if end_point is not None:
             yield from filter(None, [task.find_orbit(orbits.state(end_point.unknown))])
 

@@ -139,7 +139,7 @@ class ShootingEquations(Equations):
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
         if not self.check_outcome(
-            self.run(self.function_table.evaluate, unknown_pointer, parameter)
+            self.run_unchecked(self.function_table.evaluate, unknown_pointer, parameter)
         ):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
@@ -154,9 +154,11 @@ class ShootingEquations(Equations):
         events = int(kernel.count_events(self._point))
 
         def ensure_evaluated() -> None:
-            if self._last_linearisation is not point_reference:  # there is one for a point
+            if (
+                self._last_linearisation_reference is not point_reference
+            ):  # there is one for a point
                 self._evaluate(unknown, parameter)
-                self._last_linearisation = point_reference
+                self._last_linearisation_reference = point_reference
 
         def monodromy() -> np.ndarray:
             matrix = np.empty(2 * self.shape)
@@ -171,7 +173,7 @@ class ShootingEquations(Equations):
             return derivative
 
         point = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
-        self._last_linearisation = point_reference = weakref.ref(point)
+        self._last_linearisation_reference = point_reference = weakref.ref(point)
         return point
 
 

@@ -50,13 +50,13 @@ COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
 whose rounding error is larger are refused."""
 
 
-def residual_rounding(slope: float) -> float:
+def residual_rounding(residual_slope: float) -> float:
     """Return the rounding error of a relative residual |F| / |x|.
 
-    ``slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
+    ``residual_slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
     ``COARSE_TOLERANCE``.
     """
-    return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * slope))
+    return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * residual_slope))
 
 
 class Linearisation(ABC):
@@ -99,7 +99,7 @@ class System(Protocol):
 
     The unknowns are equal on every rank. A system may have further attributes:
 
-    - ``compiled``: equations in the kernel.
+    - ``compiled_equations``: equations in the kernel.
     - ``angle_weights``: weight of each unknown in angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in a linearisation's ``record``.
@@ -135,9 +135,9 @@ class DenseLinearisation(Linearisation):
 
     @property
     def sign(self) -> float:
-        factors, pivots = self._factors
+        lu_matrix, pivots = self._factors
         n_swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
-        n_negative = np.count_nonzero(np.diag(factors) < 0.0)
+        n_negative = np.count_nonzero(np.diag(lu_matrix) < 0.0)
         return -1.0 if (n_swaps + n_negative) % 2 else 1.0
 
 
@@ -153,8 +153,8 @@ def factorise(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     pivots : (n,) int
         Row swapped with each row by LAPACK.
     """
-    factors, pivots, _ = dgetrf(matrix.T)
-    return factors, pivots
+    lu_matrix, pivots, _ = dgetrf(matrix.T)
+    return lu_matrix, pivots
 
 
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray) -> np.ndarray:
@@ -181,11 +181,11 @@ class Equations(ABC):
     shape: tuple[int, ...]
     function_table: Any
     follows_many_points = True
-    _last_linearisation: ReferenceType[Any] | None = None
+    _last_linearisation_reference: ReferenceType[Any] | None = None
     """Point at which the kernel evaluated the equations last, a weak reference; None if unknown."""
 
     @property
-    def compiled(self) -> Equations | None:
+    def compiled_equations(self) -> Equations | None:
         """Return the equations themselves, which the kernel's loops can run."""
         return self
 
@@ -193,9 +193,9 @@ class Equations(ABC):
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """Return F and J at the last point of the kernel."""
 
-    def run(self, loop: Any, *arguments: Any) -> int:
+    def run_unchecked(self, loop: Any, *arguments: Any) -> int:
         """Call a C loop on the equations and return its outcome code."""
-        self._last_linearisation = None
+        self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
 
     def check_outcome(self, outcome: int) -> bool:
@@ -220,7 +220,7 @@ def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
 
     ``shape`` is the shape of the unknowns.
     """
-    compiled_equations: Equations | None = getattr(system, "compiled", None)
+    compiled_equations: Equations | None = getattr(system, "compiled_equations", None)
     return _PythonEquations(system, shape) if compiled_equations is None else compiled_equations
 
 
@@ -230,15 +230,15 @@ class _PythonEquations(Equations):
     follows_many_points = False
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.shape, self._state = shape, _PythonState(system, shape)
-        self._handle = ffi.new_handle(self._state)
+        self.shape, self._callback_state = shape, _PythonState(system, shape)
+        self._handle = ffi.new_handle(self._callback_state)
         n_unknowns = int(np.prod(shape))
-        counts = getattr(system, "angle_weights", None)
-        if counts is not None:
-            counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
+        angle_weights = getattr(system, "angle_weights", None)
+        if angle_weights is not None:
+            angle_weights = np.ascontiguousarray(np.broadcast_to(angle_weights, shape), dtype=float)
         self._struct = Struct(
             "equations", unknowns=n_unknowns, means=getattr(system, "n_time_means", 0),
-            context=self._handle, angle_weights=counts,
+            context=self._handle, angle_weights=angle_weights,
             n_record_entries=getattr(system, "n_record_entries", 0), record=kernel.python_record,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
             solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
@@ -247,10 +247,10 @@ class _PythonEquations(Equations):
         self.function_table = self._struct.address
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        return self._state.linearisation
+        return self._callback_state.linearisation
 
     def check_outcome(self, outcome: int) -> bool:
-        failure, self._state.failure = self._state.failure, None
+        failure, self._callback_state.failure = self._callback_state.failure, None
         if failure is not None:
             raise failure
         return super().check_outcome(outcome)
@@ -263,11 +263,11 @@ class _PythonState:
     failure: BaseException | None = None
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
-        self.system, self._shape, self._bytes = system, shape, 8 * int(np.prod(shape))
+        self.system, self._shape, self._n_bytes = system, shape, 8 * int(np.prod(shape))
 
     def as_array(self, buffer: Any) -> np.ndarray:
         """Return a kernel buffer as an array in the unknowns' shape."""
-        return np.frombuffer(ffi.buffer(buffer, self._bytes)).reshape(self._shape)
+        return np.frombuffer(ffi.buffer(buffer, self._n_bytes)).reshape(self._shape)
 
 
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -22,7 +22,7 @@ RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray
 rows."""
 OFFSETS = np.linspace(-1.0, 1.0, 9)
 """Offsets from a sample, relative to the spacing of the samples."""
-N_REFINEMENTS = 10
+MAX_GRID_REFINEMENTS = 10
 """Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
 period. Its square is rounding error, for up to 100 harmonics."""
 POWERS = np.arange(len(OFFSETS))
@@ -33,58 +33,74 @@ MAX_POLYNOMIAL_ERROR = 1e-6
 """Maximum error of a predicted maximum, relative to the nine values' range."""
 
 
-def find_maxima(samples: np.ndarray, functions: PeriodicFunctions | None = None) -> np.ndarray:
+def find_maximum_values(
+    samples: np.ndarray, evaluate_functions: PeriodicFunctions | None = None
+) -> np.ndarray:
     """Return each periodic function's maximum: (m,).
 
-    Without ``functions``, return each column's largest sample.
+    Without ``evaluate_functions``, return each column's largest sample.
 
     Parameters
     ----------
     samples : (n, m)
         Values at n equal parts of the period.
-    functions : callable, optional
+    evaluate_functions : callable, optional
         Callable from positions (n,), 0 to 1, to values (n, m).
     """
     maxima: np.ndarray = np.max(samples, axis=0)
     previous_samples, next_samples = np.roll(samples, 1, 0), np.roll(samples, -1, 0)
     # A function exceeds its sample by less than the sample exceeds the lower neighbour.
     may_be_largest = 2.0 * samples - np.minimum(previous_samples, next_samples) >= maxima
-    sample_indices, columns = np.nonzero(
+    sample_indices, function_indices = np.nonzero(
         (samples > previous_samples) & (samples >= next_samples) & may_be_largest
     )
     period_fractions, spacing = sample_indices / len(samples), 1.0 / len(samples)
-    for step in range(N_REFINEMENTS):
-        if functions is None or not len(period_fractions):
+    for refinement_index in range(MAX_GRID_REFINEMENTS):
+        if evaluate_functions is None or not len(period_fractions):
             break
-        candidates = np.arange(len(period_fractions))
+        candidate_indices = np.arange(len(period_fractions))
         nearby_fractions = period_fractions[:, None] + spacing * OFFSETS
-        nearby_values = functions(nearby_fractions.ravel())
-        nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[candidates, :, columns]
-        largest_index = nearby_values.argmax(axis=1)
-        np.maximum.at(maxima, columns, nearby_values[candidates, largest_index])
-        if step == 0:
-            peak_offset, peak_estimate = _maximise_polynomial(nearby_values, OFFSETS[largest_index])
-            peak_value = functions(period_fractions + spacing * peak_offset)[candidates, columns]
-            np.maximum.at(maxima, columns, peak_value)
-            max_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
-            is_polynomial = np.abs(peak_value - peak_estimate) <= max_error
-            is_largest = nearby_values == nearby_values[candidates, largest_index][:, None]
-            is_plateau = is_largest.sum(axis=1) > 2  # a gap closed without penetration
-            candidates = np.flatnonzero(~(is_polynomial | is_plateau))
-        period_fractions = nearby_fractions[candidates, largest_index[candidates]]
-        columns = columns[candidates]
+        nearby_values = evaluate_functions(nearby_fractions.ravel())
+        nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[
+            candidate_indices, :, function_indices
+        ]
+        largest_nearby_index = nearby_values.argmax(axis=1)
+        np.maximum.at(
+            maxima, function_indices, nearby_values[candidate_indices, largest_nearby_index]
+        )
+        if refinement_index == 0:
+            peak_offset, peak_estimate = _maximise_polynomial(
+                nearby_values, OFFSETS[largest_nearby_index]
+            )
+            peak_value = evaluate_functions(period_fractions + spacing * peak_offset)[
+                candidate_indices, function_indices
+            ]
+            np.maximum.at(maxima, function_indices, peak_value)
+            allowed_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
+            is_polynomial = np.abs(peak_value - peak_estimate) <= allowed_error
+            equals_largest = (
+                nearby_values == nearby_values[candidate_indices, largest_nearby_index][:, None]
+            )
+            is_plateau = equals_largest.sum(axis=1) > 2  # a gap closed without penetration
+            candidate_indices = np.flatnonzero(~(is_polynomial | is_plateau))
+        period_fractions = nearby_fractions[
+            candidate_indices, largest_nearby_index[candidate_indices]
+        ]
+        function_indices = function_indices[candidate_indices]
         spacing *= OFFSETS[1] - OFFSETS[0]
     return maxima
 
 
-def _maximise_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _maximise_polynomial(
+    values: np.ndarray, start_offset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Maximise the polynomials through nine values each, by three Newton steps.
 
     Parameters
     ----------
     values : (n, 9)
         Values at ``OFFSETS``, equally spaced from -1 to 1.
-    start : (n,)
+    start_offset : (n,)
         First guess of each offset, from -1 to 1.
 
     Returns
@@ -94,7 +110,7 @@ def _maximise_polynomial(values: np.ndarray, start: np.ndarray) -> tuple[np.ndar
     maximum : (n,)
         Values of the polynomials there.
     """
-    coefficients, offset = values @ POLYNOMIAL_FROM_VALUES.T, start
+    coefficients, offset = values @ POLYNOMIAL_FROM_VALUES.T, start_offset
     slope_coefficients = coefficients[:, 1:] * POWERS[1:]
     curvature_coefficients = slope_coefficients[:, 1:] * POWERS[1:-1]
     for _ in range(3):

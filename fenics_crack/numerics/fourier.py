@@ -173,8 +173,8 @@ def _multiply_columns(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
 def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
     """Cut off coefficients (2K+1, ...) after H = ``harmonics``, or pad with zeros."""
     resized_coefficients = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
-    n_rows = min(len(resized_coefficients), len(coefficients))
-    resized_coefficients[:n_rows] = coefficients[:n_rows]
+    n_kept_rows = min(len(resized_coefficients), len(coefficients))
+    resized_coefficients[:n_kept_rows] = coefficients[:n_kept_rows]
     return resized_coefficients
 
 

@@ -77,8 +77,8 @@ def gmres(
         r. Shape and values are equal on all ranks, as for x.
     """
 
-    def multiply(_: Any, source: Any, target: Any) -> None:
-        target.array_w[:] = apply(source.array_r.reshape(right_side.shape)).ravel()
+    def multiply(_: Any, factor_vector: Any, product_vector: Any) -> None:
+        product_vector.array_w[:] = apply(factor_vector.array_r.reshape(right_side.shape)).ravel()
 
     matrix = PETSc.Mat().createPython(
         (right_side.size,) * 2, SimpleNamespace(mult=multiply), COMM_SELF
@@ -92,16 +92,16 @@ def gmres(
     solver.getPC().setType("none")
     solver.setTolerances(rtol=tolerance, atol=0.0, max_it=max_iterations)
     solver.setFromOptions()
-    source, target = matrix.createVecs()
-    source.array_w[:] = right_side.ravel()
-    solver.solve(source, target)
-    solution: np.ndarray = target.array_r.reshape(right_side.shape).copy()
-    for petsc_object in (solver, matrix, source, target):
+    right_side_vector, solution_vector = matrix.createVecs()
+    right_side_vector.array_w[:] = right_side.ravel()
+    solver.solve(right_side_vector, solution_vector)
+    solution: np.ndarray = solution_vector.array_r.reshape(right_side.shape).copy()
+    for petsc_object in (solver, matrix, right_side_vector, solution_vector):
         petsc_object.destroy()
     return solution
 
 
-class SingleSystem(System, Protocol):
+class SnesSystem(System, Protocol):
     """Equations F = 0 for SNES, at a given p, with F in the units of x."""
 
     shape: tuple[int, ...]
@@ -110,12 +110,12 @@ class SingleSystem(System, Protocol):
     """True if J is only multiplied by vectors: GMRES then solves with it."""
 
 
-def can_solve_in_kernel(system: SingleSystem) -> bool:
+def can_solve_in_kernel(system: SnesSystem) -> bool:
     """Return True if the kernel can replace SNES.
 
     The kernel must have the equations, and no PETSc option may be given for SNES.
     """
-    has_kernel_equations = getattr(system, "compiled", None) is not None
+    has_kernel_equations = getattr(system, "compiled_equations", None) is not None
     return has_kernel_equations and not PETSc.Options(OPTIONS_PREFIX).getAll()
 
 
@@ -127,27 +127,28 @@ class Snes(ABC):
     tolerance |x|.
     """
 
-    def __init__(self, matrix: Any, history: list[float] | None = None) -> None:
+    def __init__(self, matrix: Any, residual_norms: list[float] | None = None) -> None:
         """Create the solver.
 
-        The PETSc matrix ``matrix`` holds the Jacobian; ``history`` collects |F| of every iteration.
+        The PETSc matrix ``matrix`` holds the Jacobian; ``residual_norms`` collects |F| of every
+        iteration.
         """
-        self.matrix, self._history = matrix, [] if history is None else history
+        self.matrix, self._residual_norms = matrix, [] if residual_norms is None else residual_norms
         self._tolerance = 0.0
         self._failure: ConvergenceError | None = None
-        self._unknown, self._target = matrix.createVecs()
+        self._unknown_vector, self._residual_vector = matrix.createVecs()
         self._snes = PETSc.SNES().create(matrix.comm)
         self._snes.setOptionsPrefix(OPTIONS_PREFIX)
-        self._snes.setFunction(self._set_residual, self._target)
+        self._snes.setFunction(self._set_residual, self._residual_vector)
         self._snes.setJacobian(lambda snes, unknown, *matrices: self.linearise(unknown), matrix)
-        options = PETSc.Options(OPTIONS_PREFIX)
-        sets_line_search = not options.hasName("snes_linesearch_type")
-        if sets_line_search:
-            options["snes_linesearch_type"] = "basic"
+        petsc_options = PETSc.Options(OPTIONS_PREFIX)
+        needs_default_line_search = not petsc_options.hasName("snes_linesearch_type")
+        if needs_default_line_search:
+            petsc_options["snes_linesearch_type"] = "basic"
         self._choose_solver(self._snes.getKSP())
         self._snes.setFromOptions()
-        if sets_line_search:
-            options.delValue("snes_linesearch_type")
+        if needs_default_line_search:
+            petsc_options.delValue("snes_linesearch_type")
         self._snes.setConvergenceTest(self._test_convergence)
 
     @abstractmethod
@@ -155,14 +156,16 @@ class Snes(ABC):
         """Set the default linear solver, a KSP."""
 
     @abstractmethod
-    def evaluate(self, unknown: Any, target: Any) -> None:
-        """Write F at the vector ``unknown`` into the vector ``target``."""
+    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+        """Write F at a vector of unknowns into a vector."""
 
     @abstractmethod
-    def linearise(self, unknown: Any) -> None:
+    def linearise(self, unknown_vector: Any) -> None:
         """Update the matrix to the Jacobian at a vector."""
 
-    def run(self, start: np.ndarray, tolerance: float, max_iterations: int) -> tuple[bool, int]:
+    def solve_in_place(
+        self, start: np.ndarray, tolerance: float, max_iterations: int
+    ) -> tuple[bool, int]:
         """Solve F = 0 from a guess, given by the rows on this rank.
 
         The solution replaces this object's vector of unknowns.
@@ -173,10 +176,10 @@ class Snes(ABC):
         n_iterations : int
         """
         self._tolerance, self._failure = tolerance, None
-        self._unknown.array_w[:] = start.ravel()
+        self._unknown_vector.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=max_iterations)
         try:
-            self._snes.solve(None, self._unknown)
+            self._snes.solve(None, self._unknown_vector)
         except PETSc.Error:
             if self._failure is None:
                 raise
@@ -191,18 +194,18 @@ class Snes(ABC):
 
         ``norms`` are |x|, the step's norm and |F|.
         """
-        self._history.append(norms[2])
+        self._residual_norms.append(norms[2])
         if not np.isfinite(norms[2]):
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
-        if norms[2] <= self._tolerance * self._unknown.norm():
+        if norms[2] <= self._tolerance * self._unknown_vector.norm():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
         if n_iterations >= snes.getTolerances()[3]:
             return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
-    def _set_residual(self, snes: Any, unknown: Any, target: Any) -> None:
+    def _set_residual(self, snes: Any, unknown_vector: Any, residual_vector: Any) -> None:
         try:
-            self.evaluate(unknown, target)
+            self.evaluate(unknown_vector, residual_vector)
         except ConvergenceError as error:
             self._failure = error
             raise
@@ -211,24 +214,24 @@ class Snes(ABC):
         return self
 
     def __exit__(self, *exception: object) -> None:
-        for petsc_object in (self._snes, self.matrix, self._unknown, self._target):
+        for petsc_object in (self._snes, self.matrix, self._unknown_vector, self._residual_vector):
             petsc_object.destroy()
 
 
-class Newton(Snes):
+class SystemSnes(Snes):
     """SNES for a system that solves with its Jacobian, or multiplies by it.
 
     The unknowns are equal on every rank.
     """
 
-    def __init__(self, system: SingleSystem, history: list[float] | None = None) -> None:
+    def __init__(self, system: SnesSystem, residual_norms: list[float] | None = None) -> None:
         self.system, self._parameter = system, 0.0
         self._last_evaluation: tuple[np.ndarray, Linearisation] | None = None
         self._linearisation: Linearisation
         n_unknowns = int(np.prod(system.shape))
         matrix = PETSc.Mat().createPython((n_unknowns, n_unknowns), self, COMM_SELF)
         matrix.setUp()
-        super().__init__(matrix, history)
+        super().__init__(matrix, residual_norms)
 
     def _choose_solver(self, solver: Any) -> None:
         if self.system.matrix_free:
@@ -243,7 +246,7 @@ class Newton(Snes):
             solver.getPC().setType("python")
             solver.getPC().setPythonContext(self)
 
-    def solve(
+    def solve_and_linearise(
         self, start: np.ndarray, parameter: float, tolerance: float, max_iterations: int
     ) -> tuple[Linearisation, bool, int]:
         """Solve at a parameter from a guess.
@@ -256,37 +259,37 @@ class Newton(Snes):
         n_iterations : int
         """
         self._parameter, self._last_evaluation = parameter, None
-        has_converged, n_iterations = self.run(start, tolerance, max_iterations)
-        return self._linearisation_at(self._unknown), has_converged, n_iterations
+        has_converged, n_iterations = self.solve_in_place(start, tolerance, max_iterations)
+        return self._linearisation_at(self._unknown_vector), has_converged, n_iterations
 
-    def _linearisation_at(self, unknown: Any) -> Linearisation:
+    def _linearisation_at(self, unknown_vector: Any) -> Linearisation:
         """Return F and J at a PETSc vector, computed once for equal successive vectors."""
         if self._last_evaluation is None or not np.array_equal(
-            unknown.array_r, self._last_evaluation[0]
+            unknown_vector.array_r, self._last_evaluation[0]
         ):
-            values = unknown.array_r.copy()
+            unknown = unknown_vector.array_r.copy()
             linearisation = self.system.linearise(
-                values.reshape(self.system.shape), self._parameter
+                unknown.reshape(self.system.shape), self._parameter
             )
-            self._last_evaluation = values, linearisation
+            self._last_evaluation = unknown, linearisation
         return self._last_evaluation[1]
 
-    def evaluate(self, unknown: Any, target: Any) -> None:
-        target.array_w[:] = self._linearisation_at(unknown).residual.ravel()
+    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+        residual_vector.array_w[:] = self._linearisation_at(unknown_vector).residual.ravel()
 
-    def linearise(self, unknown: Any) -> None:
-        self._linearisation = self._linearisation_at(unknown)
+    def linearise(self, unknown_vector: Any) -> None:
+        self._linearisation = self._linearisation_at(unknown_vector)
 
-    def mult(self, matrix: Any, source: Any, target: Any) -> None:
+    def mult(self, matrix: Any, factor_vector: Any, product_vector: Any) -> None:
         """Multiply a vector by the Jacobian, for PETSc."""
-        target.array_w[:] = self._linearisation.apply(
-            source.array_r.reshape(self.system.shape)
+        product_vector.array_w[:] = self._linearisation.apply(
+            factor_vector.array_r.reshape(self.system.shape)
         ).ravel()
 
-    def apply(self, preconditioner: Any, source: Any, target: Any) -> None:
+    def apply(self, preconditioner: Any, right_side_vector: Any, solution_vector: Any) -> None:
         """Multiply a vector by the inverse Jacobian, for PETSc."""
-        target.array_w[:] = self._linearisation.solve(
-            source.array_r.reshape(self.system.shape)
+        solution_vector.array_w[:] = self._linearisation.solve(
+            right_side_vector.array_r.reshape(self.system.shape)
         ).ravel()
 
 
@@ -298,7 +301,7 @@ MAX_FULL_STEPS = 20
 """Maximum full steps from a guess at a given parameter."""
 MAX_STALLED_STEPS = 8
 """Maximum consecutive steps that together fail to halve the residual."""
-MAX_PARAMETER_REACH = 3.0
+MAX_PARAMETER_CHANGE_IN_STEPS = 3.0
 """Maximum distance of the parameter from its prediction, in steps."""
 
 
@@ -318,7 +321,7 @@ class Tangent:
 
     x: np.ndarray
     p: float
-    weight: float
+    unknowns_weight: float
     time_mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
@@ -328,11 +331,16 @@ class Tangent:
     def product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
         """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
         if self.time_mean_weight == 1.0:
-            return self.weight * float(np.vdot(vector, other_vector))
-        x, y, n_means = vector.ravel(), other_vector.ravel(), means_of(system)
-        oscillation_product = float(x[n_means:] @ y[n_means:])
-        return self.weight * (
-            oscillation_product + self.time_mean_weight * float(x[:n_means] @ y[:n_means])
+            return self.unknowns_weight * float(np.vdot(vector, other_vector))
+        flat_vector, other_flat_vector, n_means = (
+            vector.ravel(),
+            other_vector.ravel(),
+            count_time_means(system),
+        )
+        oscillation_product = float(flat_vector[n_means:] @ other_flat_vector[n_means:])
+        return self.unknowns_weight * (
+            oscillation_product
+            + self.time_mean_weight * float(flat_vector[:n_means] @ other_flat_vector[:n_means])
         )
 
     def cosine_to(self, reference: Tangent, system: System) -> float:
@@ -341,9 +349,9 @@ class Tangent:
         The norm is that of the reference.
         """
         product = reference.product(system, self.x, reference.x) + self.p * reference.p
-        length_squared = reference.product(system, self.x, self.x) + self.p**2
+        own_length_squared = reference.product(system, self.x, self.x) + self.p**2
         # The slope overflows if the Jacobian is singular to rounding: there is no direction.
-        return product / float(np.sqrt(length_squared)) if length_squared > 0.0 else 0.0
+        return product / float(np.sqrt(own_length_squared)) if own_length_squared > 0.0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -358,19 +366,19 @@ class PathPoint:
     crosses_branch: bool = False
     """True if another branch crosses between the previous point and this point."""
     linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
-    length: float = float("nan")
+    chord_length_from_previous: float = float("nan")
     """Chord length from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
-    control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
+    step_control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
     """Values for a step control, computed from ``record``."""
 
 
-def means_of(system: System) -> int:
+def count_time_means(system: System) -> int:
     """Return the number of leading unknowns that are means over time."""
     return int(getattr(system, "n_time_means", 0))
 
 
-def motion_square(oscillation_square: float, mean_square: float) -> float:
+def motion_square(oscillation_norm_squared: float, mean_norm_squared: float) -> float:
     """Return the squared size of a motion.
 
     The means contribute at most as much as the oscillation. If the oscillation is rounding error,
@@ -378,33 +386,45 @@ def motion_square(oscillation_square: float, mean_square: float) -> float:
 
     Parameters
     ----------
-    oscillation_square, mean_square : float
-        Squared sizes of the oscillation and of the means over time.
+    oscillation_norm_squared, mean_norm_squared : float
+        Sums of the squares of the oscillation and of the means over time.
     """
-    has_large_means = MACHINE_EPSILON**0.75 * mean_square < oscillation_square < mean_square
-    square = 2.0 * oscillation_square if has_large_means else oscillation_square + mean_square
-    return max(square, 1e-300)
+    has_large_means = (
+        MACHINE_EPSILON**0.75 * mean_norm_squared < oscillation_norm_squared < mean_norm_squared
+    )
+    size_squared = (
+        2.0 * oscillation_norm_squared
+        if has_large_means
+        else oscillation_norm_squared + mean_norm_squared
+    )
+    return max(size_squared, 1e-300)
 
 
-def motion_size(motion: np.ndarray) -> float:
+def motion_size(motion_samples: np.ndarray) -> float:
     """Return the size of a motion (n_instants, k).
 
     The size is the root sum of squares. The mean over time contributes at most as much as
     the oscillation (:func:`motion_square`).
     """
-    mean = motion.sum(axis=0) / len(motion)
-    oscillation = motion - mean
-    mean_square = len(motion) * float(mean @ mean)
-    return math.sqrt(motion_square(float(np.vdot(oscillation, oscillation)), mean_square))
+    time_mean = motion_samples.sum(axis=0) / len(motion_samples)
+    oscillation_samples = motion_samples - time_mean
+    mean_norm_squared = len(motion_samples) * float(time_mean @ time_mean)
+    return math.sqrt(
+        motion_square(float(np.vdot(oscillation_samples, oscillation_samples)), mean_norm_squared)
+    )
 
 
-def relative_to_motion(change: np.ndarray, motion: np.ndarray) -> float:
+def relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
     """Return the size of a change relative to a motion.
 
     Both are (n_instants, k). The mean over time contributes at most as much as the oscillation: a
     steady load does not make relative errors small. Relative to a zero motion the result is 0.
     """
-    return float(np.linalg.norm(change)) / motion_size(motion) if motion.any() else 0.0
+    return (
+        float(np.linalg.norm(change_samples)) / motion_size(motion_samples)
+        if motion_samples.any()
+        else 0.0
+    )
 
 
 def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
@@ -422,13 +442,17 @@ def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     time_mean_weight : float
         Factor of the means' squares within |x|^2.
     """
-    mean_unknowns = unknown.ravel()[: means_of(system)]
-    mean_square = float(mean_unknowns @ mean_unknowns)
-    total_square = float(np.vdot(unknown, unknown))
+    mean_unknowns = unknown.ravel()[: count_time_means(system)]
+    mean_norm_squared = float(mean_unknowns @ mean_unknowns)
+    total_norm_squared = float(np.vdot(unknown, unknown))
     # Equations are solved to a fraction of this size: it must exceed the rounding of the means.
-    oscillation_square = max(total_square - mean_square, MACHINE_EPSILON**0.5 * total_square)
-    size_squared = motion_square(oscillation_square, mean_square)
-    time_mean_weight = 0.5 * size_squared / mean_square if 2.0 * mean_square > size_squared else 1.0
+    oscillation_norm_squared = max(
+        total_norm_squared - mean_norm_squared, MACHINE_EPSILON**0.5 * total_norm_squared
+    )
+    size_squared = motion_square(oscillation_norm_squared, mean_norm_squared)
+    time_mean_weight = (
+        0.5 * size_squared / mean_norm_squared if 2.0 * mean_norm_squared > size_squared else 1.0
+    )
     return 1.0 / size_squared, time_mean_weight
 
 
@@ -468,10 +492,10 @@ def solve_in_plane(
     plane: Tangent | None,
     *,
     tolerance: float,
-    iterations: int = MAX_ITERATIONS,
-    reach: float = np.inf,
-    least_damping: float | None = MIN_DAMPING,
-    stall: int = 0,
+    max_iterations: int = MAX_ITERATIONS,
+    max_parameter_change: float = np.inf,
+    min_damping: float | None = MIN_DAMPING,
+    max_stalled_steps: int = 0,
 ) -> PathPoint | None:
     """Solve by Newton's method in a plane or at a given parameter.
 
@@ -483,12 +507,12 @@ def solve_in_plane(
         Tangent orthogonal to the plane. Default: p stays as given.
     tolerance : float
         |F| / |x| of the solution, with |x| at the point of the tangent.
-    reach : float
+    max_parameter_change : float
         Maximum distance of the parameter from the guess.
-    least_damping : float or None
+    min_damping : float or None
         Minimum factor of a shortened step. Steps are shortened if the residual would grow; None:
         never.
-    stall : int
+    max_stalled_steps : int
         Maximum steps, up to 30, that together fail to halve |F| / |x|; 0: no limit.
 
     Returns
@@ -498,24 +522,28 @@ def solve_in_plane(
     """
     equations = equations_of(system, unknown.shape)
     tangent = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
-    solution, solution_parameter = np.array(unknown, float, order="C"), np.array([parameter], float)
-    n_iterations, border = np.zeros(1, np.intc), NULL
+    solution, parameter_out = np.array(unknown, float, order="C"), np.array([parameter], float)
+    n_iterations_out, plane_pointer = np.zeros(1, np.intc), NULL
     if plane is not None:
         normal = require_shape(plane.x, *equations.shape)
-        norm = Struct("norm", weight=plane.weight, time_mean_weight=plane.time_mean_weight)
-        border = Struct("plane", normal=normal, slope=plane.p, metric=norm).address
-    min_damping = -1.0 if least_damping is None else least_damping
-    options = correction_struct(tolerance, reach, iterations, min_damping, stall)
-    outcome = equations.run(
-        kernel.solve_in_plane, border, options.address,
+        norm_struct = Struct(
+            "norm", weight=plane.unknowns_weight, time_mean_weight=plane.time_mean_weight
+        )
+        plane_pointer = Struct("plane", normal=normal, slope=plane.p, metric=norm_struct).address
+    min_kernel_damping = -1.0 if min_damping is None else min_damping
+    correction_options = correction_struct(
+        tolerance, max_parameter_change, max_iterations, min_kernel_damping, max_stalled_steps
+    )
+    outcome = equations.run_unchecked(
+        kernel.solve_in_plane, plane_pointer, correction_options.address,
         pointer(require_shape(solution, *equations.shape)),
-        pointer(solution_parameter), pointer(n_iterations),
+        pointer(parameter_out), pointer(n_iterations_out),
     )  # fmt: skip
     if not equations.check_outcome(outcome):
         return None
-    parameter = float(solution_parameter[0])
+    parameter = float(parameter_out[0])
     return PathPoint(
-        solution, parameter, int(n_iterations[0]), tangent,
+        solution, parameter, int(n_iterations_out[0]), tangent,
         linearisation=equations.linearise_evaluated(solution, parameter),
     )  # fmt: skip
 
@@ -523,36 +551,50 @@ def solve_in_plane(
 @lru_cache
 def correction_struct(
     tolerance: float,
-    reach: float,
-    iterations: int = MAX_ITERATIONS,
-    least_damping: float = MIN_DAMPING,
-    stall: int = 0,
+    max_parameter_change: float,
+    max_iterations: int = MAX_ITERATIONS,
+    min_damping: float = MIN_DAMPING,
+    max_stalled_steps: int = 0,
 ) -> Struct:
     """Return options of :func:`solve_in_plane` as the C struct ``correction``.
 
-    Along a path ``reach`` is measured in steps.
+    Along a path ``max_parameter_change`` is measured in steps.
     """
     return Struct(
-        "correction", tolerance=tolerance, max_parameter_change=reach, max_iterations=iterations,
-        min_damping=least_damping, max_stalled_steps=stall,
+        "correction", tolerance=tolerance, max_parameter_change=max_parameter_change,
+        max_iterations=max_iterations, min_damping=min_damping,
+        max_stalled_steps=max_stalled_steps,
     )  # fmt: skip
 
 
 def predict_and_correct(
-    system: System, start: PathPoint, step: float, tolerance: float, *, reach: float | None = None
+    system: System,
+    start: PathPoint,
+    step: float,
+    tolerance: float,
+    *,
+    max_parameter_change: float | None = None,
 ) -> PathPoint | None:
     """Return the point at a distance ``step`` along a path; None without success.
 
     The prediction follows the tangent at the start. The returned point keeps that tangent.
-    ``reach`` limits the change of the parameter from its prediction; default: 3 steps.
+    ``max_parameter_change`` limits the change of the parameter from its prediction; default: 3
+    steps.
     """
     tangent = start.tangent
     unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
-    reach = reach or MAX_PARAMETER_REACH * step
-    return solve_in_plane(system, unknown, parameter, tangent, tolerance=tolerance, reach=reach)
+    max_parameter_change = max_parameter_change or MAX_PARAMETER_CHANGE_IN_STEPS * step
+    return solve_in_plane(
+        system,
+        unknown,
+        parameter,
+        tangent,
+        tolerance=tolerance,
+        max_parameter_change=max_parameter_change,
+    )
 
 
-def step_along(
+def try_step(
     system: System, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
     """Return a path's point at a distance ``step`` from a start, with tangent.
@@ -573,21 +615,21 @@ def solve_at(
     parameter: float,
     *,
     tolerance: float,
-    iterations: int = MAX_FULL_STEPS,
-    least_damping: float | None = None,
+    max_iterations: int = MAX_FULL_STEPS,
+    min_damping: float | None = None,
 ) -> PathPoint | None:
     """Solve F(x, p) = 0 by Newton steps from a guess x at given p; None if they fail.
 
-    Steps are full unless ``least_damping`` is given.
+    Steps are full unless ``min_damping`` is given.
     """
     return solve_in_plane(
         system, unknown, parameter, None,
-        tolerance=tolerance, iterations=iterations, least_damping=least_damping,
-        stall=MAX_STALLED_STEPS,
+        tolerance=tolerance, max_iterations=max_iterations, min_damping=min_damping,
+        max_stalled_steps=MAX_STALLED_STEPS,
     )  # fmt: skip
 
 
-def solve_robustly(
+def solve_by_full_or_damped_steps(
     system: System,
     unknown: np.ndarray,
     parameter: float,
@@ -600,7 +642,7 @@ def solve_robustly(
     Without ``try_full_steps``, only damped steps are tried.
     """
     point = solve_at(system, unknown, parameter, tolerance=tolerance) if try_full_steps else None
-    return point or solve_at(system, unknown, parameter, tolerance=tolerance, least_damping=0.01)
+    return point or solve_at(system, unknown, parameter, tolerance=tolerance, min_damping=0.01)
 
 
 def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:

@@ -52,22 +52,22 @@ from fenics_crack.numerics.equations import (
     equations_of,
 )
 from fenics_crack.numerics.newton import (
-    MAX_PARAMETER_REACH,
+    MAX_PARAMETER_CHANGE_IN_STEPS,
     PathPoint,
     Tangent,
     chord_length,
     correction_struct,
     solve_at,
     solve_in_plane,
-    step_along,
     tangent_of,
+    try_step,
 )
 
-MIN_DIRECTION_COSINE = 0.9
+MIN_EQUAL_DIRECTION_COSINE = 0.9
 """Minimum cosine of the angle between two directions that count as equal."""
-POINTS_AFTER_HALVING = 3
+POINTS_PER_CALL_AFTER_HALVING = 3
 """Points per kernel call after a halved step."""
-ARRIVAL_DISTANCE = math.sqrt(MACHINE_EPSILON)
+MIN_RESOLVED_DISTANCE = math.sqrt(MACHINE_EPSILON)
 """Distance to a point of a path below which the point counts as reached, and minimum step. At a
 fold the parameter is then accurate to the square of this distance."""
 
@@ -78,7 +78,7 @@ class PathOptions:
 
     initial_step: float
     max_step: float
-    min_step: float = ARRIVAL_DISTANCE
+    min_step: float = MIN_RESOLVED_DISTANCE
     """Minimum step. If a step would be shorter, the path ends."""
     max_steps: int = 1000
     rtol: float = 1e-9
@@ -111,7 +111,7 @@ class EndReason(Enum):
         return str(self.value).format(max_points=max_points)
 
 
-NOT_IN_KERNEL = "located_events", "control_values"
+FIELD_NAMES_NOT_IN_KERNEL = "located_events", "step_control_values"
 """Fields of a :class:`PathSegment` that the kernel's ``path`` lacks."""
 
 
@@ -122,20 +122,20 @@ class PathSegment(Sequence[PathPoint]):
 
     Attributes
     ----------
-    unknowns, tangents : (n, *shape)
+    unknowns, unknown_tangents : (n, *shape)
         x, and t_x of the tangent.
-    parameters, slopes, weights, time_mean_weights, lengths : (n,)
+    parameters, parameter_tangents, unknowns_weights, time_mean_weights, chord_lengths : (n,)
         p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
     iterations : (n,) int
-    crossings : (n,) int
+    crosses_branch : (n,) int
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
         Events between the last two points, each with its point.
-    records, control_values : (n, n_record_entries) and (n, ...), optional
+    records, step_control_values : (n, n_record_entries) and (n, ...), optional
         For a step control: numbers kept of each point, and the values computed from them.
     """
 
-    control_values: np.ndarray
+    step_control_values: np.ndarray
 
     def __init__(
         self, start_points: Sequence[PathPoint], capacity: int, n_record_entries: int = 0
@@ -143,32 +143,42 @@ class PathSegment(Sequence[PathPoint]):
         shape = start_points[0].unknown.shape
         if n_record_entries:
             self.records = np.zeros((capacity, n_record_entries))
-        self.unknowns, self.tangents = np.zeros((capacity, *shape)), np.zeros((capacity, *shape))
-        self.parameters, self.slopes, self.lengths = np.zeros((3, capacity))
-        self.weights, self.time_mean_weights = np.zeros((2, capacity))
-        self.iterations, self.crossings = np.zeros(capacity, np.intc), np.zeros(capacity, np.int8)
+        self.unknowns, self.unknown_tangents = (
+            np.zeros((capacity, *shape)),
+            np.zeros((capacity, *shape)),
+        )
+        self.parameters, self.parameter_tangents, self.chord_lengths = np.zeros((3, capacity))
+        self.unknowns_weights, self.time_mean_weights = np.zeros((2, capacity))
+        self.iterations, self.crosses_branch = (
+            np.zeros(capacity, np.intc),
+            np.zeros(capacity, np.int8),
+        )
         self.located_events: list[tuple[Event, PathPoint]] = []
         for index, point in enumerate(start_points):
             self.set_point(index, point)
 
     def set_point(self, index: int, point: PathPoint) -> None:
         """Overwrite the point at an index."""
-        self.unknowns[index], self.tangents[index] = point.unknown, point.tangent.x
-        self.parameters[index], self.slopes[index] = point.parameter, point.tangent.p
-        self.weights[index], self.time_mean_weights[index] = (
-            point.tangent.weight,
+        self.unknowns[index], self.unknown_tangents[index] = point.unknown, point.tangent.x
+        self.parameters[index], self.parameter_tangents[index] = point.parameter, point.tangent.p
+        self.unknowns_weights[index], self.time_mean_weights[index] = (
+            point.tangent.unknowns_weight,
             point.tangent.time_mean_weight,
         )
-        self.lengths[index] = point.length
+        self.chord_lengths[index] = point.chord_length_from_previous
         if "records" in vars(self) and point.record is not None:
             self.records[index] = point.record
-        if "control_values" in vars(self):
-            self.control_values[index] = point.control_values
-        self.iterations[index], self.crossings[index] = point.iterations, point.crosses_branch
+        if "step_control_values" in vars(self):
+            self.step_control_values[index] = point.step_control_values
+        self.iterations[index], self.crosses_branch[index] = point.iterations, point.crosses_branch
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
-        arrays = {name: array for name, array in vars(self).items() if name not in NOT_IN_KERNEL}
+        arrays = {
+            name: array
+            for name, array in vars(self).items()
+            if name not in FIELD_NAMES_NOT_IN_KERNEL
+        }
         return Struct("path", capacity=len(self), n_known=n_known, **arrays, **scalars)
 
     def __len__(self) -> int:
@@ -193,13 +203,18 @@ class PathSegment(Sequence[PathPoint]):
                 {name: array[index] for name, array in arrays.items()}, located_events=[]
             )
             return segment
-        norm_weights = float(self.weights[index]), float(self.time_mean_weights[index])
-        tangent = Tangent(self.tangents[index], float(self.slopes[index]), *norm_weights)
+        norm_weights = float(self.unknowns_weights[index]), float(self.time_mean_weights[index])
+        tangent = Tangent(
+            self.unknown_tangents[index], float(self.parameter_tangents[index]), *norm_weights
+        )
         return PathPoint(
             self.unknowns[index], float(self.parameters[index]), int(self.iterations[index]),
-            tangent, bool(self.crossings[index]), length=float(self.lengths[index]),
+            tangent, bool(self.crosses_branch[index]),
+            chord_length_from_previous=float(self.chord_lengths[index]),
             record=self.records[index] if "records" in vars(self) else None,
-            control_values=self.control_values[index] if "control_values" in vars(self) else None,
+            step_control_values=(
+                self.step_control_values[index] if "step_control_values" in vars(self) else None
+            ),
         )  # fmt: skip
 
 
@@ -250,15 +265,15 @@ class BranchPoint(Event):
     kind = "branch_point"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(segment.crossings[1:] > 0)
+        return np.asarray(segment.crosses_branch[1:] > 0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         start, end = ends
         lower_length, upper_length = 0.0, chord_length(system, start, end)
         start_orientation = _orientation(system, start)
-        while upper_length - lower_length > ARRIVAL_DISTANCE:
+        while upper_length - lower_length > MIN_RESOLVED_DISTANCE:
             middle_length = 0.5 * (lower_length + upper_length)
-            point = step_along(system, start, middle_length, rtol)
+            point = try_step(system, start, middle_length, rtol)
             if point is None:
                 break
             if _orientation(system, point) == start_orientation:
@@ -275,7 +290,7 @@ def _orientation(system: System, point: PathPoint) -> float:
 
 
 class ZeroCrossing(Event):
-    """Sign change of a function of the path's points, located by :func:`find_zero`."""
+    """Sign change of a function of the path's points, located by :func:`find_zero_and_residual`."""
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
@@ -285,10 +300,10 @@ class ZeroCrossing(Event):
         return np.asarray(function_values[1:] * function_values[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        return find_zero(system, ends, self._function, rtol)[0]
+        return find_zero_and_residual(system, ends, self._function, rtol)[0]
 
 
-def find_zero(
+def find_zero_and_residual(
     system: System, ends: SegmentEnds, function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
     """Find the zero of a function f(point) between two points of a path.
@@ -314,33 +329,42 @@ def find_zero(
     """
     start, end = ends
     unknown_change, parameter_change = end.unknown - start.unknown, end.parameter - start.parameter
-    length = chord_length(system, start, end) or 1.0
-    chord = replace(start.tangent, x=unknown_change / length, p=parameter_change / length)
-    points_by_fraction = {
+    full_chord_length = chord_length(system, start, end) or 1.0
+    chord_tangent = replace(
+        start.tangent, x=unknown_change / full_chord_length, p=parameter_change / full_chord_length
+    )
+    points_and_values_by_fraction = {
         fraction: (point, function(point)) for fraction, point in zip((0.0, 1.0), ends, strict=True)
     }
 
     def evaluate(fraction: float) -> float:
-        if fraction not in points_by_fraction:
-            scale = fraction * (1.0 - fraction) * length
+        if fraction not in points_and_values_by_fraction:
+            scale = fraction * (1.0 - fraction) * full_chord_length
             tangent_weights = scale * np.array([1.0 - fraction, -fraction])
             chord_weight = fraction * fraction * (3.0 - 2.0 * fraction)
             x = start.unknown + chord_weight * unknown_change
             x = x + tangent_weights[0] * start.tangent.x + tangent_weights[1] * end.tangent.x
             p = start.parameter + chord_weight * parameter_change
             p += tangent_weights[0] * start.tangent.p + tangent_weights[1] * end.tangent.p
-            solution = solve_in_plane(
-                system, x, p, chord, tolerance=rtol, reach=MAX_PARAMETER_REACH * length
+            corrected_point = solve_in_plane(
+                system,
+                x,
+                p,
+                chord_tangent,
+                tolerance=rtol,
+                max_parameter_change=MAX_PARAMETER_CHANGE_IN_STEPS * full_chord_length,
             )
-            if solution is None or solution.linearisation is None:
+            if corrected_point is None or corrected_point.linearisation is None:
                 raise ConvergenceError("path: lost between two points")
-            linearisation = solution.linearisation
-            tangent = tangent_of(system, solution.unknown, linearisation, chord)
+            linearisation = corrected_point.linearisation
+            tangent = tangent_of(system, corrected_point.unknown, linearisation, chord_tangent)
             point = replace(
-                solution, tangent=tangent, control_values=observe_point(system, linearisation)
+                corrected_point,
+                tangent=tangent,
+                step_control_values=observe_for_step_control(system, linearisation),
             )
-            points_by_fraction[fraction] = point, function(point)
-        return points_by_fraction[fraction][1]
+            points_and_values_by_fraction[fraction] = point, function(point)
+        return points_and_values_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
     kept_function_value, last_function_value = evaluate(kept_fraction), evaluate(last_fraction)
@@ -361,7 +385,7 @@ def find_zero(
             else:  # the Illinois method: halve the value at the end that stays
                 kept_function_value *= 0.5
             last_fraction, last_function_value = fraction, new_function_value
-    return min(points_by_fraction.values(), key=lambda entry: abs(entry[1]))
+    return min(points_and_values_by_fraction.values(), key=lambda entry: abs(entry[1]))
 
 
 class Fold(ZeroCrossing):
@@ -373,13 +397,18 @@ class Fold(ZeroCrossing):
         super().__init__(lambda point: point.tangent.p)
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(segment.slopes[1:] * segment.slopes[:-1] < 0.0)
+        return np.asarray(segment.parameter_tangents[1:] * segment.parameter_tangents[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        point, length = _find_between(system, ends, None, rtol), chord_length(system, *ends)
-        if point is None and length > 4.0 * ARRIVAL_DISTANCE:  # try shorter steps
-            short_steps = PathOptions(0.25 * length, 0.25 * length, max_steps=8)
-            for segment in Path(system, ends[0], short_steps, [Fold()]):
+        point, ends_chord_length = (
+            _find_fold_or_target(system, ends, None, rtol),
+            chord_length(system, *ends),
+        )
+        if point is None and ends_chord_length > 4.0 * MIN_RESOLVED_DISTANCE:  # try shorter steps
+            short_step_options = PathOptions(
+                0.25 * ends_chord_length, 0.25 * ends_chord_length, max_steps=8
+            )
+            for segment in Path(system, ends[0], short_step_options, [Fold()]):
                 if segment.located_events:
                     return segment.located_events[0][1]
         return point or super().locate(system, ends, rtol)
@@ -397,11 +426,11 @@ class Target(Event):
         return np.asarray((difference[:-1] != 0.0) & (difference[1:] * difference[:-1] <= 0.0))
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        estimate = _find_between(system, ends, self.parameter, rtol)
-        if estimate is None:
+        estimated_point = _find_fold_or_target(system, ends, self.parameter, rtol)
+        if estimated_point is None:
             return None
-        point = solve_at(system, estimate.unknown, self.parameter, tolerance=rtol)
-        return point and replace(point, tangent=estimate.tangent)
+        point = solve_at(system, estimated_point.unknown, self.parameter, tolerance=rtol)
+        return point and replace(point, tangent=estimated_point.tangent)
 
 
 @dataclass(frozen=True)
@@ -413,40 +442,43 @@ class ClosedLoop(Event):
     is_terminal, description = True, "closed loop"
 
     def detect(self, segment: PathSegment) -> np.ndarray:
-        lengths = segment.lengths[1:]
+        chord_lengths = segment.chord_lengths[1:]
         may_return = (
             np.abs(segment.parameters[:-1] - self.origin.parameter)
-            <= lengths / MIN_DIRECTION_COSINE
+            <= chord_lengths / MIN_EQUAL_DIRECTION_COSINE
         )
         for index in np.flatnonzero(may_return):
             point = segment[int(index)]
-            tangent, to_origin = point.tangent, self.origin.unknown - point.unknown
-            distance_along = tangent.product(self.system, to_origin, tangent.x)
-            distance_along += tangent.p * (self.origin.parameter - point.parameter)
-            may_return[index] = 0.0 < distance_along <= lengths[index]
+            point_tangent, to_origin = point.tangent, self.origin.unknown - point.unknown
+            distance_along_tangent = point_tangent.product(self.system, to_origin, point_tangent.x)
+            distance_along_tangent += point_tangent.p * (self.origin.parameter - point.parameter)
+            may_return[index] = 0.0 < distance_along_tangent <= chord_lengths[index]
         return np.asarray(may_return)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         start, origin = ends[0], self.origin
-        length = chord_length(system, start, origin)
+        distance_to_origin = chord_length(system, start, origin)
         to_origin, parameter_change = (
             origin.unknown - start.unknown,
             origin.parameter - start.parameter,
         )
-        cosine = replace(start.tangent, x=to_origin, p=parameter_change).cosine_to(
+        to_origin_cosine = replace(start.tangent, x=to_origin, p=parameter_change).cosine_to(
             start.tangent, system
         )
-        if cosine < MIN_DIRECTION_COSINE:
+        if to_origin_cosine < MIN_EQUAL_DIRECTION_COSINE:
             return None
-        point = step_along(system, start, cosine * length, rtol)
-        if point is None or point.tangent.cosine_to(origin.tangent, system) < MIN_DIRECTION_COSINE:
+        point = try_step(system, start, to_origin_cosine * distance_to_origin, rtol)
+        if (
+            point is None
+            or point.tangent.cosine_to(origin.tangent, system) < MIN_EQUAL_DIRECTION_COSINE
+        ):
             return None
         difference = point.unknown - origin.unknown
         return origin if origin.tangent.product(system, difference, difference) < 1e-10 else None
 
 
-def _find_between(
-    system: System, ends: SegmentEnds, target: float | None, rtol: float
+def _find_fold_or_target(
+    system: System, ends: SegmentEnds, target_parameter: float | None, rtol: float
 ) -> PathPoint | None:
     """Find the fold or a target parameter between two points; None without success.
 
@@ -454,17 +486,17 @@ def _find_between(
     tangent of the first point.
     """
     equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
-    stepping = Struct(
+    stepping_struct = Struct(
         "stepping",
-        min_step=ARRIVAL_DISTANCE,
-        correction=correction_struct(rtol, MAX_PARAMETER_REACH),
+        min_step=MIN_RESOLVED_DISTANCE,
+        correction=correction_struct(rtol, MAX_PARAMETER_CHANGE_IN_STEPS),
     )
-    target_pointer = NULL if target is None else pointer(np.array([target]))
-    path_struct = segment.struct(2)
-    outcome = equations.run(
-        kernel.find_point_between, stepping.address, target_pointer, path_struct.address
+    target_pointer = NULL if target_parameter is None else pointer(np.array([target_parameter]))
+    segment_struct = segment.struct(2)
+    outcome = equations.run_unchecked(
+        kernel.find_point_between, stepping_struct.address, target_pointer, segment_struct.address
     )
-    return segment[path_struct.address.n_known] if equations.check_outcome(outcome) else None
+    return segment[segment_struct.address.n_known] if equations.check_outcome(outcome) else None
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -474,14 +506,14 @@ class StepControl(ABC):
     """Rule to reject long steps of a path by the points' control values."""
 
     @abstractmethod
-    def too_long(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
+    def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         """Return True for steps that are too long: (n-1-first_index,) bool.
 
         The segment has n points; steps before the point ``first_index`` are not judged.
         """
 
 
-def observe_point(system: System, linearisation: Linearisation) -> np.ndarray | None:
+def observe_for_step_control(system: System, linearisation: Linearisation) -> np.ndarray | None:
     """Return a point's values for a step control, or None without such values."""
     observe = getattr(system, "observe", None)
     return None if observe is None else np.asarray(observe(linearisation.record[None])[0])
@@ -499,7 +531,7 @@ class Path:
         The tangent of this point sets the direction.
     options : PathOptions
     events : sequence of Event
-    control : StepControl, optional
+    step_control : StepControl, optional
         Needs ``n_record_entries`` and ``observe`` of the system.
 
     Attributes
@@ -514,16 +546,21 @@ class Path:
 
     def __init__(
         self, system: System, start: PathPoint, options: PathOptions, events: Sequence[Event] = (),
-        control: StepControl | None = None,
+        step_control: StepControl | None = None,
     ) -> None:  # fmt: skip
         self._system, self._options, self._events = system, options, events
-        self._equations, self._control = equations_of(system, start.unknown.shape), control
-        self._max_step = options.max_step
-        max_points = options.points_per_call
-        self._points_per_call = (
-            max_points if control is None else min(POINTS_AFTER_HALVING, max_points)
+        self._equations, self._step_control = (
+            equations_of(system, start.unknown.shape),
+            step_control,
         )
-        self.last_point = start = self._with_control_values(start)
+        self._max_step = options.max_step
+        max_points_per_call = options.points_per_call
+        self._points_per_call = (
+            max_points_per_call
+            if step_control is None
+            else min(POINTS_PER_CALL_AFTER_HALVING, max_points_per_call)
+        )
+        self.last_point = start = self._with_step_control_values(start)
         self.end_reason: EndReason | None = None
         self.event: Event | None = None
         self._restart(start, options.initial_step)
@@ -533,7 +570,7 @@ class Path:
         for segment in self:
             yield from segment
 
-    def run(self) -> PathPoint | None:
+    def run_to_terminal_event(self) -> PathPoint | None:
         """Follow the whole path; return the point of the terminal event, or None."""
         for _ in self:
             pass
@@ -551,19 +588,21 @@ class Path:
             if len(segment) == 1:
                 self.end_reason = EndReason.STEPS_TOO_SHORT
                 return
-            for part, retry_index in self._split_at_events(segment):
-                n_remaining -= len(part)
+            for segment_part, retry_index in self._split_at_events(segment):
+                n_remaining -= len(segment_part)
                 if retry_index is None:
-                    self._start_points[:] = [*self._start_points, *part[-2:]][-2:]
+                    self._start_points[:] = [*self._start_points, *segment_part[-2:]][-2:]
                 else:
-                    retry_step = 0.25 * min(retry_step, float(segment.lengths[retry_index + 1]))
+                    retry_step = 0.25 * min(
+                        retry_step, float(segment.chord_lengths[retry_index + 1])
+                    )
                     if retry_step < self._options.min_step:
                         self.end_reason = EndReason.END_LOST
                     else:
                         self._restart(segment[retry_index], retry_step)
-                if len(part):
-                    self.last_point = part[-1]
-                    yield part
+                if len(segment_part):
+                    self.last_point = segment_part[-1]
+                    yield segment_part
                 if retry_index is not None or self.end_reason is not None:
                     break
 
@@ -584,42 +623,42 @@ class Path:
         )
         may_occur = np.array([event.detect(segment) for event in self._events], dtype=bool)
         may_occur = may_occur.reshape(len(self._events), len(segment) - 1)
-        first_index = 1
+        part_start_index = 1
         for index in map(int, np.flatnonzero(may_occur.any(axis=0) | is_outside)):
             ends = segment[index], segment[index + 1]
             tolerance = max(MAX_LOCATION_RESIDUAL, self._rounding_at(ends[1]))
-            part = segment[first_index : index + 2]
-            for event, is_candidate in zip(self._events, may_occur[:, index], strict=True):
-                location = event.locate(self._system, ends, tolerance) if is_candidate else None
+            segment_part = segment[part_start_index : index + 2]
+            for event, event_may_occur in zip(self._events, may_occur[:, index], strict=True):
+                location = event.locate(self._system, ends, tolerance) if event_may_occur else None
                 if location is not None:
-                    location = self._with_control_values(location)
-                    part.located_events.append((event, location))
+                    location = self._with_step_control_values(location)
+                    segment_part.located_events.append((event, location))
                 if location is not None and event.is_terminal:
                     if location is ends[0]:
-                        part = segment[first_index : index + 1]
+                        segment_part = segment[part_start_index : index + 1]
                     else:
-                        part.set_point(-1, location)
+                        segment_part.set_point(-1, location)
                     self.end_reason, self.event = EndReason.REACHED, event
-                    yield part, None
+                    yield segment_part, None
                     return
-                if is_candidate and location is None and event.must_be_located:
-                    yield segment[first_index : index + 1], index
+                if event_may_occur and location is None and event.must_be_located:
+                    yield segment[part_start_index : index + 1], index
                     return
             if is_outside[index]:
                 self.end_reason = EndReason.RANGE_LEFT
-                yield segment[first_index : index + 1], None
+                yield segment[part_start_index : index + 1], None
                 return
-            if part.located_events:
-                yield part, None
-                first_index = index + 2
-        if first_index < len(segment):
-            yield segment[first_index:], None
+            if segment_part.located_events:
+                yield segment_part, None
+                part_start_index = index + 2
+        if part_start_index < len(segment):
+            yield segment[part_start_index:], None
 
     # --- its steps --------------------------------------------------------------------------------
 
-    def _with_control_values(self, point: PathPoint) -> PathPoint:
+    def _with_step_control_values(self, point: PathPoint) -> PathPoint:
         """Return a point with the system's record and the values of the step control, if any."""
-        if self._control is None or point.control_values is not None:
+        if self._step_control is None or point.step_control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
             point.unknown, point.parameter
@@ -627,7 +666,7 @@ class Path:
         return replace(
             point,
             record=linearisation.record.ravel(),
-            control_values=observe_point(self._system, linearisation),
+            step_control_values=observe_for_step_control(self._system, linearisation),
         )
 
     def _rounding_at(self, point: PathPoint) -> float:
@@ -641,10 +680,10 @@ class Path:
 
     def _restart(self, point: PathPoint, step: float) -> None:
         """Continue from a point with a given step."""
-        self._start_points, self._step, self._orientation = [point], step, 0.0
+        self._start_points, self._next_step_length, self._orientation = [point], step, 0.0
 
     def _cut_at_rejected_step(
-        self, segment: PathSegment, n_known: int, step: float
+        self, segment: PathSegment, n_known: int, first_step_length: float
     ) -> PathSegment | None:
         """Cut a segment before the first rejected step, and halve the step for the next attempt.
 
@@ -652,7 +691,7 @@ class Path:
         ----------
         n_known : int
             Number of points from earlier calls, at the beginning.
-        step : float
+        first_step_length : float
             Length of the first new step.
 
         Returns
@@ -661,29 +700,36 @@ class Path:
             The last point known before the call and the accepted new points; None if no new point
             is accepted.
         """
-        assert self._control is not None
-        new_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
-        segment.control_values = np.concatenate(
-            [[point.control_values for point in self._start_points], new_control_values]
+        assert self._step_control is not None
+        new_step_control_values = self._system.observe(segment.records[n_known:])  # type: ignore[attr-defined]
+        segment.step_control_values = np.concatenate(
+            [
+                [start_point.step_control_values for start_point in self._start_points],
+                new_step_control_values,
+            ]
         )
-        lengths = segment.lengths[n_known:].copy()
-        lengths[0] = min(lengths[0], step)  # a chord across a jump is no step
-        can_be_halved = lengths > 2.0 * self._options.min_step
-        rejected_steps = np.flatnonzero(
-            self._control.too_long(segment, n_known - 1) & can_be_halved
+        step_lengths = segment.chord_lengths[n_known:].copy()
+        step_lengths[0] = min(
+            step_lengths[0], first_step_length
+        )  # a chord across a jump is no step
+        can_be_halved = step_lengths > 2.0 * self._options.min_step
+        rejected_step_indices = np.flatnonzero(
+            self._step_control.mark_rejected_steps(segment, n_known - 1) & can_be_halved
         )
-        if not len(rejected_steps):
+        if not len(rejected_step_indices):
             self._max_step = min(2.0 * self._max_step, self._options.max_step)
             if self._max_step == self._options.max_step:
                 self._points_per_call = min(
                     2 * self._points_per_call, self._options.points_per_call
                 )
             return segment[n_known - 1 :]
-        last_index = n_known - 1 + int(rejected_steps[0])
-        if segment.crossings[last_index + 1 :].sum() % 2:
+        last_index = n_known - 1 + int(rejected_step_indices[0])
+        if segment.crosses_branch[last_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
-        self._step = self._max_step = 0.5 * float(lengths[rejected_steps[0]])
-        self._points_per_call = min(POINTS_AFTER_HALVING, self._options.points_per_call)
+        self._next_step_length = self._max_step = 0.5 * float(
+            step_lengths[rejected_step_indices[0]]
+        )
+        self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
         return segment[n_known - 1 : last_index + 1] if last_index >= n_known else None
 
     def _follow(self, n_remaining: int) -> PathSegment | None:
@@ -699,34 +745,43 @@ class Path:
         PathSegment or None
             The last known point and the new points; None if the step control halves the first step.
         """
-        options, start_points = self._options, self._start_points
+        path_options, start_points = self._options, self._start_points
         parameter, rounding = start_points[-1].parameter, self._rounding_at(start_points[-1])
-        targets = [event.parameter for event in self._events if isinstance(event, Target)]
-        bounds = [*options.span, *targets]
+        target_parameters = [event.parameter for event in self._events if isinstance(event, Target)]
+        parameter_bounds = [*path_options.span, *target_parameters]
         n_points = min(
             n_remaining, self._points_per_call if self._equations.follows_many_points else 1
         )
         n_record_entries = (
-            0 if self._control is None else int(self._equations.function_table.n_record_entries)
+            0
+            if self._step_control is None
+            else int(self._equations.function_table.n_record_entries)
         )
         segment = PathSegment(start_points, len(start_points) + n_points, n_record_entries)
-        path_struct = segment.struct(
-            len(start_points), step=self._step, orientation=self._orientation
+        segment_struct = segment.struct(
+            len(start_points), step=self._next_step_length, orientation=self._orientation
         )
-        stepping = Struct(
-            "stepping", max_step=self._max_step, min_step=options.min_step,
-            min_cosine=options.min_cosine, rounding=rounding,
-            correction=correction_struct(max(options.rtol, rounding), MAX_PARAMETER_REACH),
-            min_parameter=max(p for p in bounds if p <= parameter),
-            max_parameter=min(p for p in bounds if p >= parameter),
+        stepping_struct = Struct(
+            "stepping", max_step=self._max_step, min_step=path_options.min_step,
+            min_cosine=path_options.min_cosine, rounding=rounding,
+            correction=correction_struct(
+                max(path_options.rtol, rounding), MAX_PARAMETER_CHANGE_IN_STEPS
+            ),
+            min_parameter=max(bound for bound in parameter_bounds if bound <= parameter),
+            max_parameter=min(bound for bound in parameter_bounds if bound >= parameter),
         )  # fmt: skip
-        step = self._step
-        outcome = self._equations.run(kernel.follow_path, stepping.address, path_struct.address)
-        self._orientation, self._step = path_struct.address.orientation, path_struct.address.step
-        if path_struct.address.n_known == len(start_points):
+        first_step_length = self._next_step_length
+        outcome = self._equations.run_unchecked(
+            kernel.follow_path, stepping_struct.address, segment_struct.address
+        )
+        self._orientation, self._next_step_length = (
+            segment_struct.address.orientation,
+            segment_struct.address.step,
+        )
+        if segment_struct.address.n_known == len(start_points):
             self._equations.check_outcome(outcome)
-        if path_struct.address.n_known == len(start_points) or self._control is None:
-            return segment[len(start_points) - 1 : path_struct.address.n_known]
+        if segment_struct.address.n_known == len(start_points) or self._step_control is None:
+            return segment[len(start_points) - 1 : segment_struct.address.n_known]
         return self._cut_at_rejected_step(
-            segment[: path_struct.address.n_known], len(start_points), step
+            segment[: segment_struct.address.n_known], len(start_points), first_step_length
         )

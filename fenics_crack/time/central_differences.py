@@ -95,21 +95,23 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     check_mass(structure, MASS_REMEDY)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
-    springs = _springs(structure, contact)
-    contact_structure = add_friction_pairs(contact, structure)
+    springs = _contact_stiffnesses(structure, contact)
+    structure_with_friction_rows = add_friction_pairs(contact, structure)
     if is_small(structure):
-        modes = all_modes(contact_structure)
-        bonded_stiffness = np.diag(modes.squares) + (modes.pairs * springs) @ modes.pairs.T
+        open_modes = all_modes(structure_with_friction_rows)
+        bonded_stiffness = (
+            np.diag(open_modes.squares) + (open_modes.pairs * springs) @ open_modes.pairs.T
+        )
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
         largest_omega = largest_frequency(
-            contact_structure.tied(springs) if np.any(springs) else structure
+            structure_with_friction_rows.tied(springs) if np.any(springs) else structure
         )
         collect_garbage(structure.comm)
     return int(np.floor(np.pi * largest_omega * (1.0 + 1e-6) / omega)) + 1
 
 
-def _springs(structure: Structure, contact: ContactLaw) -> np.ndarray:
+def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarray:
     """Return the contact stiffness of each gap: (n_rows,) [N/m].
 
     A constraint has 0. The pairs' normal stiffnesses come first; with friction their tangential
@@ -181,7 +183,7 @@ def integrate_central_difference(
     return march(request, (_ModalDifferences if has_kernel else _CentralDifferences)(request))
 
 
-class _ContactEnergy:
+class _EnergyAccount:
     """Sum the energy that contact creates between steps, and the energy put in.
 
     Contact creates energy if a pair opens or closes between two steps. The work of a step is the
@@ -189,35 +191,48 @@ class _ContactEnergy:
     balances kinetic and elastic energy exactly.
     """
 
-    def __init__(self, request: March, energy: float) -> None:
-        self._request, self._created_energy, self._energy_input = request, 0.0, energy
-        pairs, rows = request.n_rows, len(request.loaded_dofs)
-        widths = rows, pairs, pairs, rows
-        self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
+    def __init__(self, request: March, initial_energy: float) -> None:
+        self._request, self._created_energy, self._energy_input = request, 0.0, initial_energy
+        n_gap_rows, n_loaded = request.n_gap_rows, len(request.loaded_dofs)
+        column_counts = n_loaded, n_gap_rows, n_gap_rows, n_loaded
+        self._last_rows: list[np.ndarray] = [
+            np.empty((0, n_columns)) for n_columns in column_counts
+        ]
 
     def add_period(self, window: Window) -> tuple[float, float]:
         """Add one period; return the energy created and the energy put in so far [J]."""
-        period = self._request.load, window.gap, window.force, window.load_motion
-        parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
-        self._tail = [part[-2:] for part in parts]
-        load, gap, force, motion = parts
+        period_arrays = (
+            self._request.load_samples,
+            window.gap,
+            window.force,
+            window.displacement_at_load,
+        )
+        extended_arrays = [
+            np.vstack(pieces) for pieces in zip(self._last_rows, period_arrays, strict=True)
+        ]
+        self._last_rows = [array[-2:] for array in extended_arrays]
+        load, gap, force, displacement_at_load = extended_arrays
         n_pairs = self._request.structure.n_pairs  # springs and friction of tangents create none
         gap, force = gap[:, :n_pairs], force[:, :n_pairs]
         self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         if not self._request.rigid:
-            first_spring_energy, last_spring_energy = (
-                potential(self._request.contact, ends) for ends in (gap[:2], gap[-2:])
+            first_spring_energies, last_spring_energies = (
+                potential(self._request.contact, end_gaps) for end_gaps in (gap[:2], gap[-2:])
             )
             self._created_energy += 0.5 * float(
-                last_spring_energy.sum() - first_spring_energy.sum()
+                last_spring_energies.sum() - first_spring_energies.sum()
             )
-        load_work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
-        self._energy_input += abs(float(self._request.structure.sum_over_ranks(load_work)[0]))
+        local_load_work = np.array(
+            [0.5 * np.sum(load[1:-1] * (displacement_at_load[2:] - displacement_at_load[:-2]))]
+        )
+        self._energy_input += abs(float(self._request.structure.sum_over_ranks(local_load_work)[0]))
         return self._created_energy, self._energy_input
 
 
 def _last_velocity(
-    step_size: float, increment: np.ndarray, acceleration: Callable[[np.ndarray], np.ndarray]
+    step_size: float,
+    increment: np.ndarray,
+    acceleration_function: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Return the velocity at the end of a time integration from its last increment.
 
@@ -226,7 +241,7 @@ def _last_velocity(
     """
     mean_velocity = velocity = increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
-        velocity = mean_velocity + 0.5 * step_size * acceleration(velocity)
+        velocity = mean_velocity + 0.5 * step_size * acceleration_function(velocity)
     return velocity
 
 
@@ -243,69 +258,84 @@ class _ModalDifferences(Scheme):
     name, remedy = NAME, MORE_STEPS
 
     def __init__(self, request: March) -> None:
-        self._contact_structure = add_friction_pairs(request.contact, request.structure)
+        self._structure_with_friction_rows = add_friction_pairs(request.contact, request.structure)
         self._request, self._modes, dt = (
             request,
-            all_modes(self._contact_structure),
+            all_modes(self._structure_with_friction_rows),
             request.step_size,
         )
         modes, (n_modes, n_rows) = self._modes, self._modes.pairs.shape
         springs, friction_members = None, dict[str, Any]()
         if not request.rigid:
-            springs = _springs(request.structure, request.contact)
+            springs = _contact_stiffnesses(request.structure, request.contact)
         if (mu := coefficient_of(request.contact)) is not None:
             assert springs is not None
-            self._sets = FrictionSets(np.diag(1.0 / springs), mu)
-            self._sticking_places, states = (
+            self._friction_solver = FrictionSets(np.diag(1.0 / springs), mu)
+            self._sticking_places, pair_states = (
                 np.zeros(n_rows // 2),
                 np.zeros(n_rows // 2, dtype=np.int8),
             )
             friction_members = {
-                "friction": self._sets.handle,
-                "stick_places": self._sticking_places,
-                "pair_states": states,
+                "friction_solver": self._friction_solver.handle,
+                "sticking_places": self._sticking_places,
+                "pair_states": pair_states,
             }
-        self._shape, velocity = (modes.inverse @ part for part in request.start[:2])
-        gap = self._gap()
-        if friction_members:
-            self._sticking_places[:] = request.start[2] if request.start[2:] else gap[n_rows // 2 :]
-        if request.rigid and np.any(gap > 0.0):  # by the least change in the norm of M
-            self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
-        self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
-        energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
-        self._energy = _ContactEnergy(request, energy)
-        identity = np.ones(n_modes) if modes.damping.ndim == 1 else np.eye(n_modes)
-        damping_operator = identity + 0.5 * dt * modes.damping
-        inverse = (
-            1.0 / damping_operator
-            if damping_operator.ndim == 1
-            else np.linalg.inv(damping_operator)
+        self._modal_displacement, modal_velocity = (
+            modes.inverse @ physical_part for physical_part in request.start[:2]
         )
-        pair_response = (
+        initial_gap = self._gap()
+        if friction_members:
+            self._sticking_places[:] = (
+                request.start[2] if request.start[2:] else initial_gap[n_rows // 2 :]
+            )
+        if request.rigid and np.any(initial_gap > 0.0):  # by the least change in the norm of M
+            self._modal_displacement -= modes.pairs @ solve_complementarity(
+                modes.pairs.T @ modes.pairs, initial_gap
+            )
+        self._increment = dt * modal_velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(
+            modal_velocity
+        )
+        initial_energy = 0.5 * float(
+            modes.squares @ self._modal_displacement**2 + modal_velocity @ modal_velocity
+        )
+        self._energy_account = _EnergyAccount(request, initial_energy)
+        identity = np.ones(n_modes) if modes.damping.ndim == 1 else np.eye(n_modes)
+        damped_mass = identity + 0.5 * dt * modes.damping
+        inverse = 1.0 / damped_mass if damped_mass.ndim == 1 else np.linalg.inv(damped_mass)
+        force_response = (
             inverse[:, None] * modes.pairs if inverse.ndim == 1 else inverse @ modes.pairs
         )
-        force_step = dt**2 * pair_response
+        increment_per_force = dt**2 * force_response
         contiguous = np.ascontiguousarray
-        body = Struct(
-            "vibration", modes=n_modes, pairs=n_rows, coupled=modes.damping.ndim == 2,
-            squares=contiguous(modes.squares), rows=contiguous(modes.pairs.T),
-            clearance=np.array(self._contact_structure.clearance, dtype=float),
-            springs=springs, load=contiguous(request.structure.force @ modes.shapes),
-            waves=contiguous(request.waves), loads=len(request.structure.force),
+        vibration_struct = Struct(
+            "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
+            squared_frequencies=contiguous(modes.squares), gap_rows=contiguous(modes.pairs.T),
+            clearance=np.array(self._structure_with_friction_rows.clearance, dtype=float),
+            spring_stiffnesses=springs,
+            load_rows=contiguous(request.structure.force @ modes.shapes),
+            load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
             work=np.empty(2 * n_modes + n_rows), **friction_members,
         )  # fmt: skip
         self._kernel_data = Struct(
-            "central_differences", vibration=body,
-            keep=2.0 * inverse - identity, gain=dt**2 * inverse, push=contiguous(force_step.T),
-            contact=ActiveSetSolver(modes.pairs.T @ force_step).handle if request.rigid else None,
-            displacements=self._shape, increment=self._increment, closed=np.zeros(n_rows, bool),
+            "central_differences", vibration=vibration_struct,
+            increment_factor=2.0 * inverse - identity, force_factor=dt**2 * inverse,
+            increment_per_force=contiguous(increment_per_force.T),
+            contact_solver=(
+                ActiveSetSolver(modes.pairs.T @ increment_per_force).handle
+                if request.rigid else None
+            ),
+            displacements=self._modal_displacement, increment=self._increment,
+            is_closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
     def _gap(self) -> np.ndarray:
         """Return the gaps at the end of the integration: (n_rows,) [m]."""
-        return np.asarray(self._shape @ self._modes.pairs - self._contact_structure.clearance)
+        return np.asarray(
+            self._modal_displacement @ self._modes.pairs
+            - self._structure_with_friction_rows.clearance
+        )
 
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+    def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero: (n,).
 
         q and v are modal displacements and velocities, w natural frequencies, and P lambda modal
@@ -314,7 +344,7 @@ class _ModalDifferences(Scheme):
         modes, load_coefficients = self._modes, self._request.structure.force
         acceleration = (
             load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
-        ) @ modes.shapes - modes.squares * self._shape
+        ) @ modes.shapes - modes.squares * self._modal_displacement
         if not self._request.rigid:
             acceleration -= modes.pairs @ self._forces(self._gap())
         return np.asarray(acceleration - modes.damping_force(velocity))
@@ -323,33 +353,43 @@ class _ModalDifferences(Scheme):
         """Return the contact forces of gaps (n_rows,) under a penalty law [N]."""
         if friction_of(self._request.contact) is None:
             return self._request.contact.force(gap)
-        return self._sets.solve(gap[None], self._sticking_places)[0][0]
+        return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
 
     def fill(self, window: Window, number: int) -> None:
-        modes, request, count = self._modes, self._request, len(window.gap)
-        n_in_cache = max(1, CACHE_BLOCK_SIZE // len(modes.squares))
-        for first_step in range(0, count, n_in_cache):
-            steps = slice(first_step, min(first_step + n_in_cache, count))
-            shape = np.empty((steps.stop - first_step, len(modes.squares)))
-            n_made = kernel.march_central(
-                self._kernel_data.address, first_step, len(shape), pointer(window.gap[steps]),
-                pointer(window.force[steps]), pointer(shape),
+        modes, request, n_window_steps = self._modes, self._request, len(window.gap)
+        n_steps_in_cache = max(1, CACHE_BLOCK_SIZE // len(modes.squares))
+        for first_step in range(0, n_window_steps, n_steps_in_cache):
+            step_slice = slice(first_step, min(first_step + n_steps_in_cache, n_window_steps))
+            modal_displacement = np.empty((step_slice.stop - first_step, len(modes.squares)))
+            n_steps_made = kernel.march_central(
+                self._kernel_data.address, first_step, len(modal_displacement),
+                pointer(window.gap[step_slice]), pointer(window.force[step_slice]),
+                pointer(modal_displacement),
             )  # fmt: skip
-            if n_made < len(shape):
+            if n_steps_made < len(modal_displacement):
                 raise ConvergenceError(
-                    f"contact: no forces of step {first_step + n_made} were found"
+                    f"contact: no forces of step {first_step + n_steps_made} were found"
                 )
-            window.motion[steps] = shape @ modes.shapes[request.recorded_dofs].T
-            window.load_motion[steps] = shape @ modes.shapes[request.loaded_dofs].T
-        self.book(*self._energy.add_period(window))
+            window.recorded_displacement[step_slice] = (
+                modal_displacement @ modes.shapes[request.recorded_dofs].T
+            )
+            window.displacement_at_load[step_slice] = (
+                modal_displacement @ modes.shapes[request.loaded_dofs].T
+            )
+        self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
-        velocity = _last_velocity(self._request.step_size, self._increment, self._acceleration)
-        motion = self._modes.shapes @ self._shape, self._modes.shapes @ velocity
+        modal_velocity = _last_velocity(
+            self._request.step_size, self._increment, self._acceleration_at_phase_zero
+        )
+        displacement_and_velocity = (
+            self._modes.shapes @ self._modal_displacement,
+            self._modes.shapes @ modal_velocity,
+        )
         return (
-            motion
+            displacement_and_velocity
             if friction_of(self._request.contact) is None
-            else (*motion, self._sticking_places.copy())
+            else (*displacement_and_velocity, self._sticking_places.copy())
         )
 
 
@@ -371,86 +411,104 @@ class _CentralDifferences(Scheme):
         self.structure, dt = request.structure, request.step_size
         structure = self.structure
         self.contact, self.rigid, self.step_size = request.contact, request.rigid, dt
-        self.load, self.loaded_dofs = request.load, request.loaded_dofs
-        self.force = np.zeros(structure.n_pairs)
+        self.load_samples, self.loaded_dofs = request.load_samples, request.loaded_dofs
+        self.contact_force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
-        contact_structure = add_friction_pairs(request.contact, structure)
-        self._gap_rows = np.flatnonzero(np.diff(contact_structure.gap.indptr))
-        self._gap_block = contact_structure.gap[self._gap_rows].toarray()
-        self._clearance = contact_structure.clearance
+        structure_with_friction_rows = add_friction_pairs(request.contact, structure)
+        self._contact_dofs = np.flatnonzero(np.diff(structure_with_friction_rows.gap.indptr))
+        self._gap_block = structure_with_friction_rows.gap[self._contact_dofs].toarray()
+        self._clearance = structure_with_friction_rows.clearance
         if (mu := coefficient_of(request.contact)) is not None:
-            self._sets = FrictionSets(np.diag(1.0 / _springs(structure, request.contact)), mu)
-        self._columns = request.recorded_dofs - structure.first_dof
-        self._modes, self._damping = damped_modes(structure), structure.damping_matrix
-        self._x, self._y = structure.mass.createVecs()
-        matrix = structure.mass
-        if self._damping is not None:
-            matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
+            self._friction_solver = FrictionSets(
+                np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
+            )
+        self._recorded_local_dofs = request.recorded_dofs - structure.first_dof
+        self._modes, self._damping_matrix = damped_modes(structure), structure.damping_matrix
+        self._input_vector, self._output_vector = structure.mass.createVecs()
+        damped_mass = structure.mass
+        if self._damping_matrix is not None:
+            damped_mass = weighted_sum(structure.mass, 0.5 * dt, self._damping_matrix)
         # A C that was given need not be symmetric.
-        symmetric = self._damping is None or isinstance(structure.damping, RayleighDamping)
-        self._inverse = Factor(matrix, symmetric=symmetric, definite=True)
-        damped_mass = () if self._damping is None else (matrix,)
-        self.petsc_objects = self._x, self._y, self._inverse, *damped_mass
+        is_symmetric = self._damping_matrix is None or isinstance(
+            structure.damping, RayleighDamping
+        )
+        self._factored_damped_mass = Factor(damped_mass, symmetric=is_symmetric, definite=True)
+        owned_matrices = () if self._damping_matrix is None else (damped_mass,)
+        self.petsc_objects = (
+            self._input_vector,
+            self._output_vector,
+            self._factored_damped_mass,
+            *owned_matrices,
+        )
         if self._modes is not None:
-            mass_factors = 1.0 + 0.5 * dt * self._modes.modal_damping
-            self._correction, self._decay = (
-                1.0 / mass_factors - 1.0,
-                self._modes.modal_damping / mass_factors,
+            modal_damped_mass = 1.0 + 0.5 * dt * self._modes.modal_damping
+            self._modal_inverse_correction, self._modal_decay = (
+                1.0 / modal_damped_mass - 1.0,
+                self._modes.modal_damping / modal_damped_mass,
             )
         if self.rigid:
-            self._push, rest = dt**2 * structure.gap.toarray(), np.zeros(structure.n_local)
-            for column in self._push.T:
-                column[:] = self._solve(column, rest)
-            self._compliance = structure.apply_bt(self._push.T).T
+            self._displacement_per_force, zero_velocity = (
+                dt**2 * structure.gap.toarray(),
+                np.zeros(structure.n_local),
+            )
+            for response_column in self._displacement_per_force.T:
+                response_column[:] = self._solve(response_column, zero_velocity)
+            self._compliance = structure.apply_bt(self._displacement_per_force.T).T
         displacement, velocity = request.start[:2]
         self.displacement = self._admissible(displacement)
         if friction_of(self.contact) is not None:
-            rest = self._gap_of(displacement)[structure.n_pairs :]
-            self._sticking_places = request.start[2] if request.start[2:] else rest
+            initial_tangential_gap = self._gap_of(displacement)[structure.n_pairs :]
+            self._sticking_places = (
+                request.start[2] if request.start[2:] else initial_tangential_gap
+            )
         # The step before from u_{-1} = u - dt v + dt^2 a / 2.
-        self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
-        self._energy = _ContactEnergy(request, self._linear_energy(velocity))
+        self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
+        self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
     def fill(self, window: Window, number: int) -> None:
         for step in range(len(window.gap)):
             displacement = self.displacement
             self.advance(step)
-            window.gap[step], window.force[step] = self.gap, self.force
-            window.load_motion[step] = displacement[self.loaded_dofs]
-            window.motion[step] = displacement[self._columns]
-        self.book(*self._energy.add_period(window))
+            window.gap[step], window.force[step] = self.gap, self.contact_force
+            window.displacement_at_load[step] = displacement[self.loaded_dofs]
+            window.recorded_displacement[step] = displacement[self._recorded_local_dofs]
+        self.set_created_energy_ratio(*self._energy_account.add_period(window))
 
     def state(self) -> tuple[np.ndarray, ...]:
-        velocity = _last_velocity(self.step_size, self.increment, self._acceleration)
-        motion = self.displacement.copy(), velocity
+        velocity = _last_velocity(self.step_size, self.increment, self._acceleration_at_phase_zero)
+        displacement_and_velocity = self.displacement.copy(), velocity
         return (
-            motion if friction_of(self.contact) is None else (*motion, self._sticking_places.copy())
+            displacement_and_velocity
+            if friction_of(self.contact) is None
+            else (*displacement_and_velocity, self._sticking_places.copy())
         )
 
     def advance(self, step: int) -> None:
         """Integrate one step, from instant ``step`` of the period."""
         dt = self.step_size
-        squared_step_pull = dt**2 * self._pull(step)
-        self.increment = self.increment + self._solve(squared_step_pull, dt * self.increment)
+        scaled_net_force = dt**2 * self._net_force(step)
+        self.increment = self.increment + self._solve(scaled_net_force, dt * self.increment)
         if self.rigid:
             next_gap = self.gap + self._gap_motion(self.increment)
-            self.force = solve_complementarity(self._compliance, next_gap, self.force > 0.0)
-            self.increment -= self._push @ self.force
+            self.contact_force = solve_complementarity(
+                self._compliance, next_gap, self.contact_force > 0.0
+            )
+            self.increment -= self._displacement_per_force @ self.contact_force
         self.displacement = self.displacement + self.increment
 
-    def _pull(self, step: int) -> np.ndarray:
+    def _net_force(self, step: int) -> np.ndarray:
         """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
         ``step`` is the instant in the period. Forces of a constraint are left out: they belong to
         the next step.
         """
         self.gap = self._gap_of(self.displacement)
-        pull = -self._apply(self.structure.stiffness.mult, self.displacement)
-        pull[self.loaded_dofs] += self.load[step]
+        net_force = -self._apply(self.structure.stiffness.mult, self.displacement)
+        net_force[self.loaded_dofs] += self.load_samples[step]
         if not self.rigid:
-            self.force = self._forces(self.gap)
-            pull[self._gap_rows] -= self._gap_block @ self.force
-        return pull
+            self.contact_force = self._forces(self.gap)
+            net_force[self._contact_dofs] -= self._gap_block @ self.contact_force
+        return net_force
 
     def _forces(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces of gaps (n_rows,) under a penalty law [N].
@@ -459,58 +517,63 @@ class _CentralDifferences(Scheme):
         """
         if friction_of(self.contact) is None:
             return self.contact.force(gap)
-        forces, _, places, _ = self._sets.solve(gap[None], self._sticking_places)
-        self._sticking_places = places[0]
+        forces, _, sticking_places, _ = self._friction_solver.solve(
+            gap[None], self._sticking_places
+        )
+        self._sticking_places = sticking_places[0]
         return forces[0]
 
-    def _gap_motion(self, motion: np.ndarray) -> np.ndarray:
+    def _gap_motion(self, displacement: np.ndarray) -> np.ndarray:
         """Return B^T u, the gaps' change by a displacement u (n_local,): (n_rows,) [m]."""
-        return self.structure.sum_over_ranks(motion[self._gap_rows] @ self._gap_block)
+        return self.structure.sum_over_ranks(displacement[self._contact_dofs] @ self._gap_block)
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return the gaps of a displacement (n_local,): (n_rows,) [m]."""
         return self._gap_motion(displacement) - self._clearance
 
-    def _apply(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
+    def _apply(self, operator: Callable[[Any, Any], None], vector: np.ndarray) -> np.ndarray:
         """Apply a PETSc operator to a vector (n_local,)."""
-        self._x.array_w[:] = rows
-        operator(self._x, self._y)
-        return self._y.array_r.copy()
+        self._input_vector.array_w[:] = vector
+        operator(self._input_vector, self._output_vector)
+        return self._output_vector.array_r.copy()
 
     def _solve(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return A^-1 (r - C v) with A = M + dt/2 C, a force r and a velocity v (n_local,)."""
         modes = self._modes
         if modes is None:
-            return self._apply(self._inverse.apply, force - self._damping_force(velocity))
-        momentum = self._apply(self.structure.mass.mult, velocity)
-        modal_parts = np.stack([force @ modes.shapes, momentum @ modes.shapes])
-        modal_force, modal_velocity = self.structure.sum_over_ranks(modal_parts)
-        acceleration = self._apply(self._inverse.apply, force)
+            return self._apply(
+                self._factored_damped_mass.apply, force - self._damping_force(velocity)
+            )
+        mass_times_velocity = self._apply(self.structure.mass.mult, velocity)
+        local_modal_parts = np.stack([force @ modes.shapes, mass_times_velocity @ modes.shapes])
+        modal_force, modal_velocity = self.structure.sum_over_ranks(local_modal_parts)
+        acceleration = self._apply(self._factored_damped_mass.apply, force)
         return acceleration + modes.shapes @ (
-            self._correction * modal_force - self._decay * modal_velocity
+            self._modal_inverse_correction * modal_force - self._modal_decay * modal_velocity
         )
 
     def _damping_force(self, velocity: np.ndarray) -> np.ndarray:
         """Return the damping force C v: (n_local,) [N]."""
-        if self._damping is not None:
-            return self._apply(self._damping.mult, velocity)
+        if self._damping_matrix is not None:
+            return self._apply(self._damping_matrix.mult, velocity)
         if self._modes is None:
             return np.zeros_like(velocity)
         modal_velocity = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
         return self._modes.mass_shapes @ (self._modes.modal_damping * modal_velocity)
 
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+    def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
-        force = self._pull(0) - self._damping_force(velocity)
-        with Factor(self.structure.mass, definite=True) as factor:
-            return np.asarray(factor.solve(force[None])[0])
+        force = self._net_force(0) - self._damping_force(velocity)
+        with Factor(self.structure.mass, definite=True) as factored_mass:
+            return np.asarray(factored_mass.solve(force[None])[0])
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
         """Return elastic plus kinetic energy, (u^T K u + v^T M v) / 2 [J]."""
         structure = self.structure
-        matrix_and_rows = (structure.stiffness, self.displacement), (structure.mass, velocity)
+        matrices_and_vectors = (structure.stiffness, self.displacement), (structure.mass, velocity)
         energy = 0.5 * sum(
-            rows @ multiply(matrix, rows[:, None])[:, 0] for matrix, rows in matrix_and_rows
+            vector @ multiply(matrix, vector[:, None])[:, 0]
+            for matrix, vector in matrices_and_vectors
         )
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
@@ -519,6 +582,10 @@ class _CentralDifferences(Scheme):
         gap = self._gap_of(displacement)
         if not self.rigid or not np.any(gap > 0.0):
             return displacement
-        with Factor(self.structure.mass, definite=True) as factor:
-            push = factor.solve(self.structure.gap.T.toarray())
-        return displacement - solve_complementarity(self.structure.apply_bt(push), gap) @ push
+        with Factor(self.structure.mass, definite=True) as factored_mass:
+            displacement_per_force = factored_mass.solve(self.structure.gap.T.toarray())
+        return (
+            displacement
+            - solve_complementarity(self.structure.apply_bt(displacement_per_force), gap)
+            @ displacement_per_force
+        )

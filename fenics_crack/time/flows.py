@@ -149,7 +149,7 @@ def integrate_exponential(
 # --- the schemes ----------------------------------------------------------------------------------
 
 
-def _load_motion_weights(request: March) -> np.ndarray:
+def _loaded_coordinate_scales(request: March) -> np.ndarray:
     """Return factors that make motions of loaded coordinates comparable: (n_loaded,).
 
     Coordinates of a structure with massless crack faces are no displacements. The factor is then
@@ -161,15 +161,19 @@ def _load_motion_weights(request: March) -> np.ndarray:
 
 
 def _displacement_and_velocity(
-    flow: Flow, motion: np.ndarray, state: np.ndarray
+    flow: Flow, displacement: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return displacement and velocity (n_dofs,) from a flow's state (size,).
+    """Return displacement and velocity (n_dofs,), the velocity from a flow's state (size,).
 
-    ``motion`` is the displacement. With friction the sticking places (n_pairs,) [m] follow.
+    With friction the sticking places (n_pairs,) [m] follow.
     """
-    _, rate, places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
-    motion_parts = motion.copy(), flow.modes.shapes @ rate
-    return (*motion_parts, places.copy()) if flow.friction else motion_parts
+    _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
+    displacement_and_velocity = displacement.copy(), flow.modes.shapes @ modal_velocity
+    return (
+        (*displacement_and_velocity, sticking_places.copy())
+        if flow.friction
+        else displacement_and_velocity
+    )
 
 
 class _ByEvents(Scheme):
@@ -186,20 +190,20 @@ class _ByEvents(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         request = self._request
-        motion = self._flow.advance(
+        period_motion = self._flow.advance(
             self._state, request.omega, self._period, instants=self._instants
         )
-        self._state, samples = motion.state, motion.samples
-        displacement = samples.displacement
-        self._motion = displacement[-1]
-        window.gap[:], window.force[:] = samples.gaps[:-1], samples.forces[:-1]
-        window.motion[:] = displacement[:-1, request.recorded_dofs]
-        window.load_motion[:] = displacement[:-1, request.loaded_dofs] * _load_motion_weights(
-            request
-        )
+        self._state, sampled_motion = period_motion.state, period_motion.samples
+        displacement = sampled_motion.displacement
+        self._end_displacement = displacement[-1]
+        window.gap[:], window.force[:] = sampled_motion.gaps[:-1], sampled_motion.forces[:-1]
+        window.recorded_displacement[:] = displacement[:-1, request.recorded_dofs]
+        window.displacement_at_load[:] = displacement[
+            :-1, request.loaded_dofs
+        ] * _loaded_coordinate_scales(request)
 
     def state(self) -> tuple[np.ndarray, ...]:
-        return _displacement_and_velocity(self._flow, self._motion, self._state)
+        return _displacement_and_velocity(self._flow, self._end_displacement, self._state)
 
 
 class ExponentialFlow(Flow):
@@ -208,59 +212,80 @@ class ExponentialFlow(Flow):
     Attributes
     ----------
     omega : float [rad/s]
-    steps : int
+    steps_per_period : int
         Number of steps in one load period.
     step_size : float [s]
         h.
     gap_rows : (n_rows, 2 n_modes)
         Q, the matrix from modal displacements and velocities to gaps.
-    steady : (N, 2 n_modes)
-        Steady response to the load without contact, at the N = ``steps`` instants of a period.
+    steady_states : (N, 2 n_modes)
+        Steady response to the load without contact, at the N = ``steps_per_period`` instants of a
+        period.
     linear_gap : (N, n_rows) [m]
         Gaps under the steady response, less the clearance.
     """
 
-    def __init__(self, structure: Structure, omega: float, contact: ContactLaw, steps: int) -> None:
+    def __init__(
+        self, structure: Structure, omega: float, contact: ContactLaw, steps_per_period: int
+    ) -> None:
         check_exact(structure, contact)
         super().__init__(structure, contact)
-        self.omega, self.steps, self.step_size = omega, steps, 2.0 * np.pi / omega / steps
+        self.omega, self.steps_per_period, self.step_size = (
+            omega,
+            steps_per_period,
+            2.0 * np.pi / omega / steps_per_period,
+        )
         modes, (n_modes, n_rows) = self.modes, self.modes.pairs.shape
         transition, response = modes.transition(self.step_size)
-        half_response = 0.5 * response  # Gamma
-        gap_response = modes.pairs.T @ half_response[:n_modes]
+        halved_response = 0.5 * response  # Gamma
+        gap_response = modes.pairs.T @ halved_response[:n_modes]
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((n_rows, n_modes))])
-        loads = enumerate(to_complex(self.modal_load))
-        amplitudes = [modes.steady_response(order * omega, load) for order, load in loads]
-        shape = from_complex(np.array(amplitudes))
-        instants = fourier_basis_for(self.modal_load, 2.0 * np.pi * np.arange(steps) / steps)
-        self.steady = instants @ np.hstack([shape, differentiate(shape, omega)])
-        self.linear_gap = instants @ (shape @ modes.pairs + self.load_gap)
-        compliance = self.compliance + gap_response
+        enumerated_loads = enumerate(to_complex(self.modal_load))
+        response_harmonics = [
+            modes.steady_response(harmonic_order * omega, load_harmonic)
+            for harmonic_order, load_harmonic in enumerated_loads
+        ]
+        displacement_coefficients = from_complex(np.array(response_harmonics))
+        basis_at_instants = fourier_basis_for(
+            self.modal_load, 2.0 * np.pi * np.arange(steps_per_period) / steps_per_period
+        )
+        self.steady_states = basis_at_instants @ np.hstack(
+            [displacement_coefficients, differentiate(displacement_coefficients, omega)]
+        )
+        self.linear_gap = basis_at_instants @ (
+            displacement_coefficients @ modes.pairs + self.load_gap
+        )
+        step_compliance = self.compliance + gap_response
         set_members: dict[str, Any]
         if (mu := coefficient_of(contact)) is None:
-            self._initial_sets = ActiveSetSolver(self.compliance)
-            set_members = {"contact": ActiveSetSolver(compliance).handle}
+            self._initial_contact_solver = ActiveSetSolver(self.compliance)
+            set_members = {"contact_solver": ActiveSetSolver(step_compliance).handle}
         else:
-            self._initial_friction = FrictionSets(self.compliance, mu)
+            self._initial_friction_solver = FrictionSets(self.compliance, mu)
             self._sticking_places = np.empty(n_rows // 2)
-            self._sets = FrictionSets(compliance, mu)
-            set_members = {"friction": self._sets.handle, "stick_places": self._sticking_places}
+            self._friction_solver = FrictionSets(step_compliance, mu)
+            set_members = {
+                "friction_solver": self._friction_solver.handle,
+                "sticking_places": self._sticking_places,
+            }
         self._kernel_data = Struct(
-            "exponential", modes=n_modes, pairs=n_rows, instants=steps,
-            coupled=modes.damping.ndim == 2, transition=transition, rows=as_doubles(modes.pairs.T),
-            force_response=as_doubles(half_response.T), gap_response=as_doubles(gap_response),
-            linear=self.linear_gap, steady=self.steady, work=np.empty(4 * n_modes + 2 * n_rows),
+            "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
+            has_coupled_modes=modes.damping.ndim == 2, transition=transition,
+            gap_rows=as_doubles(modes.pairs.T),
+            force_response=as_doubles(halved_response.T), gap_response=as_doubles(gap_response),
+            steady_gap=self.linear_gap, steady_states=self.steady_states,
+            work=np.empty(4 * n_modes + 2 * n_rows),
             **set_members,
         )  # fmt: skip
 
-    def coordinates(
+    def displacement_from_phase_zero(
         self, states: np.ndarray, force: np.ndarray, dofs: np.ndarray | slice = slice(None)
     ) -> np.ndarray:
         """Return the structure's displacement at n successive instants: (n, n_dofs) [m].
 
         From phase 0 on: ``states`` (n, 2 n_modes) of the modes, contact ``force`` (n, n_rows) [N].
         """
-        phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
+        phase = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
         return self.displacement(states, force, phase, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
@@ -271,27 +296,36 @@ class ExponentialFlow(Flow):
         ConvergenceError
             The contact forces of a step were not found.
         """
-        n_state, pairs, total = 2 * self.n_modes, self.structure.n_pairs, periods * self.steps
-        state, places = np.split(require_shape(state, self.size), [n_state])
-        states, forces = np.empty((total + 1, n_state)), np.empty((total + 1, len(self.softness)))
-        is_closed = np.empty((total + 1, pairs), dtype=np.int8)
+        n_modal_states, n_pairs, n_requested_steps = (
+            2 * self.n_modes,
+            self.structure.n_pairs,
+            periods * self.steps_per_period,
+        )
+        state, sticking_places = np.split(require_shape(state, self.size), [n_modal_states])
+        states, forces = (
+            np.empty((n_requested_steps + 1, n_modal_states)),
+            np.empty((n_requested_steps + 1, len(self.softness))),
+        )
+        is_closed = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
         states[0] = state
-        gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
+        initial_gap = self.gap_rows @ (state - self.steady_states[0]) + self.linear_gap[0]
         if self.friction:
-            forces[:1], is_closed[:1], sticking_places, _ = self._initial_friction.solve(
-                gap[None], places
+            forces[:1], is_closed[:1], new_sticking_places, _ = self._initial_friction_solver.solve(
+                initial_gap[None], sticking_places
             )
-            self._sticking_places[:] = sticking_places[0]
+            self._sticking_places[:] = new_sticking_places[0]
         else:
-            forces[:1], is_closed[:1] = self._initial_sets.solve(gap[None])
-        arrays = map(pointer, (states, forces, is_closed))
-        n_steps = kernel.march_exponential(self._kernel_data.address, total, *arrays)
-        if n_steps < total:
+            forces[:1], is_closed[:1] = self._initial_contact_solver.solve(initial_gap[None])
+        array_pointers = map(pointer, (states, forces, is_closed))
+        n_steps_made = kernel.march_exponential(
+            self._kernel_data.address, n_requested_steps, *array_pointers
+        )
+        if n_steps_made < n_requested_steps:
             raise ConvergenceError(
-                f"exponential: the contact forces of step {n_steps + 1} were not found"
+                f"exponential: the contact forces of step {n_steps_made + 1} were not found"
             )
-        places = self._sticking_places.copy() if self.friction else places
-        return Steps(self, states, forces, is_closed > 0, np.append(states[-1], places))
+        sticking_places = self._sticking_places.copy() if self.friction else sticking_places
+        return Steps(self, states, forces, is_closed > 0, np.append(states[-1], sticking_places))
 
 
 @dataclass(frozen=True)
@@ -304,7 +338,7 @@ class Steps:
         Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
     is_closed : (N + 1, n_pairs) bool
-    end : (size,)
+    end_state : (size,)
         State of the flow at the end.
     """
 
@@ -312,27 +346,33 @@ class Steps:
     states: np.ndarray
     forces: np.ndarray
     is_closed: np.ndarray
-    end: np.ndarray
+    end_state: np.ndarray
 
     @property
     def gaps(self) -> np.ndarray:
         """Gaps at all instants: (N + 1, n_rows) [m]."""
         flow = self.flow
-        instants = np.arange(len(self.states)) % flow.steps
-        linear_gap = (self.states - flow.steady[instants]) @ flow.gap_rows.T
+        instant_indices = np.arange(len(self.states)) % flow.steps_per_period
+        transient_gap = (self.states - flow.steady_states[instant_indices]) @ flow.gap_rows.T
         return np.asarray(
-            linear_gap + flow.linear_gap[instants] - self.forces @ flow.residual_flexibility
+            transient_gap
+            + flow.linear_gap[instant_indices]
+            - self.forces @ flow.residual_flexibility
         )
 
     @property
     def friction_loss(self) -> float:
         """Energy that friction dissipates over all steps, by their mean forces [J]."""
-        flow, count = self.flow, self.flow.structure.n_pairs
+        flow, n_pairs = self.flow, self.flow.structure.n_pairs
         if not flow.friction:
             return 0.0
-        force = self.forces[:, count:]
-        places = self.gaps[:, count:] - flow.softness[count:] * force
-        return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(places, axis=0)))
+        friction_force = self.forces[:, n_pairs:]
+        sticking_places = self.gaps[:, n_pairs:] - flow.softness[n_pairs:] * friction_force
+        return float(
+            np.sum(
+                0.5 * (friction_force[1:] + friction_force[:-1]) * np.diff(sticking_places, axis=0)
+            )
+        )
 
 
 class _ByExponentials(Scheme):
@@ -342,48 +382,64 @@ class _ByExponentials(Scheme):
     remedy = "take more steps per period, or keep fewer modes: what they leave out softens contact"
 
     def __init__(self, request: March) -> None:
-        self._request, steps = request, request.steps_per_period
-        self._flow = ExponentialFlow(request.structure, request.omega, request.contact, steps)
+        self._request, steps_per_period = request, request.steps_per_period
+        self._flow = ExponentialFlow(
+            request.structure, request.omega, request.contact, steps_per_period
+        )
         self._state = self._flow.state(*request.start)
         # The load does the work of its mean over a step, the trapezoidal rule.
-        self._means = 0.5 * (request.load + np.roll(request.load, -1, axis=0))
+        self._mean_load_over_step = 0.5 * (
+            request.load_samples + np.roll(request.load_samples, -1, axis=0)
+        )
         self._energy_input = self._missing_energy = 0.0
 
     def fill(self, window: Window, number: int) -> None:
         flow, request = self._flow, self._request
-        steps = flow.advance(self._state)
-        states, forces = steps.states, steps.forces
-        window.gap[:], window.force[:] = steps.gaps[:-1], forces[:-1]
-        window.motion[:] = flow.coordinates(states[:-1], forces[:-1], request.recorded_dofs)
-        load_motion = flow.coordinates(states, forces, request.loaded_dofs)
-        window.load_motion[:] = load_motion[:-1] * _load_motion_weights(request)
+        flow_steps = flow.advance(self._state)
+        states, forces = flow_steps.states, flow_steps.forces
+        window.gap[:], window.force[:] = flow_steps.gaps[:-1], forces[:-1]
+        window.recorded_displacement[:] = flow.displacement_from_phase_zero(
+            states[:-1], forces[:-1], request.recorded_dofs
+        )
+        displacement_at_load = flow.displacement_from_phase_zero(
+            states, forces, request.loaded_dofs
+        )
+        window.displacement_at_load[:] = displacement_at_load[:-1] * _loaded_coordinate_scales(
+            request
+        )
         if number == 0:
-            self._energy_input = self._energy(steps, 0)
+            self._energy_input = self._energy(flow_steps, 0)
             self._missing_energy = -self._energy_input
         modal_velocity = states[:, len(flow.modes.squares) :]
         damping_power = np.einsum(
             "nj,nj->n", flow.modes.damping_force(modal_velocity), modal_velocity
         )
-        load_work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
+        load_work = float(np.sum(self._mean_load_over_step * np.diff(displacement_at_load, axis=0)))
         self._energy_input += abs(load_work)
         self._missing_energy += flow.step_size * float(
             np.sum(0.5 * (damping_power[1:] + damping_power[:-1]))
         )
-        self._missing_energy += steps.friction_loss - load_work
-        self.book(self._energy(steps, -1) + self._missing_energy, self._energy_input)
-        self._state = steps.end
-        self._motion = flow.coordinates(states[-1:], forces[-1:])[0]
+        self._missing_energy += flow_steps.friction_loss - load_work
+        self.set_created_energy_ratio(
+            self._energy(flow_steps, -1) + self._missing_energy, self._energy_input
+        )
+        self._state = flow_steps.end_state
+        self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
-    def _energy(self, steps: Steps, instant: int) -> float:
+    def _energy(self, flow_steps: Steps, instant_index: int) -> float:
         """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
-        motion = flow.coordinates(steps.states[[instant]], steps.forces[[instant]])[0]
-        doubled_elastic_energy = motion @ multiply(flow.structure.stiffness, motion[:, None])[:, 0]
-        modal_velocity = steps.states[instant, len(flow.modes.squares) :]
-        doubled_spring_energy = np.sum(flow.softness * steps.forces[instant] ** 2)
+        displacement = flow.displacement_from_phase_zero(
+            flow_steps.states[[instant_index]], flow_steps.forces[[instant_index]]
+        )[0]
+        doubled_elastic_energy = (
+            displacement @ multiply(flow.structure.stiffness, displacement[:, None])[:, 0]
+        )
+        modal_velocity = flow_steps.states[instant_index, len(flow.modes.squares) :]
+        doubled_spring_energy = np.sum(flow.softness * flow_steps.forces[instant_index] ** 2)
         return 0.5 * float(
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy
         )
 
     def state(self) -> tuple[np.ndarray, ...]:
-        return _displacement_and_velocity(self._flow, self._motion, self._state)
+        return _displacement_and_velocity(self._flow, self._end_displacement, self._state)

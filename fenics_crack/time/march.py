@@ -103,14 +103,14 @@ class March:
         if self.record_periods is not None:
             check_count("record_periods", self.record_periods, 1)
         check_number("settle", self.settle, 0.0)
-        max_dofs = max(self.structure.comm.allgather(len(self.recorded_dofs)))
-        instants = self.n_kept_periods * self.steps_per_period
-        if 8 * instants * (max_dofs + 2 * self.n_rows) > MEMORY_LIMIT:
-            contents, limit = (
-                f"{instants} instants of {max_dofs} dofs",
+        max_dofs_per_rank = max(self.structure.comm.allgather(len(self.recorded_dofs)))
+        n_instants = self.n_kept_periods * self.steps_per_period
+        if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > MEMORY_LIMIT:
+            contents_text, limit_text = (
+                f"{n_instants} instants of {max_dofs_per_rank} dofs",
                 f"{MEMORY_LIMIT // 2**30} GiB",
             )
-            allowed = f"fewer, or fewer dofs: {contents} do not fit in {limit}"
+            allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
             raise InputError("record_periods", self.record_periods, allowed)
         _ = self.start
 
@@ -165,21 +165,21 @@ class March:
         return np.flatnonzero(np.any(self.structure.force, axis=0))
 
     @cached_property
-    def waves(self) -> np.ndarray:
+    def load_basis(self) -> np.ndarray:
         """Fourier basis 1, cos(j phi), sin(j phi) of the load's K harmonics: (N, 2K+1).
 
         phi is the load's phase at the N = ``steps_per_period`` instants of a period.
         """
-        instants = np.arange(self.steps_per_period) / self.steps_per_period
-        return fourier_basis_for(self.structure.force, 2.0 * np.pi * instants)
+        period_fractions = np.arange(self.steps_per_period) / self.steps_per_period
+        return fourier_basis_for(self.structure.force, 2.0 * np.pi * period_fractions)
 
     @cached_property
-    def load(self) -> np.ndarray:
+    def load_samples(self) -> np.ndarray:
         """Load on the loaded dofs at the N instants of a period: (N, n_loaded) [N]."""
-        return np.asarray(self.waves @ self.structure.force[:, self.loaded_dofs])
+        return np.asarray(self.load_basis @ self.structure.force[:, self.loaded_dofs])
 
     @property
-    def n_rows(self) -> int:
+    def n_gap_rows(self) -> int:
         """Number of gap rows: the normal of each pair, with friction also the tangent."""
         return self.structure.n_pairs * (1 if friction_of(self.contact) is None else 2)
 
@@ -256,18 +256,21 @@ class TimeHistory(ObservedMotion, Tabular):
         return {name: column.tolist() for name, column in columns.items()}
 
     def _title(self) -> str:
-        periods = counted(self.periods, "period")
-        steps = counted(self.steps_per_period, "step")
-        settled = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
-        return f"{periods} of {steps}{settled}, {counted(self.structure.n_pairs, 'pair')}"
+        periods_text = counted(self.periods, "period")
+        steps_text = counted(self.steps_per_period, "step")
+        settled_text = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
+        return (
+            f"{periods_text} of {steps_text}{settled_text}, "
+            f"{counted(self.structure.n_pairs, 'pair')}"
+        )
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
 
         The mean over the first axis is the phase average, the standard deviation its spread.
         """
-        periods = len(values) // self.steps_per_period
-        return values.reshape(periods, self.steps_per_period, *values.shape[1:])
+        n_periods = len(values) // self.steps_per_period
+        return values.reshape(n_periods, self.steps_per_period, *values.shape[1:])
 
     @property
     def distance(self) -> float:
@@ -285,16 +288,23 @@ class TimeHistory(ObservedMotion, Tabular):
         if n_periods < 3:
             return math.nan
         sizes = _sizes([record[-1] for record in records])
-        rows = [
+        scaled_records = [
             record.reshape(n_periods, -1) / size
             for record, size in zip(records, sizes, strict=True)
         ]
-        changes = np.diff(np.hstack(rows), axis=0)
-        weights = np.append(np.linalg.lstsq(changes[:-1].T, -changes[-1], rcond=None)[0], 1.0)
-        offsets = [np.tensordot(weights, part[:-1] - part[-1], 1) for part in rows]
-        distance = max(float(np.linalg.norm(offset)) for offset in offsets)
-        weight_sum = abs(float(weights.sum()))
-        return distance / weight_sum if weight_sum > 0.0 else math.inf
+        scaled_changes = np.diff(np.hstack(scaled_records), axis=0)
+        extrapolation_weights = np.append(
+            np.linalg.lstsq(scaled_changes[:-1].T, -scaled_changes[-1], rcond=None)[0], 1.0
+        )
+        weighted_offsets = [
+            np.tensordot(extrapolation_weights, scaled_record[:-1] - scaled_record[-1], 1)
+            for scaled_record in scaled_records
+        ]
+        max_offset_norm = max(
+            float(np.linalg.norm(weighted_offset)) for weighted_offset in weighted_offsets
+        )
+        weight_sum = abs(float(extrapolation_weights.sum()))
+        return max_offset_norm / weight_sum if weight_sum > 0.0 else math.inf
 
     def change(self, periods: int = 1) -> float:
         """Return the relative change of the motion over the last ``periods`` (collective).
@@ -336,15 +346,17 @@ class TimeHistory(ObservedMotion, Tabular):
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
         dof_numbers = self.structure.check_dofs(dofs)
-        selection = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
-        n_recording_ranks = self.structure.sum_over_ranks(
-            selection.sum(axis=0)
+        selection_matrix = (self.recorded_dofs[:, None] == dof_numbers).astype(float)
+        recording_rank_counts = self.structure.sum_over_ranks(
+            selection_matrix.sum(axis=0)
         )  # a dof may be recorded twice
-        if not n_recording_ranks.all():
+        if not recording_rank_counts.all():
             raise InputError(
-                "dofs", dof_numbers[n_recording_ranks == 0.0].tolist(), "among those recorded"
+                "dofs", dof_numbers[recording_rank_counts == 0.0].tolist(), "among those recorded"
             )
-        return self.structure.sum_over_ranks(self.recorded @ (selection / n_recording_ranks))
+        return self.structure.sum_over_ranks(
+            self.recorded @ (selection_matrix / recording_rank_counts)
+        )
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield one record: rows (m, n_local) times the displacement, gaps, forces (collective).
@@ -357,25 +369,28 @@ class TimeHistory(ObservedMotion, Tabular):
             The rows need a dof that was not recorded.
         """
         structure = self.structure
-        recorded_columns, first_records = np.unique(
+        recorded_local_dofs, first_column_indices = np.unique(
             self.recorded_dofs - structure.first_dof, return_index=True
         )
-        if any(structure.comm.allgather(bool(np.any(np.delete(rows, recorded_columns, axis=1))))):
+        if any(
+            structure.comm.allgather(bool(np.any(np.delete(rows, recorded_local_dofs, axis=1))))
+        ):
             allowed = "None, to record all displacements, of which these are made"
             raise InputError("dofs", "some", allowed)
         motion = structure.sum_over_ranks(
-            self.recorded[:, first_records] @ rows[:, recorded_columns].T
+            self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T
         )
-        steps, gap, force = self.steps_per_period, self.gap, self.contact_force
+        n_steps, gap, force = self.steps_per_period, self.gap, self.contact_force
         if self.tangential_gap is not None and self.tangential_force is not None:
             gap = np.hstack([gap, self.tangential_gap])
             force = np.hstack([force, self.tangential_force])
         yield Record(
-            2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
-            fourier_coefficients(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
+            2.0 * np.pi * (len(self.time) - 1) / n_steps / np.ptp(self.time), 1, self.time,
+            fourier_coefficients(motion[-n_steps:], min(10, (n_steps - 1) // 2)),
+            motion, gap, force,
             structure=structure,
             friction=self.friction,
-            steps=steps,
+            steps=n_steps,
         )  # fmt: skip
 
 
@@ -388,9 +403,9 @@ class Window(NamedTuple):
 
     gap: np.ndarray
     force: np.ndarray
-    motion: np.ndarray
+    recorded_displacement: np.ndarray
     """Displacement of the recorded dofs."""
-    load_motion: np.ndarray
+    displacement_at_load: np.ndarray
     """Displacement where the load acts."""
 
 
@@ -400,7 +415,7 @@ class Scheme(ABC):
     name: ClassVar[str]
     remedy: ClassVar[str]
     """Advice to the user if contact creates energy."""
-    created_share = 0.0
+    created_energy_ratio = 0.0
     """Energy created relative to the energy put in."""
     petsc_objects: tuple[Any, ...] = ()
     """PETSc objects that are freed after the integration."""
@@ -416,17 +431,17 @@ class Scheme(ABC):
         With friction the tangential gaps (n_pairs,) [m] at which pairs stick follow.
         """
 
-    def book(self, created: float, put_in: float) -> None:
-        """Set ``created_share`` from the energies created and put in so far [J].
+    def set_created_energy_ratio(self, created_energy: float, energy_input: float) -> None:
+        """Set ``created_energy_ratio`` from the energies created and put in so far [J].
 
         Raises ConvergenceError if contact has created more than twice the energy put in.
         """
-        if put_in > 0.0:
-            self.created_share = created / put_in
-        if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
-            amount = f"{self.created_share:.3g} times the energy put in"
-            reason = f"{self.name}: the steps are too long for this contact, which creates"
-            raise ConvergenceError(f"{reason} {amount}; {self.remedy}")
+        if energy_input > 0.0:
+            self.created_energy_ratio = created_energy / energy_input
+        if not np.isfinite(created_energy) or created_energy > 2.0 * energy_input > 0.0:
+            amount_text = f"{self.created_energy_ratio:.3g} times the energy put in"
+            reason_text = f"{self.name}: the steps are too long for this contact, which creates"
+            raise ConvergenceError(f"{reason_text} {amount_text}; {self.remedy}")
 
 
 def march(request: March, scheme: Scheme) -> TimeHistory:
@@ -435,10 +450,10 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     The scheme's PETSc objects are freed.
     """
     structure, n_kept, steps = request.structure, request.n_kept_periods, request.steps_per_period
-    widths = request.n_rows, request.n_rows, len(request.recorded_dofs)
+    widths = request.n_gap_rows, request.n_gap_rows, len(request.recorded_dofs)
     records: list[np.ndarray] = [np.empty((n_kept * steps, width)) for width in widths]
-    gap, force, motion = records
-    load_motion = np.empty((steps, len(request.loaded_dofs)))
+    gap, force, recorded_displacement = records
+    displacement_at_load = np.empty((steps, len(request.loaded_dofs)))
     n_periods = 0
     previous: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
@@ -447,52 +462,66 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     from tqdm import tqdm
 
     started = clock.perf_counter()
-    with StopRequest() as stop, reaching(lambda: f"{n_periods} of {request.periods} periods"):
+    with (
+        StopRequest() as stop_request,
+        reaching(lambda: f"{n_periods} of {request.periods} periods"),
+    ):
         for number in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
             period_rows = slice(number % n_kept * steps, (number % n_kept + 1) * steps)
-            window = Window(gap[period_rows], force[period_rows], motion[period_rows], load_motion)
+            window = Window(
+                gap[period_rows],
+                force[period_rows],
+                recorded_displacement[period_rows],
+                displacement_at_load,
+            )
             scheme.fill(window, number)
             n_periods = number + 1
-            load_records = np.concatenate(structure.comm.allgather(load_motion), axis=1)
+            gathered_displacement_at_load = np.concatenate(
+                structure.comm.allgather(displacement_at_load), axis=1
+            )
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
-            newest = gap_motion, load_records  # slow modes hardly move the gaps
+            # Slow modes hardly move the gaps.
+            newest = gap_motion, gathered_displacement_at_load
             change, previous = np.inf if previous is None else _change(newest, previous), newest
-            if change < request.settle or stop.asked(structure.comm):
+            if change < request.settle or stop_request.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
 
-    n_rows = min(n_periods, n_kept) * steps
-    first_row = n_periods % n_kept * steps if n_periods > n_kept else 0
-    gap, force, motion = (np.roll(rows[:n_rows], -first_row, axis=0) for rows in records)
+    n_kept_rows = min(n_periods, n_kept) * steps
+    oldest_row = n_periods % n_kept * steps if n_periods > n_kept else 0
+    gap, force, recorded_displacement = (
+        np.roll(record[:n_kept_rows], -oldest_row, axis=0) for record in records
+    )
     final_state = scheme.state()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
-    pairs, coefficient = structure.n_pairs, coefficient_of(request.contact)
-    has_friction = coefficient is not None
+    n_pairs, friction_coefficient = structure.n_pairs, coefficient_of(request.contact)
+    has_friction = friction_coefficient is not None
     return TimeHistory(
-        time=np.arange(n_periods * steps - n_rows, n_periods * steps) * request.step_size,
-        gap=gap[:, :pairs],
+        time=np.arange(n_periods * steps - n_kept_rows, n_periods * steps) * request.step_size,
+        gap=gap[:, :n_pairs],
         settled=change,
-        created_energy=scheme.created_share,
+        created_energy=scheme.created_energy_ratio,
         periods=n_periods,
         seconds=seconds,
         steps_per_period=steps,
         structure=structure,
-        recorded=motion,
+        recorded=recorded_displacement,
         recorded_dofs=request.recorded_dofs,
         final_state=final_state,
-        contact_force=force[:, :pairs],
-        tangential_gap=gap[:, pairs:] if has_friction else None,
-        tangential_force=force[:, pairs:] if has_friction else None,
-        friction=coefficient,
+        contact_force=force[:, :n_pairs],
+        tangential_gap=gap[:, n_pairs:] if has_friction else None,
+        tangential_force=force[:, n_pairs:] if has_friction else None,
+        friction=friction_coefficient,
     )
 
 
 def _change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change between two periods of the arrays (N, m)."""
-    parts = zip(newest, previous, _sizes(newest), strict=True)
+    compared_parts_and_sizes = zip(newest, previous, _sizes(newest), strict=True)
     return max(
-        float(np.linalg.norm(part - previous_part)) / size for part, previous_part, size in parts
+        float(np.linalg.norm(newest_part - previous_part)) / size
+        for newest_part, previous_part, size in compared_parts_and_sizes
     )
 
 
@@ -527,8 +556,11 @@ def initial_state(
     state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
-        waves = coefficients, differentiate(coefficients, omega)
-        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in waves)
+        state_coefficients = coefficients, differentiate(coefficients, omega)
+        state = tuple(
+            evaluate(part_coefficients, omega, np.zeros(1))[0]
+            for part_coefficients in state_coefficients
+        )
         if has_friction and friction_of(initial.contact) is not None:
             state = *state, initial.sticking_places(np.zeros(1))[0]
     else:
@@ -536,15 +568,17 @@ def initial_state(
             state = tuple(numbers(part) for part in initial)
         except TypeError:
             state = ()
-    array_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
-    shape_matches = [part.shape == shape for part, shape in zip(state, array_shapes, strict=False)]
-    has_right_shapes = all(shape_matches) and len(state) in ((2, 3) if has_friction else (2,))
+    expected_shapes = (structure.n_local,), (structure.n_local,), (structure.n_pairs,)
+    shape_match_flags = [
+        part.shape == shape for part, shape in zip(state, expected_shapes, strict=False)
+    ]
+    has_right_shapes = all(shape_match_flags) and len(state) in ((2, 3) if has_friction else (2,))
     allowed = (
         "a solution of this structure, or finite displacement and velocity of shape "
-        f"{array_shapes[0]} as two arrays, with friction a third of finite places, of shape "
-        f"{array_shapes[2]}"
+        f"{expected_shapes[0]} as two arrays, with friction a third of finite places, of shape "
+        f"{expected_shapes[2]}"
     )
-    error = InputError("initial", [part.shape for part in state], allowed)
+    input_error = InputError("initial", [part.shape for part in state], allowed)
     is_finite = all(np.all(np.isfinite(part)) for part in state)
-    raise_together(structure.comm, None if has_right_shapes and is_finite else error)
+    raise_together(structure.comm, None if has_right_shapes and is_finite else input_error)
     return state

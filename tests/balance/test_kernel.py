@@ -53,8 +53,8 @@ from fenics_crack.numerics.newton import (
     point_on_path,
     solve_at,
     solve_in_plane,
-    step_along,
     tangent_of,
+    try_step,
 )
 from fenics_crack.numerics.path import EndReason, Fold, Path, PathOptions, Target
 
@@ -563,7 +563,7 @@ def test_equations_at_a_point(
     law = fc.UnilateralPenalty(random.uniform(0.5, 20.0, pairs))
     structure = chain(damping, pairs=pairs, seed=seed % 1000)
     family = BALANCE_EQUATIONS[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
-    kernel = family.compiled
+    kernel = family.compiled_equations
     if damping == "matrix" and name in ("omega", "damping"):
         assert kernel is None  # it couples modes
         return
@@ -621,7 +621,7 @@ def assert_same_path(
     ways = [followed(system, start, options, count) for system in (family, Plain(family))]
     compared = 0
     for one, other in zip(*ways, strict=False):
-        if other.length < 1e-4:  # at a sharp corner rounding counts
+        if other.chord_length_from_previous < 1e-4:  # at a sharp corner rounding counts
             break
         compared += 1
         size = np.abs(other.unknown).max()
@@ -629,16 +629,18 @@ def assert_same_path(
         assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-8 * size)
         assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=1e-6 * size)
         assert one.tangent.p == pytest.approx(other.tangent.p, abs=1e-6)
-        assert one.tangent.weight == pytest.approx(other.tangent.weight, rel=1e-8)
-        assert one.length == pytest.approx(other.length, rel=1e-6)
+        assert one.tangent.unknowns_weight == pytest.approx(other.tangent.unknowns_weight, rel=1e-8)
+        assert one.chord_length_from_previous == pytest.approx(
+            other.chord_length_from_previous, rel=1e-6
+        )
         assert abs(one.iterations - other.iterations) <= 1  # rounding may decide over the last one
         assert one.crosses_branch == other.crosses_branch
     assert compared > 10
 
 
-@pytest.mark.parametrize("least_damping", [None, 0.05])
+@pytest.mark.parametrize("min_damping", [None, 0.05])
 @pytest.mark.parametrize("bordered", [False, True])
-def test_corrections(bordered: bool, least_damping: float | None) -> None:
+def test_corrections(bordered: bool, min_damping: float | None) -> None:
     """From random guesses, far ones among them: found or not, the same."""
     law = fc.UnilateralPenalty(10.0)
     family = BALANCE_EQUATIONS["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
@@ -650,7 +652,8 @@ def test_corrections(bordered: bool, least_damping: float | None) -> None:
         one, other = (
             solve_in_plane(
                 system, guess, 0.05, plane,
-                tolerance=1e-10, iterations=8, reach=0.3, least_damping=least_damping,
+                tolerance=1e-10, max_iterations=8, max_parameter_change=0.3,
+                min_damping=min_damping,
             )
             for system in (family, Plain(family))
         )  # fmt: skip
@@ -716,7 +719,9 @@ def test_largest_compliance(name: str) -> None:
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance.matrices
         expected = np.abs(matrices).sum(axis=2).max()
-        assert family.compiled.largest_compliance(parameter) == pytest.approx(expected, rel=1e-12)
+        assert family.compiled_equations.largest_compliance(parameter) == pytest.approx(
+            expected, rel=1e-12
+        )
 
 
 def must(point: PathPoint | None) -> PathPoint:
@@ -740,7 +745,7 @@ def test_folds_of_a_stiff_curve() -> None:
         parameter, unknown = family.parameter(fold.value), fold.point.points[0]
         tangent = tangent_of(family, unknown, family.linearise(unknown, parameter))
         start = PathPoint(unknown, parameter, 0, tangent)
-        sides = [must(step_along(family, start, step, 1e-11)) for step in (1e-5, 2e-5)]
+        sides = [must(try_step(family, start, step, 1e-11)) for step in (1e-5, 2e-5)]
         assert abs(tangent.p) < 1e-5
         # p leaves the fold with the square of the distance.
         first, second = (side.parameter - parameter for side in sides)
@@ -874,7 +879,7 @@ def test_coupled_equations_at_a_point(
     if law == "rigid" and name == "stiffness":
         name = "omega"
     family = coupled_family(name, law, damping, harmonics, pairs, modes, seed)
-    kernel, random = family.compiled, np.random.default_rng(seed)
+    kernel, random = family.compiled_equations, np.random.default_rng(seed)
     assert isinstance(kernel, CompiledEquations)
     gap, right = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
     parameter = float(random.uniform(-0.2, 1.2))
@@ -932,7 +937,7 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_equations_are_freed_with_their_points() -> None:
     """At once, without a search for cycles: the kernel's arrays of many solutions would stay."""
     family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
-    compiled = family.compiled
+    compiled = family.compiled_equations
     at = compiled.linearise(np.zeros(family.shape), 0.5)
     assert at.residual.any()
     left = [weakref.ref(compiled), weakref.ref(at)]
@@ -946,7 +951,7 @@ def test_an_instant_without_forces_is_no_solution() -> None:
     for wrong in (np.nan, np.inf, 1e300):
         guess = np.full(family.shape, wrong)
         assert solve_at(family, guess, 0.5, tolerance=1e-9) is None
-    compiled = family.compiled
+    compiled = family.compiled_equations
     assert compiled is not None and compiled.linearise(np.zeros(family.shape), 0.5).residual.any()
     at = compiled.linearise(np.full(family.shape, np.nan), 0.5)  # not the residual of the former
     with pytest.raises(fc.ConvergenceError, match="no forces were found at an instant"):

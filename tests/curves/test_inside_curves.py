@@ -208,14 +208,14 @@ def test_paths_keep_what_the_kernel_records(stop: Continuation) -> None:
     seen: list[np.ndarray] = []
 
     class Watched(MultiplierControl):
-        def too_long(self, points: Any, first: int = 0) -> np.ndarray:
-            seen.append(points.control_values[-1])
+        def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
+            seen.append(points.step_control_values[-1])
             return np.zeros(len(points) - 1 - first, dtype=bool)
 
     path = Path(family, start, PathOptions(0.05, 0.05), [Target(0.3)], Watched(0.05))
     for stretch in path:
         at = family.linearise(stretch.unknowns[-1], float(stretch.parameters[-1]))
-        assert stretch.control_values[-1] == pytest.approx(
+        assert stretch.step_control_values[-1] == pytest.approx(
             leading_multipliers_and_counts(np.linalg.eigvals(at.monodromy[None]))[0], abs=1e-7
         )
     assert path.event is not None and len(seen) > 2
@@ -234,15 +234,15 @@ def test_a_halved_step_keeps_the_points_before_it(stop: Continuation) -> None:
     class ShortBehind(MultiplierControl):
         bound = longest_step
 
-        def too_long(self, points: Any, first: int = 0) -> np.ndarray:
+        def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
             ends = points.parameters
             is_long = (np.diff(ends) > 0.003) & (ends[1:] > 0.05)
             kept = [*np.flatnonzero(is_long), len(is_long)][0] + 1
-            new_lengths = points.lengths[ends > kept_points[-1][-1]]
+            new_lengths = points.chord_lengths[ends > kept_points[-1][-1]]
             step_ratios.append(new_lengths.max() / self.bound)
             self.bound = min(2.0 * self.bound, longest_step)
             if is_long.any():
-                self.bound = 0.5 * points.lengths[kept]
+                self.bound = 0.5 * points.chord_lengths[kept]
             kept_points.append(ends[:kept])
             kept_at_once.append(int(kept) if is_long.any() else 0)
             return is_long[first:]
@@ -271,9 +271,9 @@ def test_a_halved_step_beside_a_crossing(points_before: int) -> None:
     class OnceBesideCrossing(MultiplierControl):
         is_done = False
 
-        def too_long(self, points: Any, first: int = 0) -> np.ndarray:
+        def mark_rejected_steps(self, points: Any, first: int = 0) -> np.ndarray:
             is_long = np.zeros(len(points) - 1, dtype=bool)
-            places = np.flatnonzero(points.crossings[:-1])
+            places = np.flatnonzero(points.crosses_branch[:-1])
             if len(places) and not self.is_done:
                 is_long[places[0] - points_before] = self.is_done = True
             return is_long[first:]
@@ -473,17 +473,19 @@ def test_steps_that_are_halved(logs: Any, lengths: Any, expected: tuple[bool, ..
     observed = np.array([row(float(np.exp(one)), 1e-3) for one in logs])
     records = np.array([np.diag([np.exp(one), 1e-3]).ravel() for one in logs])
     points: Any = SimpleNamespace(
-        control_values=observed, records=records, lengths=np.array(lengths)
+        step_control_values=observed, records=records, chord_lengths=np.array(lengths)
     )
-    assert tuple(MultiplierControl(1.0).too_long(points)) == expected
+    assert tuple(MultiplierControl(1.0).mark_rejected_steps(points)) == expected
 
 
 def test_several_changes_are_parted_below_the_floor() -> None:
     """Two events in one step are halved until each is by itself."""
     observed = np.array([row(-0.999, 0.99 + 0.1j), row(-1.001, 1.0 + 0.1j)])
     records, lengths = np.tile(np.eye(2).ravel(), (2, 1)), np.array([0.0, 1e-6])
-    points: Any = SimpleNamespace(control_values=observed, records=records, lengths=lengths)
-    assert MultiplierControl(1.0).too_long(points).tolist() == [True]
+    points: Any = SimpleNamespace(
+        step_control_values=observed, records=records, chord_lengths=lengths
+    )
+    assert MultiplierControl(1.0).mark_rejected_steps(points).tolist() == [True]
 
 
 # --- the linear flow of smooth laws ---------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 from helpers import DEMOS, two_masses
 
 import fenics_crack as fc
-from fenics_crack.numerics.extremes import find_maxima
+from fenics_crack.numerics.extremes import find_maximum_values
 
 PARTS = np.arange(256) / 256
 
@@ -25,21 +25,25 @@ def test_kinks_and_ties() -> None:
             away = np.mod(parts - place + 0.5, 1.0) - 0.5
             return np.where(away < 0.0, slopes[0] * away, -slopes[1] * away)[:, None]
 
-        assert abs(find_maxima(kink(PARTS), kink)[0]) <= 1.2e-8
+        assert abs(find_maximum_values(kink(PARTS), kink)[0]) <= 1.2e-8
 
     def two(parts: np.ndarray) -> Any:
         return np.cos(4.0 * np.pi * parts - 0.012)[:, None] + 1e-7 * np.cos(2.0 * np.pi * parts)
 
-    assert find_maxima(two(PARTS), two)[0] == pytest.approx(1.0 + 1e-7 * np.cos(0.006), rel=1e-12)
+    assert find_maximum_values(two(PARTS), two)[0] == pytest.approx(
+        1.0 + 1e-7 * np.cos(0.006), rel=1e-12
+    )
     noise = np.random.default_rng(0).normal
 
     def noisy(parts: np.ndarray) -> Any:
         return 1.0 + noise(scale=1e-10, size=(len(parts), 1))
 
-    assert find_maxima(noisy(PARTS), noisy)[0] == pytest.approx(1.0, abs=1e-9)
+    assert find_maximum_values(noisy(PARTS), noisy)[0] == pytest.approx(1.0, abs=1e-9)
     flat = np.full((256, 1), 0.5)
-    assert find_maxima(flat, lambda parts: np.full((len(parts), 1), 9.0))[0] == 0.5
-    assert find_maxima(np.zeros((8, 0)), lambda parts: np.zeros((len(parts), 0))).shape == (0,)
+    assert find_maximum_values(flat, lambda parts: np.full((len(parts), 1), 9.0))[0] == 0.5
+    assert find_maximum_values(np.zeros((8, 0)), lambda parts: np.zeros((len(parts), 0))).shape == (
+        0,
+    )
 
 
 def test_smooth_tops_and_plateaus_are_evaluated_twice() -> None:
@@ -51,7 +55,7 @@ def test_smooth_tops_and_plateaus_are_evaluated_twice() -> None:
         wave = np.cos(2.0 * np.pi * parts - 0.3)
         return np.column_stack([wave + 0.1 * np.cos(20.0 * np.pi * parts - 3.0), -np.fmax(wave, 0)])
 
-    found = find_maxima(both(PARTS), both)
+    found = find_maximum_values(both(PARTS), both)
     assert len(calls) == 3
     fine = np.linspace(0.04, 0.06, 400_001)
     assert found == pytest.approx([both(fine)[:, 0].max(), 0.0], rel=1e-11)
@@ -75,7 +79,10 @@ def test_random_waves(harmonics: int) -> None:
             first, second = (np.diag(at(place, derivative)) for derivative in (1, 2))
             place = place - first / second
         tops.append(sign * np.diag(at(place)))
-    found = find_maxima(at(PARTS), at), find_maxima(-at(PARTS), lambda parts: -at(parts))
+    found = (
+        find_maximum_values(at(PARTS), at),
+        find_maximum_values(-at(PARTS), lambda parts: -at(parts)),
+    )
     np.testing.assert_allclose(found, tops, rtol=1e-12)
 
 

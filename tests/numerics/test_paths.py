@@ -19,8 +19,8 @@ from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import DenseLinearisation
 from fenics_crack.numerics.newton import (
-    Newton,
     PathPoint,
+    SystemSnes,
     gmres,
     point_on_path,
     solve_at,
@@ -162,7 +162,10 @@ def test_once_round_a_circle() -> None:
     zeros = [at.parameter for event, at in met if event is events[1]]
     assert np.allclose(zeros, [1.0, -1.0], atol=1e-10)
     assert path.end_reason is EndReason.REACHED and path.event is events[2]
-    assert np.allclose(path.last_point.unknown, start.unknown) and path.run() is path.last_point
+    assert (
+        np.allclose(path.last_point.unknown, start.unknown)
+        and path.run_to_terminal_event() is path.last_point
+    )
 
 
 @pytest.mark.parametrize("end", [0.7, -0.4])
@@ -181,7 +184,7 @@ def test_path_ends_where_it_leaves_its_range_and_after_its_steps() -> None:
     plane, start = circle()
     path = Path(plane, start, PathOptions(0.05, max_step=0.3, span=(-0.5, 2.0)))
     assert min(point.parameter for point in path.points()) > -0.5
-    assert path.end_reason is EndReason.RANGE_LEFT and path.run() is None
+    assert path.end_reason is EndReason.RANGE_LEFT and path.run_to_terminal_event() is None
     path = Path(plane, start, PathOptions(0.05, 1.0, max_steps=7))
     assert len(list(path.points())) == 7 and path.end_reason is EndReason.TOO_MANY_POINTS
 
@@ -202,7 +205,7 @@ def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> N
     for most in (2, 99):
         tried.clear()
         path = Path(plane, start, PathOptions(0.1, max_step=0.3), [Target(0.7)])
-        found = path.run()
+        found = path.run_to_terminal_event()
         assert all(after < before for before, after in pairwise(tried))
         if most == 2:
             assert found is not None and found.parameter == 0.7 and len(tried) == 3
@@ -327,11 +330,13 @@ def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     system = equations(kind)
     begun = solve_at(system, system.linear, 0.0, tolerance=1e-12)
     start = point_on_path(system, begun.unknown, 0.0)
-    found = Path(system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]).run()
+    found = Path(
+        system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]
+    ).run_to_terminal_event()
     assert found is not None and found.parameter == 1.0
     near = found.unknown * (1.0 + 1e-3 * np.random.default_rng(0).normal(size=found.unknown.shape))
-    with Newton(system) as newton:
-        at, converged, count = newton.solve(near, 1.0, 1e-12, 20)
+    with SystemSnes(system) as newton:
+        at, converged, count = newton.solve_and_linearise(near, 1.0, 1e-12, 20)
     assert converged and 0 < count < 10
     assert relative(at.unknown, found.unknown) < 1e-10
 

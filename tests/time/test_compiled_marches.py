@@ -100,15 +100,15 @@ def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tup
     rows, static = flow.gap_rows, flow.residual_flexibility + np.diag(flow.softness)
     compliance = static + rows @ pushed
 
-    now = start - flow.steady[0]
+    now = start - flow.steady_states[0]
     force = solve_complementarity(static, rows @ now + flow.linear_gap[0])
     states, forces = [start], [force]
     for step in range(1, steps + 1):
         now = moved @ now - pushed @ force
-        phase = step % flow.steps
+        phase = step % flow.steps_per_period
         force = solve_complementarity(compliance, rows @ now + flow.linear_gap[phase])
         now = now - pushed @ force
-        states.append(now + flow.steady[phase])
+        states.append(now + flow.steady_states[phase])
         forces.append(force)
     return np.array(states), np.array(forces)
 
@@ -152,7 +152,7 @@ def test_product_of_multipliers_without_contact(damping: str) -> None:
     expected = np.exp(-2.0 * np.pi / 0.8 * np.trace(np.linalg.solve(mass, matrix)))
     for steps in (5, 64):
         flow = ExponentialFlow(structure, 0.8, PENALTY, steps)
-        start, units = flow.steady[0], np.eye(len(flow.steady[0]))
+        start, units = flow.steady_states[0], np.eye(len(flow.steady_states[0]))
         found = [flow.advance(start + unit).states[-1] - start for unit in units]
         assert np.linalg.det(found) == pytest.approx(expected, rel=1e-9)
 
@@ -199,8 +199,8 @@ def test_gap_is_that_of_the_coordinates() -> None:
     """B^T u - g0 with contact, and g <= 0 without penetration, zero where there is a force."""
     structure = massless()
     flow = ExponentialFlow(structure, 0.8, RIGID, 50)
-    steps = flow.advance(flow.steady[0], 3)
-    motion = flow.coordinates(steps.states[:-1], steps.forces[:-1])
+    steps = flow.advance(flow.steady_states[0], 3)
+    motion = flow.displacement_from_phase_zero(steps.states[:-1], steps.forces[:-1])
     assert relative(structure.apply_bt(motion) - structure.clearance, steps.gaps[:-1]) < 1e-10
     size = np.abs(steps.gaps[:-1]).max()
     assert steps.gaps[:-1].max() < 1e-12 * size and steps.forces.min() >= 0.0
