@@ -45,7 +45,7 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.balance.assessment import MAX_DISTANCE, Assessment, distance, stated_error
 from fenics_crack.motion.attractors import find_irregular_motion
-from fenics_crack.motion.flow import ContactFlow, exact_flow
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.time.march import initial_state
 
@@ -100,7 +100,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
             harmonics, nan, "not solved", False, nan, nan, "none", 0, "open", nan, "-", "-",
         )  # fmt: skip
     found = fc.floquet(plate, solution)
-    flow, orbit = exact_flow(plate, law), None
+    flow, orbit = exact_flow_or_error(plate, law), None
     start, kind, exact = flow.state(*initial_state(plate, law, solution)), "none", float("nan")
     try:
         orbit = fc.shoot(plate, solution)

@@ -26,7 +26,7 @@ import reference_flow
 from second import INSTANTS
 
 import fenics_crack as fc
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.search import wave_states
 
@@ -43,7 +43,7 @@ def reduced(
     name: str, title: str, structure: fc.Structure, law: Any, omega: float
 ) -> dict[str, Any]:
     """A case by its modes, of a reduced structure of the package whose pairs have no mass."""
-    flow = exact_flow(structure, law)
+    flow = exact_flow_or_error(structure, law)
     stiffness = np.broadcast_to(np.asarray(law.stiffness, float), structure.n_pairs)
     return {
         "format": 1, "name": name, "title": title, "source": OWN,
@@ -145,7 +145,7 @@ def starts(
 
 def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> list[dict[str, Any]]:
     """All orbits found by the exact flow, the largest motion first."""
-    flow, omega = exact_flow(structure, law), case["load"]["omega"]
+    flow, omega = exact_flow_or_error(structure, law), case["load"]["omega"]
     orbits, seen = [], []
     count = flow.n_modes
     for state in starts(flow, structure, law, omega, structure.n_pairs > 3):

@@ -35,7 +35,7 @@ from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.modal import is_small
 from fenics_crack.motion.attractors import Attractor, find_irregular_motion
-from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.orbit import (
     MAX_SEARCH_PERIODS,
     PeriodicOrbit,
@@ -120,7 +120,7 @@ class Assessment:
             return self._flow if self.exact_orbit is None else self.exact_orbit.flow
         if self.wave.contact is None or not self.wave.structure.n_pairs:
             return None
-        return flow_of(self.wave.structure, self.wave.contact)
+        return exact_flow_or_none(self.wave.structure, self.wave.contact)
 
     @property
     def affordable(self) -> bool:
@@ -267,7 +267,7 @@ class Assessment:
         if self.flow is None or reference is None or not is_small(reference):
             return None
         assert wave.contact is not None
-        flow = flow_of(reference, wave.contact)
+        flow = exact_flow_or_none(reference, wave.contact)
         is_searchable = flow is not None and is_affordable(
             flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
         )

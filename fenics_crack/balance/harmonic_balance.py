@@ -56,7 +56,7 @@ from fenics_crack.model.modes import LIP_STATES
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error, exact_flow_or_none
 from fenics_crack.motion.motions import ObservedMotion
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
@@ -458,7 +458,7 @@ def _solve_structure(
 ) -> PeriodicSolution:
     """Return the solution with a structure's present modes, if possible an exact orbit."""
     problem = solver.problem
-    flow = flow_of(problem.structure, problem.contact)
+    flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
         return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
@@ -495,7 +495,7 @@ def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> 
     InputError
         There is no exact flow.
     """
-    flow = exact_flow(problem.structure, problem.contact)
+    flow = exact_flow_or_error(problem.structure, problem.contact)
     return _search_orbit_from_solutions(Solver(problem, throw=False), flow, initial)[1]
 
 

@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, exact_flow
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
@@ -184,7 +184,7 @@ def solve_many(
         )
     cases = np.array(np.broadcast_arrays(*arguments), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
-    n_cases, flow = cases.shape[1], exact_flow(structure, contact)
+    n_cases, flow = cases.shape[1], exact_flow_or_error(structure, contact)
     columns: dict[str, Any] = dict(zip(PARAMETERS, cases, strict=True))
     columns |= {name: np.full(n_cases, "", dtype=object) for name in TEXT_COLUMNS}
     columns |= {name: np.full(n_cases, np.nan) for name in NUMBER_COLUMNS}

@@ -39,7 +39,7 @@ from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
@@ -335,7 +335,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def _common_flow(self) -> ContactFlow | None:
         """Exact flow that all points share; None except over the frequency, or without a flow."""
         is_over_frequency = self.parameter == "omega"
-        return flow_of(self.structure, self.contact) if is_over_frequency else None
+        return exact_flow_or_none(self.structure, self.contact) if is_over_frequency else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """Return the exact orbit at a point; InputError for a harmonic-balance curve."""

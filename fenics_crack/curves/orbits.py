@@ -44,7 +44,7 @@ from fenics_crack.curves.orbit_events import (
     PeriodDoubling,
     leading_multipliers,
 )
-from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow
+from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow_or_error
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
@@ -85,7 +85,7 @@ class Orbits(CurveSystem):
     def _make_flow(self, value: float) -> ContactFlow:
         """Make the exact flow at a parameter value."""
         problem = self.problem_at(value)
-        return exact_flow(problem.structure, problem.contact)
+        return exact_flow_or_error(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
         """Return the exact flow at a parameter value; the last flow is kept."""

@@ -53,7 +53,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import CACHE_BLOCK_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, find_attractor
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
@@ -248,7 +248,7 @@ def shoot(
     check_count("settle", settle, 0)
     assessment, n_load_periods = _assessment_of(structure, solution, contact), solution.subharmonic
     assert assessment.wave.contact is not None
-    flow = exact_flow(structure, assessment.wave.contact)
+    flow = exact_flow_or_error(structure, assessment.wave.contact)
     orbit = None if settle else assessment.orbit
     if orbit is None:
         orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
@@ -315,7 +315,7 @@ def floquet(
     if assessment.flow is None:
         assert law is not None
         if is_unilateral(law) or not is_small(structure):
-            exact_flow(structure, law)  # raises InputError with the reason
+            exact_flow_or_error(structure, law)  # raises InputError with the reason
         return _stability_by_linear_flow(structure, solution, law)
     return stability_of(assessment)
 

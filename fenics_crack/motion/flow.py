@@ -67,7 +67,7 @@ class BudgetError(ConvergenceError):
     """A motion needs more Taylor pieces than its budget."""
 
 
-def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
+def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure, if there is one.
 
     None for a smooth law, for a large structure, and for rigid contact with a singular residual
@@ -78,7 +78,7 @@ def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     )
 
 
-def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
+def exact_flow_or_error(structure: Structure, contact: ContactLaw) -> ContactFlow:
     """Return the exact flow of a structure and a contact law.
 
     Raises

@@ -45,7 +45,7 @@ from fenics_crack.kernel import Struct, kernel, pointer, require_shape
 from fenics_crack.model.contact import ActiveSetSolver, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow
+from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
@@ -178,7 +178,7 @@ class _ByEvents(Scheme):
     name = "events"
 
     def __init__(self, request: March) -> None:
-        self._request, self._flow = request, exact_flow(request.structure, request.contact)
+        self._request, self._flow = request, exact_flow_or_error(request.structure, request.contact)
         self._period = 2.0 * np.pi / request.omega
         fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
         self._instants = fractions * self._period

@@ -37,7 +37,7 @@ from fenics_crack.curves.orbit_events import (
 from fenics_crack.curves.orbits import Orbits
 from fenics_crack.curves.stability import monodromy
 from fenics_crack.model.modal import all_modes
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.newton import point_on_path
@@ -62,7 +62,7 @@ RANGES = {
 
 def orbit_at(problem: fc.Problem) -> PeriodicOrbit:
     """An orbit near the harmonic-balance solution of a problem."""
-    flow, law = exact_flow(problem.structure, problem.contact), problem.contact
+    flow, law = exact_flow_or_error(problem.structure, problem.contact), problem.contact
     for harmonics in (10, 40):
         wave = fc.solve_harmonic_balance(
             problem.structure, problem.omega, law, harmonics=harmonics, throw=False
@@ -150,7 +150,9 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     family = Orbits(problem, parameter, *RANGES[parameter])
     last, there, state = path.points[-1], family.problem_at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
-    orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * state)
+    orbit = find_orbit(
+        exact_flow_or_error(there.structure, there.contact), there.omega, 1.001 * state
+    )
     assert state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
     assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
 

@@ -17,7 +17,7 @@ from fenics_crack import PeriodicOrbit
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.motion import flow as flow_module
 from fenics_crack.motion.attractors import find_attractor
-from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, flow_of
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Track, exact_flow_or_none
 from fenics_crack.motion.orbit import Prediction, find_orbit, predict_motion, predict_orbit
 from fenics_crack.motion.search import SearchOptions, search_orbit, wave_states
 from fenics_crack.motion.shooting import FlowOrbits
@@ -28,7 +28,7 @@ RIGID = fc.UnilateralConstraint()
 
 def known(structure: fc.Structure, contact: object) -> ContactFlow:
     """The flow, which there is."""
-    flow = flow_of(structure, contact)
+    flow = exact_flow_or_none(structure, contact)
     assert flow is not None
     return flow
 
@@ -322,11 +322,13 @@ def test_who_has_a_flow() -> None:
     """The penalty law always, rigid contact where something answers at once, smooth laws never."""
     heavy = chain()
     light = fc.reduce_structure(heavy, modes=4, method="massless")
-    assert flow_of(heavy, fc.UnilateralPenalty(1.0)) is not None
-    assert flow_of(light, RIGID) is not None and flow_of(light, fc.UnilateralPenalty(1.0))
-    assert flow_of(heavy, RIGID) is None
-    assert flow_of(heavy, Cubic(1.0)) is None
-    assert flow_of(heavy, fc.SmoothedPenalty(1.0, 1.0)) is None
+    assert exact_flow_or_none(heavy, fc.UnilateralPenalty(1.0)) is not None
+    assert exact_flow_or_none(light, RIGID) is not None and exact_flow_or_none(
+        light, fc.UnilateralPenalty(1.0)
+    )
+    assert exact_flow_or_none(heavy, RIGID) is None
+    assert exact_flow_or_none(heavy, Cubic(1.0)) is None
+    assert exact_flow_or_none(heavy, fc.SmoothedPenalty(1.0, 1.0)) is None
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.1, 2.0, 2.0 + 1e-9, 4.0])
@@ -462,7 +464,7 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
 
 def test_by_omega() -> None:
     """The orbit moves with the frequency as its derivative says."""
-    flow, omega, step = flow_of(light_chain(1), RIGID), 0.5, 1e-5
+    flow, omega, step = exact_flow_or_none(light_chain(1), RIGID), 0.5, 1e-5
     orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
     here, after, before = (one for one in orbits if one is not None)
     system = FlowOrbits(flow, omega, here.state)
@@ -484,7 +486,7 @@ def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
 def test_coefficients(light: bool) -> None:
     """Gauss's rule between events against very many samples; without contact they are exact."""
     structure: fc.Structure = light_chain(2) if light else chain(pairs=3, seed=2)
-    flow = flow_of(structure, RIGID if light else fc.UnilateralPenalty(20.0))
+    flow = exact_flow_or_none(structure, RIGID if light else fc.UnilateralPenalty(20.0))
     settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     orbit = find_orbit(flow, 0.6, settled)
     assert orbit is not None and orbit.events > 0

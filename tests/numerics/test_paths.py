@@ -14,7 +14,7 @@ from helpers import chain, relative
 
 import fenics_crack as fc
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import DenseLinearisation
@@ -240,7 +240,7 @@ def test_equations_of_a_path(light: bool) -> None:
     structure, contact = chain(pairs=3, seed=2), fc.UnilateralPenalty(20.0)
     if light:
         structure, contact = fc.reduce_structure(structure, modes=6, method="massless"), RIGID
-    flow = flow_of(structure, contact)
+    flow = exact_flow_or_none(structure, contact)
     settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     system, step = FlowOrbits(flow, 0.6, settled), 1e-6
     x = 1.05 * system.start
