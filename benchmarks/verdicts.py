@@ -167,7 +167,7 @@ def by_central_differences(
     """Whether a disturbance of 1 % returns or leaves, by central differences."""
     count = len(orbit.state) // 2
     displacement = orbit.displacement_at(np.zeros(1))[0]
-    velocity = orbit.flow.modes.shapes @ orbit.state[count:]
+    velocity = orbit.flow.modal_model.shapes @ orbit.state[count:]
     # With fewer steps the grid's own error decides where |mu| is within 0.003 of 1.
     steps = 512 * int(np.ceil(8.0 * fc.stable_steps_per_period(plate, omega, law) / 512))
     history = fc.integrate_central_difference(

@@ -140,7 +140,7 @@ class Assessment:
         assert self.flow is not None
         wave, flow = self.wave, self.flow
         states = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
-        if flow.friction:
+        if flow.friction_law:
             time = wave.period / len(states) * np.arange(len(states))
             states[:, 2 * flow.n_modes :] = wave.sticking_places(time)
         return states
@@ -248,7 +248,9 @@ class Assessment:
             errors = UNKNOWN, UNKNOWN
         else:
             assert self.flow is not None
-            change = (step.states - self.states)[:, : self.flow.n_modes] @ self.flow.modes.shapes.T
+            change = (step.states - self.states)[
+                :, : self.flow.n_modes
+            ] @ self.flow.modal_model.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
             errors = step.gap_error, _change_at_load(wave, change, wave.coordinates(time))
             errors = (stated_error(errors[0]), stated_error(errors[1])) if search else errors

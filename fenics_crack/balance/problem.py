@@ -152,7 +152,7 @@ class Problem:
     structure: Structure
     omega: float
     contact: ContactLaw
-    harmonics: int = SearchOptions.harmonics[0]
+    harmonics: int = SearchOptions.guess_harmonic_counts[0]
     samples: int | None = None
     subharmonic: int = 1
     static_above: float | None = None
@@ -447,7 +447,7 @@ class Search:
             for start in self._ladder(starts):
                 begin(start.name)
                 iterations_before = self.iterations
-                for guess in start.candidates():
+                for guess in start.generate_guesses():
                     point = self._take_newton_steps(snes, guess)
                     if self.has_converged or self._is_spent:
                         break
@@ -554,7 +554,7 @@ class Search:
     @property
     def _min_harmonics_for_orbit_start(self) -> int:
         """Return the number of harmonics above which an exact orbit is tried first."""
-        return self.problem.response_harmonics(SearchOptions.harmonics[-1])
+        return self.problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
 
     def _guesses_near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
         """Yield a guess, then the point that shortened steps reach from it."""

@@ -385,7 +385,7 @@ class Solver:
         budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if known.
         """
         compliance = self.problem.compliance()
-        share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
+        share = 1.0 if wholly else 1.0 / len(SearchOptions.guess_harmonic_counts)
         try:
             problem = self.problem.with_weight(compliance)
             search, end_point, wave = replace(self, problem=problem).find(

@@ -503,7 +503,7 @@ def _find_start_orbit(
         check_initial(problem, initial)
     search = initial_orbit(problem, initial)
     if search.orbit is None:
-        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
+        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search.outcome_text}"
         advice_words = (
             "with harmonics in place of a tolerance the curve of harmonic balance is followed"
         )

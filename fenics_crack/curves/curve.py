@@ -61,7 +61,7 @@ PARAMETERS = {
 }
 """Parameters of a curve, with their units, by name (:attr:`ResponseCurve.parameter`)."""
 
-MIN_HARMONICS = SearchOptions.harmonics[0]
+MIN_HARMONICS = SearchOptions.guess_harmonic_counts[0]
 """Minimum harmonics of the load frequency in a solution of exact orbits."""
 INSTANTS_PER_PERIOD = 256
 """Instants per period at which points of a curve are evaluated."""

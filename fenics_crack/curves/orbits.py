@@ -158,7 +158,7 @@ class Orbits(CurveSystem):
         The given states are in the modes at the curve's start. Shape: (n_unknowns,
         n_unknowns).
         """
-        modal_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
+        modal_change = self.flow(value).modal_model.inverse @ self._start_flow.modal_model.shapes
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_change, modal_change, friction_identity)
 
@@ -191,7 +191,7 @@ class Orbits(CurveSystem):
         is_over_damping = self.name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
         if self.name in ("stiffness", "speed", "friction") or (
-            is_over_damping and self._start_flow.friction
+            is_over_damping and self._start_flow.friction_law
         ):
             return None
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
@@ -206,8 +206,8 @@ class Orbits(CurveSystem):
             # The kernel changes this flow, so it is not shared.
             flow = self._make_flow(max(self.start, self.end) if is_over_damping else self.start)
             if is_over_damping:
-                damping_change = end_flow.modes.damping - start_flow.modes.damping
-                damping = start_flow.modes.damping
+                damping_change = end_flow.modal_model.damping - start_flow.modal_model.damping
+                damping = start_flow.modal_model.damping
                 kernel_fields |= {"damping": as_doubles(damping), "n_damping": damping.size}
                 kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
@@ -248,7 +248,7 @@ class Orbits(CurveSystem):
             return np.asarray(self.scale[:, None] * tangent / self.scale)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed" or self._start_flow.friction:
+            if self.name == "speed" or self._start_flow.friction_law:
                 step = FORWARD_STEP if parameter < 0.5 else -FORWARD_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)

@@ -62,7 +62,7 @@ from fenics_crack.motion.orbit import (
     find_orbit,
     is_same_orbit,
 )
-from fenics_crack.motion.search import ORBIT_STARTS, SearchOptions, search_orbit
+from fenics_crack.motion.search import ORBIT_STARTS_BY_NAME, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
@@ -254,11 +254,11 @@ def shoot(
         orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
         settled_unknown = orbits.start
         for _ in range(settle):
-            settled_unknown = orbits.advance_period(settled_unknown, 1.0)
+            settled_unknown = orbits.unknown_after_period(settled_unknown, 1.0)
         start_state = orbits.state(settled_unknown)
         orbit = search_orbit(
             flow, solution.omega, [start_state[None]], n_load_periods, prefer_stable=False,
-            starts=(ORBIT_STARTS["guesses"], ORBIT_STARTS["path"]),
+            starts=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
         ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         refined_orbit = find_orbit(

@@ -114,9 +114,9 @@ def find_attractor(
     start : (flow.size,)
         State at phase zero, in the scaled unknowns x of ``orbits``.
     max_periods : int, optional
-        Default: a quarter of ``SearchOptions.evaluations``, for any number of modes.
+        Default: a quarter of ``SearchOptions.period_budget``, for any number of modes.
     """
-    max_periods = SearchOptions.evaluations // 4 if max_periods is None else max_periods
+    max_periods = SearchOptions.period_budget // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
     begin(f"the exact motion over up to {max_periods} periods")
     states, next_states = start[None], follow_periods(orbits, start, max_periods)

@@ -125,9 +125,11 @@ class Flow:
     ----------
     structure : Structure
     contact : ContactLaw
+    friction_law : CoulombFriction or None
+        Friction in the contact law.
     clearance : (n_rows,) [m]
         g0 of the rows; 0 for tangents.
-    modes : AllModes
+    modal_model : AllModes
         Moving modes; their pairs are the contact rows.
     n_modes, size : int
         Number of modes, and of entries in a state.
@@ -145,12 +147,12 @@ class Flow:
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
-        self.friction = friction_of(contact)
+        self.friction_law = friction_of(contact)
         contact_structure = add_friction_pairs(contact, structure)
         self.clearance = contact_structure.clearance
-        self.modes = modes = all_modes(contact_structure)
+        self.modal_model = modes = all_modes(contact_structure)
         self.n_modes = len(modes.squares)
-        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction else 0)
+        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
         self.residual_flexibility = modes.static_part()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
@@ -168,11 +170,11 @@ class Flow:
         ``places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the tangential gaps
         without contact forces.
         """
-        inverse, n_pairs = self.modes.inverse.T, self.structure.n_pairs
+        inverse, n_pairs = self.modal_model.inverse.T, self.structure.n_pairs
         parts = [displacement @ inverse, velocity @ inverse]
-        if self.friction:
+        if self.friction_law:
             if places is None:
-                places = parts[0] @ self.modes.pairs[:, n_pairs:] + self.load_gap[0, n_pairs:]
+                places = parts[0] @ self.modal_model.pairs[:, n_pairs:] + self.load_gap[0, n_pairs:]
             parts.append(places)
         return np.concatenate(parts, axis=-1)
 
@@ -222,7 +224,7 @@ class Flow:
         rows : (m, n_dofs), optional
             Factors; return products of rows with the displacement instead: (n, m).
         """
-        modes = self.modes
+        modes = self.modal_model
 
         def select(motions: np.ndarray) -> np.ndarray:
             """Return the requested rows of motions (n_dofs, k)."""
@@ -243,7 +245,7 @@ class ContactFlow(Flow):
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
-        modes, n_pairs = self.modes, structure.n_pairs
+        modes, n_pairs = self.modal_model, structure.n_pairs
         closed_forces = np.linalg.solve(self.compliance, modes.pairs.T)
         stiffness = np.diag(modes.squares) + modes.pairs @ closed_forces
         self.max_rate = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
@@ -251,8 +253,8 @@ class ContactFlow(Flow):
         self.max_open_rate = _bound_rates(float(modes.squares.max()), modes.damping)
         """Upper bound of these rates while all pairs are open [1/s]."""
         coefficients = None
-        if self.friction:
-            coefficients = np.broadcast_to(self.friction.coefficient, n_pairs).astype(float)
+        if self.friction_law:
+            coefficients = np.broadcast_to(self.friction_law.coefficient, n_pairs).astype(float)
         parts = Struct(
             "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=coefficients,
             coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
@@ -303,7 +305,7 @@ class ContactFlow(Flow):
 
         The state has no rigid-body motion, and no tangential forces.
         """
-        modes, n_pairs = self.modes, self.structure.n_pairs
+        modes, n_pairs = self.modal_model, self.structure.n_pairs
         modal_flexibility = np.zeros_like(modes.squares)
         np.divide(1.0, modes.squares, out=modal_flexibility, where=modes.squares > 0.0)
         normals, compliance = modes.pairs[:, :n_pairs], self.compliance[:, :n_pairs]
@@ -322,7 +324,7 @@ class ContactFlow(Flow):
             force = nnls(cholesky_factor.T, np.linalg.solve(cholesky_factor, gap))[0]
             displacement = displacement - displacement_by_force @ force
         parts = [displacement, np.zeros_like(displacement)]
-        if self.friction:
+        if self.friction_law:
             parts.append(
                 (displacement @ modes.pairs + self.load_gap[0] - compliance @ force)[n_pairs:]
             )
@@ -342,8 +344,8 @@ class ContactFlow(Flow):
         ``base_omega``.
         """
         weights = np.ones(self.size)
-        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=weights[: self.n_modes])
-        if self.friction:  # h deforms a spring as stiff as a single sticking pair
+        np.sqrt(np.maximum(self.modal_model.squares, base_omega**2), out=weights[: self.n_modes])
+        if self.friction_law:  # h deforms a spring as stiff as a single sticking pair
             stick_compliance = np.diag(self.compliance)[self.structure.n_pairs :]
             weights[2 * self.n_modes :] = 1.0 / np.sqrt(stick_compliance)
         return weights
@@ -391,7 +393,7 @@ class ContactFlow(Flow):
         instants = np.zeros(0) if instants is None else as_doubles(instants)
         n_instants, n_rows, n_pairs = len(instants), len(self.softness), self.structure.n_pairs
         states = np.empty((n_instants, 2 * self.n_modes))
-        answers = np.empty((n_instants, 2 * n_rows if self.friction else n_rows))
+        answers = np.empty((n_instants, 2 * n_rows if self.friction_law else n_rows))
         pair_states = np.empty((n_instants, n_pairs), dtype=np.int8)
         motion_struct, copy_track = self._make_motion_struct(
             budget, omega=omega, time=start, end=start + duration, state=end_state,
@@ -457,7 +459,7 @@ class ContactFlow(Flow):
             self._max_intervals = max_intervals = budget.intervals
             sets = np.empty((max_intervals, self.structure.n_pairs), np.int8)
             self._track_arrays = {"sets": sets, "lengths": np.empty(max_intervals)}
-            if self.friction:
+            if self.friction_law:
                 friction_kinds = {"causes": np.intc, "is_first": np.int8, "ratios": float}
                 self._track_arrays |= {
                     name: np.empty(max_intervals, kind) for name, kind in friction_kinds.items()
@@ -610,7 +612,7 @@ class Samples:
     @cached_property
     def forces(self) -> np.ndarray:
         """Return normal contact forces, with friction then friction forces: (n, n_rows) [N]."""
-        if self.flow.friction:
+        if self.flow.friction_law:
             return self.answers[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.answers, 0.0), 0.0)
 
@@ -618,7 +620,7 @@ class Samples:
     def gaps(self) -> np.ndarray:
         """Return normal gaps, with friction then tangential gaps: (n, n_rows) [m]."""
         spring_gaps = self.forces * self.flow.softness
-        if self.flow.friction:
+        if self.flow.friction_law:
             return self.answers[:, len(self.flow.softness) :] + spring_gaps
         return np.where(self.is_closed, spring_gaps, -self.answers)
 

@@ -289,12 +289,12 @@ class PeriodicOrbit(ObservedMotion, Described):
             fourier_coefficients(motion, OBSERVED_HARMONICS),
             motion, gap, force,
             structure=self.structure,
-            friction=getattr(self.flow.friction, "coefficient", None),
+            friction=getattr(self.flow.friction_law, "coefficient", None),
             evaluate=evaluate,
             exact_numbers=exact_numbers,
         )  # fmt: skip
 
-    def coefficients(self, harmonics: int) -> OrbitCoefficients:
+    def coefficients(self, harmonics: int) -> RealFourierCoefficients:
         """Return Fourier coefficients of gaps, contact forces and displacements.
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
@@ -309,7 +309,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         load_rows = np.arange(len(self.flow.modal_load)) + 2 * orders * (self.subharmonic - 1)
         load_basis = np.equal.outer(np.arange(len(coefficients)), load_rows).astype(float)
         displacement = self.flow.combine_displacement(modal_displacement, force, load_basis)
-        return OrbitCoefficients(gap, force, displacement)
+        return RealFourierCoefficients(gap, force, displacement)
 
     def product_coefficients(self, rows: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients of rows times the displacement: (2H+1, m).
@@ -390,11 +390,11 @@ class PeriodicOrbit(ObservedMotion, Described):
         load = fourier_basis_for(flow.modal_load, self.omega * samples.time)
         velocities = samples.states[:, flow.n_modes :]
         time_weights = (0.5 * piece_lengths[:, None] * weights).ravel()
-        damping_power = np.sum(velocities * flow.modes.damping_force(velocities), axis=1)
+        damping_power = np.sum(velocities * flow.modal_model.damping_force(velocities), axis=1)
         damping_work = float(time_weights @ damping_power)
         n_pairs = flow.structure.n_pairs
         friction_work = np.zeros(n_pairs)
-        if flow.friction:
+        if flow.friction_law:
             friction_work = integrate_power(samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:])
         load_work = float(integrate_power(load, samples.products(flow.structure.force)).sum())
         return Work(load_work, damping_work, friction_work)
@@ -406,7 +406,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         Keys are names of :class:`Indicators`. The shares are fractions of the period, as means over
         the pairs. Without friction the dictionary is empty.
         """
-        if not self.flow.friction:
+        if not self.flow.friction_law:
             return {}
         track = self.motion.track
         return {
@@ -423,7 +423,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         part in the multipliers.
         """
         sets = self.motion.track.sets
-        sticks_always = self.flow.friction is not None and np.all(sets == kernel.STICK, axis=0)
+        sticks_always = self.flow.friction_law is not None and np.all(sets == kernel.STICK, axis=0)
         return np.flatnonzero(sticks_always)
 
     # --- shown ------------------------------------------------------------------------------------
@@ -483,7 +483,7 @@ def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return nodes, weights, np.linalg.solve(values.T, slope_values.T).T
 
 
-class OrbitCoefficients(NamedTuple):
+class RealFourierCoefficients(NamedTuple):
     """Fourier coefficients of an orbit: rows a0, a1, b1, ....
 
     Attributes
@@ -584,8 +584,8 @@ def predict_orbit(
         changes = track.carry_changes(inverse(change, FORCING_TERM), excess, interval_counts)[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    gap = states[:, : flow.n_modes] @ flow.modes.pairs
-    gap_change = changes[:, : flow.n_modes] @ flow.modes.pairs
+    gap = states[:, : flow.n_modes] @ flow.modal_model.pairs
+    gap_change = changes[:, : flow.n_modes] @ flow.modal_model.pairs
     return Prediction(relative_to_motion(gap_change, gap), states + changes, track, inverse)
 
 

@@ -1,6 +1,6 @@
 """Search for a periodic orbit: a ladder of starts, and a budget.
 
-The search climbs :data:`ORBIT_STARTS` until a :class:`Start` leads to an orbit:
+The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`Start` leads to an orbit:
 
 1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
    harmonics. Nearly all guesses lead to an orbit.
@@ -51,9 +51,9 @@ from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_peri
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
-SEGMENTS = 32
+SEGMENTS_PER_PERIOD = 32
 """Multiple-shooting segments per period."""
-SEGMENT_STARTS = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS)
+SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
 """Samples of an orbit at which its segments begin."""
 PIECES_PER_PERIOD = 200
 """Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
@@ -67,9 +67,9 @@ class SearchOptions:
 
     Attributes
     ----------
-    harmonics : tuple of int
+    guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
-    evaluations : int
+    period_budget : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
         are for the path, a quarter for the motion, and the rest for orbits near close returns. A
         period has 200 Taylor pieces and 12 modes; other sizes count by time, proportional to pieces
@@ -77,13 +77,13 @@ class SearchOptions:
         quarters are allowed, for one to three seconds.
     """
 
-    harmonics: tuple[int, ...] = (5, 10, 20, 40)
-    evaluations: int = 4000
+    guess_harmonic_counts: tuple[int, ...] = (5, 10, 20, 40)
+    period_budget: int = 4000
 
     @classmethod
     def pieces(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, in pieces with a Taylor series."""
-        n_periods = (0.75 if flow.friction else 1.0) * cls.evaluations
+        n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
     @classmethod
@@ -98,12 +98,12 @@ class Start(NamedTuple):
     Attributes
     ----------
     name : str
-    candidates : callable
+    generate_guesses : callable
         Returns guesses, or orbits, made on demand.
     """
 
     name: str
-    candidates: Callable[..., Iterable[Any]]
+    generate_guesses: Callable[..., Iterable[Any]]
 
 
 class OrbitSearch(NamedTuple):
@@ -115,13 +115,13 @@ class OrbitSearch(NamedTuple):
         A stable orbit if the search met one, else the first orbit.
     other_orbits : tuple of PeriodicOrbit
         Further orbits.
-    reason : str
+    outcome_text : str
         How the orbit was found, or why the attempts failed and how the motion behaves.
     """
 
     orbit: PeriodicOrbit | None
     other_orbits: tuple[PeriodicOrbit, ...]
-    reason: str
+    outcome_text: str
 
 
 def search_orbit(
@@ -142,7 +142,7 @@ def search_orbit(
     prefer_stable : bool
         Continue after an unstable orbit. A stable orbit then comes first.
     starts : iterable of Start
-        Some of :data:`ORBIT_STARTS`; default: all.
+        Some of :data:`ORBIT_STARTS_BY_NAME`; default: all.
 
     Returns
     -------
@@ -150,9 +150,9 @@ def search_orbit(
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
     task = _SearchTask(flow, omega, guesses, subharmonic, prefer_stable)
-    for start in starts or ORBIT_STARTS.values():
+    for start in starts or ORBIT_STARTS_BY_NAME.values():
         begin(start.name)
-        if orbits := [*start.candidates(task)]:
+        if orbits := [*start.generate_guesses(task)]:
             return OrbitSearch(orbits[0], tuple(orbits[1:]), start.name)
     return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
 
@@ -226,7 +226,7 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
     base_omega : float
         Frequency of the first harmonic [rad/s].
     """
-    basis = fourier_basis_over_period(len(displacement) // 2, SEGMENTS)
+    basis = fourier_basis_over_period(len(displacement) // 2, SEGMENTS_PER_PERIOD)
     velocity = differentiate(displacement, base_omega)
     return flow.state(basis @ displacement, basis @ velocity)
 
@@ -334,7 +334,7 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
         remaining_pieces -= MAX_SEARCH_PERIODS // 2 * max(PIECES_PER_PERIOD, orbits.pieces)
 
 
-ORBIT_STARTS = {
+ORBIT_STARTS_BY_NAME = {
     "guesses": Start("exact orbit by Newton's method", _find_from_guesses),
     "steps": Start("exact orbit by a step of the whole motion", _find_by_steps),
     "path": Start("exact orbit along a path from the motion", _find_along_path),
@@ -354,7 +354,7 @@ def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Itera
         for _ in range(periods):
             if remaining_pieces <= 0:
                 return
-            state = orbits.advance_period(state, 1.0)
+            state = orbits.unknown_after_period(state, 1.0)
             remaining_pieces -= orbits.pieces
             yield state
 

@@ -103,7 +103,7 @@ class ShootingEquations(Equations):
         self._struct = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.n_modes,
             harmonics=len(flow.modal_load) // 2,
-            pairs=flow.structure.n_pairs, friction=flow.friction is not None,
+            pairs=flow.structure.n_pairs, friction=flow.friction_law is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.pieces,
             max_intervals=Budget.intervals, **arrays,
@@ -124,7 +124,7 @@ class ShootingEquations(Equations):
         self._evaluate(unknown, parameter)
         return self.linearise_evaluated(unknown, parameter)
 
-    def advance_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+    def unknown_after_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """Return the unknowns x + F after a period from x."""
         self._evaluate(unknown, parameter)
         return unknown + self._residual()

@@ -168,8 +168,8 @@ def _displacement_and_velocity(
     ``motion`` is the displacement. With friction the sticking places (n_pairs,) [m] follow.
     """
     _, rate, places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
-    motion_parts = motion.copy(), flow.modes.shapes @ rate
-    return (*motion_parts, places.copy()) if flow.friction else motion_parts
+    motion_parts = motion.copy(), flow.modal_model.shapes @ rate
+    return (*motion_parts, places.copy()) if flow.friction_law else motion_parts
 
 
 class _ByEvents(Scheme):
@@ -224,7 +224,7 @@ class ExponentialFlow(Flow):
         check_exact(structure, contact)
         super().__init__(structure, contact)
         self.omega, self.steps, self.step_size = omega, steps, 2.0 * np.pi / omega / steps
-        modes, (n_modes, n_rows) = self.modes, self.modes.pairs.shape
+        modes, (n_modes, n_rows) = self.modal_model, self.modal_model.pairs.shape
         transition, response = modes.transition(self.step_size)
         half_response = 0.5 * response  # Gamma
         gap_response = modes.pairs.T @ half_response[:n_modes]
@@ -277,7 +277,7 @@ class ExponentialFlow(Flow):
         is_closed = np.empty((total + 1, pairs), dtype=np.int8)
         states[0] = state
         gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
-        if self.friction:
+        if self.friction_law:
             forces[:1], is_closed[:1], sticking_places, _ = self._initial_friction.solve(
                 gap[None], places
             )
@@ -290,7 +290,7 @@ class ExponentialFlow(Flow):
             raise ConvergenceError(
                 f"exponential: the contact forces of step {n_steps + 1} were not found"
             )
-        places = self._sticking_places.copy() if self.friction else places
+        places = self._sticking_places.copy() if self.friction_law else places
         return Steps(self, states, forces, is_closed > 0, np.append(states[-1], places))
 
 
@@ -328,7 +328,7 @@ class Steps:
     def friction_loss(self) -> float:
         """Energy that friction dissipates over all steps, by their mean forces [J]."""
         flow, count = self.flow, self.flow.structure.n_pairs
-        if not flow.friction:
+        if not flow.friction_law:
             return 0.0
         force = self.forces[:, count:]
         places = self.gaps[:, count:] - flow.softness[count:] * force
@@ -360,9 +360,9 @@ class _ByExponentials(Scheme):
         if number == 0:
             self._energy_input = self._energy(steps, 0)
             self._missing_energy = -self._energy_input
-        modal_velocity = states[:, len(flow.modes.squares) :]
+        modal_velocity = states[:, len(flow.modal_model.squares) :]
         damping_power = np.einsum(
-            "nj,nj->n", flow.modes.damping_force(modal_velocity), modal_velocity
+            "nj,nj->n", flow.modal_model.damping_force(modal_velocity), modal_velocity
         )
         load_work = float(np.sum(self._means * np.diff(load_motion, axis=0)))
         self._energy_input += abs(load_work)
@@ -379,7 +379,7 @@ class _ByExponentials(Scheme):
         flow = self._flow
         motion = flow.coordinates(steps.states[[instant]], steps.forces[[instant]])[0]
         doubled_elastic_energy = motion @ multiply(flow.structure.stiffness, motion[:, None])[:, 0]
-        modal_velocity = steps.states[instant, len(flow.modes.squares) :]
+        modal_velocity = steps.states[instant, len(flow.modal_model.squares) :]
         doubled_spring_energy = np.sum(flow.softness * steps.forces[instant] ** 2)
         return 0.5 * float(
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy

@@ -312,7 +312,7 @@ def test_bifurcations_by_the_reference_flow(stop: Continuation) -> None:
     assert found[-1].kind == "fold" and np.abs(found[-1].multipliers - 1.0).min() > 1e-4
     flow = ReferenceFlow(two_masses(), LAW)
     for one in found[:-1]:
-        shapes = one.orbit.flow.modes.shapes
+        shapes = one.orbit.flow.modal_model.shapes
         state = flow.state(*(shapes @ part for part in np.split(one.orbit.state, 2)))
         passage = flow.advance(state, one.value, 0.0, 2.0 * np.pi / one.value)
         assert passage.state == pytest.approx(state, abs=1e-8)

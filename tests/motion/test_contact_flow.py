@@ -37,7 +37,7 @@ def reference_of(
     structure: fc.Structure, contact: object, flow: ContactFlow
 ) -> tuple[ReferenceFlow, np.ndarray]:
     """Return a flow that shares no code, and the matrix from a flow's states to its states."""
-    reference, shapes = ReferenceFlow(structure, contact), flow.modes.shapes
+    reference, shapes = ReferenceFlow(structure, contact), flow.modal_model.shapes
     units = (np.split(unit, 2) for unit in np.eye(flow.size))
     return reference, np.column_stack(
         [reference.state(shapes @ shape, shapes @ rate) for shape, rate in units]
@@ -48,7 +48,7 @@ def thrown(flow: ContactFlow, seed: int = 0) -> np.ndarray:
     """A random state."""
     random = np.random.default_rng(seed)
     return random.normal(size=flow.size) / np.concatenate(
-        [np.sqrt(np.maximum(flow.modes.squares, 0.1)), np.ones(flow.size // 2)]
+        [np.sqrt(np.maximum(flow.modal_model.squares, 0.1)), np.ones(flow.size // 2)]
     )
 
 
@@ -57,7 +57,7 @@ def energy(flow: ContactFlow, motion: Motion) -> np.ndarray:
     samples = motion.samples
     shape, rate = np.split(samples.states, 2, axis=1)
     slow = samples.gap + samples.force @ flow.residual_flexibility
-    return 0.5 * (shape**2 @ flow.modes.squares + (rate**2).sum(axis=1)) + 0.5 * (
+    return 0.5 * (shape**2 @ flow.modal_model.squares + (rate**2).sum(axis=1)) + 0.5 * (
         samples.force * slow
     ).sum(axis=1)
 
@@ -116,7 +116,7 @@ def test_energy(light: bool) -> None:
         structure = fc.reduce_structure(structure, modes=12, method="massless")
         contact = RIGID
     flow = known(structure, contact)
-    period = 2.0 * np.pi / np.sqrt(flow.modes.squares[0])
+    period = 2.0 * np.pi / np.sqrt(flow.modal_model.squares[0])
     instants = np.linspace(0.0, 20.0 * period, 500)
     motion = flow.advance(thrown(flow), 1.0, 20.0 * period, instants=instants)
     assert motion.events > 500
@@ -222,7 +222,7 @@ def test_almost_equal_structures() -> None:
         flow = known(structure, fc.UnilateralPenalty(40.0))
         rest = np.resize(np.linspace(-1, 1, 10), structure.n_dofs)
         motion = flow.advance(flow.state(rest, 0.0 * rest), 0.7, 18.0)
-        to_dofs = np.kron(np.eye(2), flow.modes.shapes)
+        to_dofs = np.kron(np.eye(2), flow.modal_model.shapes)
         motions.append((motion.events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
     (events, tangent), *parts = motions
     assert events == sum(part[0] for part in parts) > 20
@@ -273,7 +273,7 @@ def test_answers_of_sets(pairs: int) -> None:
     instants = np.linspace(0.0, 30.0, 200)
     samples = flow.advance(thrown(flow), omega, 30.0, instants=instants).samples
     gaps = (
-        samples.states[:, : flow.size // 2] @ flow.modes.pairs
+        samples.states[:, : flow.size // 2] @ flow.modal_model.pairs
         + fourier_basis(omega * instants) @ flow.load_gap
     )
     assert len(np.unique(samples.is_closed, axis=0)) > min(pairs, 10)
@@ -339,11 +339,11 @@ def test_derivative_while_all_pairs_are_open(damping: float) -> None:
         damping=damping * np.eye(2),
     )  # fmt: skip
     flow = known(structure, fc.UnilateralPenalty(1.0))
-    assert flow.modes.damping.ndim == 1
+    assert flow.modal_model.damping.ndim == 1
     matrix = np.block(
         [
             [np.zeros((2, 2)), np.eye(2)],
-            [-np.diag(flow.modes.squares), -np.diag(flow.modes.damping)],
+            [-np.diag(flow.modal_model.squares), -np.diag(flow.modal_model.damping)],
         ]
     )
     tangent = flow.advance(thrown(flow), 0.3, 20.0).track.tangent
@@ -355,18 +355,18 @@ def test_derivative_along_short_sets(turn: float) -> None:
     """The product of the exponentials of the sets, of which some last for a turn of the fastest
     motion [rad] by which they are added as kicks, with others before, between and after them."""
     flow = known(light_chain(3), RIGID)
-    assert flow.modes.damping.ndim == 1 and flow.structure.n_pairs == 5
+    assert flow.modal_model.damping.ndim == 1 and flow.structure.n_pairs == 5
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
     lengths = turns * turn / flow.max_rate
-    expected, pairs = np.eye(flow.size), flow.modes.pairs
+    expected, pairs = np.eye(flow.size), flow.modal_model.pairs
     for closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, closed]
         pushed = np.linalg.solve(flow.compliance[np.ix_(closed, closed)], rows.T)
         matrix = np.zeros((2, flow.n_modes, 2, flow.n_modes))
         matrix[0, :, 1] = np.eye(flow.n_modes)
-        matrix[1, :, 0] = -np.diag(flow.modes.squares) - rows @ pushed
-        matrix[1, :, 1] = -np.diag(flow.modes.damping)
+        matrix[1, :, 0] = -np.diag(flow.modal_model.squares) - rows @ pushed
+        matrix[1, :, 1] = -np.diag(flow.modal_model.damping)
         expected = scipy.linalg.expm(length * matrix.reshape(expected.shape)) @ expected
     unit = np.repeat([flow.max_rate, 1.0], flow.n_modes)
     tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
@@ -530,11 +530,11 @@ def test_search_without_guesses(monkeypatch: pytest.MonkeyPatch) -> None:
     )  # fmt: skip
     found = search_orbit(known(wandering, fc.UnilateralPenalty(900.0)), 2.6445, (), 3)
     assert found.orbit is not None and not found.orbit.is_stable and found.orbit.residual < 1e-6
-    assert found.reason == "exact orbit by following the motion"
+    assert found.outcome_text == "exact orbit by following the motion"
     driven = known(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
-    monkeypatch.setattr(SearchOptions, "evaluations", 300)
+    monkeypatch.setattr(SearchOptions, "period_budget", 300)
     found = search_orbit(driven, 1.0, (), 3)
-    words = re.search(r"followed for (\d+) periods of the load, .* after (\d+)", found.reason)
+    words = re.search(r"followed for (\d+) periods of the load, .* after (\d+)", found.outcome_text)
     assert found.orbit is None and words is not None
     assert int(words[1]) % 3 == 0 and int(words[2]) % 3 == 0
 
