@@ -783,7 +783,10 @@ def find_sliding_lines(
     assert tangents is not None
     [record] = motion.records(tangents.T.toarray())
     pairs = motion.structure.n_pairs
-    slip, force = record.motion.reshape(len(record.motion), 2, pairs), record.force[:, :pairs]
+    slip, force = (
+        record.row_products.reshape(len(record.row_products), 2, pairs),
+        record.force[:, :pairs],
+    )
     slip_change = np.roll(slip, -1, axis=0) - slip
     weight = np.maximum(0.5 * (np.roll(force, -1, axis=0) + force), 0.0)
     work = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, weight)

@@ -209,9 +209,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         yield Record(
             self.omega, self.subharmonic, self.period * fractions, waves, motion, gap, force,
             structure=self.structure,
-            friction=friction,
+            friction_coefficient=friction,
             # Friction forces follow from earlier ones.
-            evaluate=evaluate_at if friction is None else None,
+            evaluate_at_period_fractions=evaluate_at if friction is None else None,
             exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 

@@ -527,7 +527,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         None stands for the watched dof.
         """
-        return self.observe([dof])[0][0].coefficients
+        return self.observe([dof])[0][0].real_fourier_coefficients
 
     def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)

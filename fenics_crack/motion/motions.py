@@ -128,18 +128,17 @@ class Record:
         Equally spaced.
     coefficients : (2H+1, m)
         Fourier coefficients of the products over the period, or over the last period.
-    motion : (n, m)
+    row_products : (n, m)
         Products at the n instants. For a row that selects a dof: its displacement [m].
     gap, force : (n, n_rows) [m], [N]
         Gaps and contact forces of all pairs; with friction tangential rows follow the normal rows.
     structure : Structure
         Structure at the parameter of the curve.
-    friction : float or (n_pairs,), optional
-        Friction coefficient.
-    evaluate : callable, optional
+    friction_coefficient : float or (n_pairs,), optional
+    evaluate_at_period_fractions : callable, optional
         Callable from positions in the period, 0 to 1, to products, gaps and forces. Extremes are
         then exact to rounding.
-    steps : int
+    instants_per_load_period : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
     exact_numbers : dict of str to float
         Numbers of the crack faces, known more accurately than from the instants.
@@ -149,19 +148,23 @@ class Record:
     subharmonic: int
     time: np.ndarray
     coefficients: np.ndarray
-    motion: np.ndarray
+    row_products: np.ndarray
     gap: np.ndarray
     force: np.ndarray
     structure: Structure
-    friction: float | np.ndarray | None = None
-    evaluate: RecordFunction | None = None
-    steps: int = 0
+    friction_coefficient: float | np.ndarray | None = None
+    evaluate_at_period_fractions: RecordFunction | None = None
+    instants_per_load_period: int = 0
     exact_numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def periods(self) -> float:
         """Return the number of load periods in the record."""
-        return (len(self.time) - 1) / self.steps if self.steps else self.subharmonic
+        return (
+            (len(self.time) - 1) / self.instants_per_load_period
+            if self.instants_per_load_period
+            else self.subharmonic
+        )
 
     @property
     def n_pairs(self) -> int:
@@ -169,19 +172,19 @@ class Record:
 
         0 if the record has no gaps because the crack faces' numbers are known already.
         """
-        return self.gap.shape[1] // (1 if self.friction is None else 2)
+        return self.gap.shape[1] // (1 if self.friction_coefficient is None else 2)
 
     def last_periods(self, periods: int) -> Record:
         """Return the record of the last load periods, if it has several."""
-        if not self.steps:
+        if not self.instants_per_load_period:
             return self
-        last_instants = slice(-periods * self.steps, None)
-        names = "time", "motion", "gap", "force"
+        last_instants = slice(-periods * self.instants_per_load_period, None)
+        names = "time", "row_products", "gap", "force"
         return replace(self, **{name: getattr(self, name)[last_instants] for name in names})
 
     def select_rows(self, rows: slice) -> Record:
         """Return the record with some of its m products of rows with the displacement."""
-        evaluate_all = self.evaluate
+        evaluate_all = self.evaluate_at_period_fractions
         evaluate = evaluate_all and (
             lambda period_fractions: (
                 (arrays := evaluate_all(period_fractions))[0][:, rows],
@@ -191,26 +194,30 @@ class Record:
         return replace(
             self,
             coefficients=self.coefficients[:, rows],
-            motion=self.motion[:, rows],
-            evaluate=evaluate,
+            row_products=self.row_products[:, rows],
+            evaluate_at_period_fractions=evaluate,
         )
 
     @cached_property
-    def pairs_of_cracks(self) -> np.ndarray:
+    def is_pair_in_crack(self) -> np.ndarray:
         """Return True for the pairs of each crack: (n_pairs, n_cracks)."""
         cracks = self.structure.pairs.cracks
         crack_numbers = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
         return crack_numbers[:, None] == np.unique(crack_numbers)
 
     @cached_property
-    def maxima(self) -> np.ndarray:
+    def row_and_face_maxima(self) -> np.ndarray:
         """Return the maxima over time in the record: (2 m,) or (2 m + 4,).
 
         First the maxima of the m products of rows with the displacement, then of the negative
         products. With contact pairs four maxima follow: opening, penetration [m], contact force of
         a pair and of a crack [N].
         """
-        n_pairs, evaluate, is_in_crack = self.n_pairs, self.evaluate, self.pairs_of_cracks
+        n_pairs, evaluate, is_in_crack = (
+            self.n_pairs,
+            self.evaluate_at_period_fractions,
+            self.is_pair_in_crack,
+        )
 
         def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
             columns = [motion, -motion]
@@ -219,7 +226,7 @@ class Record:
                 columns += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
             return np.column_stack(columns)
 
-        samples = stack_columns(self.motion, self.gap, self.force)
+        samples = stack_columns(self.row_products, self.gap, self.force)
         return find_maxima(
             samples,
             evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
@@ -274,16 +281,18 @@ class Point(Harmonics):
 
     Attributes
     ----------
-    motion : (n,) [m]
-        Displacement at the instants.
+    displacement : (n,) [m]
+        At the instants of the record.
     amplitude : float [m]
         Half the peak-to-peak displacement.
     """
 
     def __init__(self, record: Record, row: int) -> None:
         super().__init__(record.coefficients[:, row], record.subharmonic)
-        self.motion, n_rows = record.motion[:, row], record.motion.shape[1]
-        self.amplitude = 0.5 * float(record.maxima[row] + record.maxima[n_rows + row])
+        self.displacement, n_rows = record.row_products[:, row], record.row_products.shape[1]
+        self.amplitude = 0.5 * float(
+            record.row_and_face_maxima[row] + record.row_and_face_maxima[n_rows + row]
+        )
 
 
 class Faces:
@@ -292,9 +301,9 @@ class Faces:
     Attributes
     ----------
     gap, force : (n, n_pairs) [m], [N]
-    maxima : (4,)
+    gap_and_force_maxima : (4,)
         Largest opening and penetration [m], largest contact force of a pair and of a crack [N].
-    slips, sticks : (n, n_pairs) bool
+    is_slipping_at_instants, is_sticking_at_instants : (n, n_pairs) bool
         With friction: True if a pair slips or sticks, in the last load period.
     losses : (n_pairs,) [J]
         With friction: loss in the last load period.
@@ -303,11 +312,13 @@ class Faces:
     def __init__(self, record: Record) -> None:
         n_pairs, last_period = record.n_pairs, record.last_periods(1)
         self.gap, self.force = record.gap[:, :n_pairs], record.force[:, :n_pairs]
-        self.maxima = record.maxima[-4:]
-        if record.friction is not None:
+        self.gap_and_force_maxima = record.row_and_face_maxima[-4:]
+        if record.friction_coefficient is not None:
             force, friction_force = np.hsplit(last_period.force, 2)
-            self.slips = is_slipping(record.friction, force, friction_force)
-            self.sticks = (force > 0.0) & ~self.slips
+            self.is_slipping_at_instants = is_slipping(
+                record.friction_coefficient, force, friction_force
+            )
+            self.is_sticking_at_instants = (force > 0.0) & ~self.is_slipping_at_instants
             self.losses = friction_losses(last_period.gap[:, n_pairs:], friction_force)
 
 
@@ -379,12 +390,12 @@ class ObservedDisplacement(NamedTuple):
     Attributes
     ----------
     indicators : Indicators
-    coefficients : (2H+1,) [m], or (n, 2H+1) along a curve
-        Fourier coefficients.
+    real_fourier_coefficients : (2H+1,) [m], or (n, 2H+1) along a curve
+        Rows a0, a1, b1, ....
     """
 
     indicators: Indicators
-    coefficients: np.ndarray
+    real_fourier_coefficients: np.ndarray
 
 
 class ObservedMotion:
@@ -532,6 +543,6 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
     """
     numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        requirements = FRICTION if record.friction is None else FILES
+        requirements = FRICTION if record.friction_coefficient is None else FILES
         numbers |= read_at(Place.FACES, Faces(record), requirements)
     return numbers | dict(record.exact_numbers)

@@ -289,8 +289,8 @@ class PeriodicOrbit(ObservedMotion, Described):
             fourier_coefficients(motion, OBSERVED_HARMONICS),
             motion, gap, force,
             structure=self.structure,
-            friction=getattr(self.flow.friction_law, "coefficient", None),
-            evaluate=evaluate,
+            friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
+            evaluate_at_period_fractions=evaluate,
             exact_numbers=exact_numbers,
         )  # fmt: skip
 

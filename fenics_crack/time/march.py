@@ -374,8 +374,8 @@ class TimeHistory(ObservedMotion, Tabular):
             2.0 * np.pi * (len(self.time) - 1) / steps / np.ptp(self.time), 1, self.time,
             fourier_coefficients(motion[-steps:], min(10, (steps - 1) // 2)), motion, gap, force,
             structure=structure,
-            friction=self.friction,
-            steps=steps,
+            friction_coefficient=self.friction,
+            instants_per_load_period=steps,
         )  # fmt: skip
 
 
