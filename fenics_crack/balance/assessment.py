@@ -159,7 +159,7 @@ class Assessment:
     @property
     def predicted_error(self) -> float:
         """Return the predicted relative error of the gaps over the period; inf if unknown."""
-        return np.inf if self.prediction is None else self.prediction.gap_error
+        return np.inf if self.prediction is None else self.prediction.relative_gap_error
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
@@ -195,11 +195,11 @@ class Assessment:
         states = [self.states[0]]
         if self.predicted_error <= MAX_ERROR:
             states.insert(0, self.prediction.states[0])
-        periods, inverse = self.wave.subharmonic, self.prediction.inverse
+        periods, inverse = self.wave.subharmonic, self.prediction.solve_i_minus_m
         search = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
-        orbits = (search(state, subharmonic=periods, inverse=inverse) for state in states)
+        orbits = (search(state, subharmonic=periods, solve_i_minus_m=inverse) for state in states)
         return next(filter(None, orbits), None)
 
     def _refined_assessment(self) -> Assessment | None:
@@ -252,7 +252,7 @@ class Assessment:
                 :, : self.flow.n_modes
             ] @ self.flow.modal_model.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
-            errors = step.gap_error, _change_at_load(wave, change, wave.coordinates(time))
+            errors = step.relative_gap_error, _change_at_load(wave, change, wave.coordinates(time))
             errors = (stated_error(errors[0]), stated_error(errors[1])) if search else errors
         return min(errors[0], UNKNOWN), min(errors[1], UNKNOWN)
 

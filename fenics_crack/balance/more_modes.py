@@ -29,7 +29,7 @@ from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
-    Inverse,
+    IMinusMSolver,
     MotionInArcs,
     PeriodicOrbit,
     find_orbit,
@@ -101,7 +101,7 @@ class MoreModes:
     """Harmonic-balance solution."""
     nearest_orbit: PeriodicOrbit
     """Nearest exact orbit, with the modes of the solution's structure."""
-    inverse: Inverse | None = None
+    inverse: IMinusMSolver | None = None
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
@@ -165,16 +165,16 @@ class MoreModes:
         )
         orbit = None
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = search(states[0], inverse=start_inverse) or (
+            orbit = search(states[0], solve_i_minus_m=start_inverse) or (
                 search(states[0]) if start_inverse else None
             )
         if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            orbit = search(step.states[0], inverse=step.inverse)
+            orbit = search(step.states[0], solve_i_minus_m=step.solve_i_minus_m)
             return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 
     @property
-    def orbit_inverse(self) -> Inverse | None:
+    def orbit_inverse(self) -> IMinusMSolver | None:
         """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
             return self.orbit.inverse if self.orbit else None

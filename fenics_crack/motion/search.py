@@ -39,7 +39,7 @@ from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
     MAX_SEARCH_PERIODS,
-    Inverse,
+    IMinusMSolver,
     PeriodicOrbit,
     find_orbit,
     is_same_orbit,
@@ -177,11 +177,13 @@ class _SearchTask:
     tried_states: list[np.ndarray] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
 
-    def find_orbit(self, state: np.ndarray, inverse: Inverse | None = None) -> PeriodicOrbit | None:
+    def find_orbit(
+        self, state: np.ndarray, solve_i_minus_m: IMinusMSolver | None = None
+    ) -> PeriodicOrbit | None:
         """Search for an orbit by Newton's method."""
         return find_orbit(
-            self.flow, self.omega, state, subharmonic=self.subharmonic, inverse=inverse,
-            failure_reasons=self.reasons,
+            self.flow, self.omega, state, subharmonic=self.subharmonic,
+            solve_i_minus_m=solve_i_minus_m, failure_reasons=self.reasons,
         )  # fmt: skip
 
     @property
@@ -212,7 +214,9 @@ def _find_by_steps(task: _SearchTask) -> Iterable[PeriodicOrbit]:
         predict_orbit(task.flow, task.omega, states, task.subharmonic)
         for states in task.tried_states
     )
-    orbits = (task.find_orbit(step.states[0], step.inverse) for step in steps if step is not None)
+    orbits = (
+        task.find_orbit(step.states[0], step.solve_i_minus_m) for step in steps if step is not None
+    )
     return islice(filter(None, orbits), 1)
 
 

@@ -416,7 +416,7 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     largest = np.abs(np.linalg.eigvals(passage.tangent())).max()
     assert abs(orbit.multipliers[0]) == pytest.approx(largest, rel=1e-9)
     assert orbit.events == len(passage.pieces) - 1 > 0
-    assert 0.2 < distance(solution, orbit) / found.gap_error < 2.0
+    assert 0.2 < distance(solution, orbit) / found.relative_gap_error < 2.0
 
 
 @pytest.mark.parametrize("light", [False, True])
@@ -430,7 +430,7 @@ def test_motion_in_arcs(light: bool) -> None:
     motion = predict_motion(flow, 0.5, step, 1)
     assert relative(motion.sampled.states[::16], step.states[:, : 2 * flow.n_modes]) < 1e-9
     closed = predict_orbit(flow, 0.5, orbit.sampled.whole_states[::16])
-    assert closed is not None and closed.gap_error < 1e-8
+    assert closed is not None and closed.relative_gap_error < 1e-8
     same = predict_motion(flow, 0.5, closed, 1)
     assert same is not None and relative(same.gap_at(time), orbit.gap_at(time)) < 1e-7
     assert same.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
@@ -457,7 +457,9 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
     found = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states)
     again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states[0])
-    assert found is not None and found.gap_error == pytest.approx(expected.gap_error, rel=0.05)
+    assert found is not None and found.relative_gap_error == pytest.approx(
+        expected.relative_gap_error, rel=0.05
+    )
     assert relative(found.monodromy, expected.monodromy) < 1e-10
     assert again is not None and relative(again.state, orbit.state) < 1e-7
 
