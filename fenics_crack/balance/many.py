@@ -294,7 +294,7 @@ def _orbit_numbers(
         "amplitude": 0.5
         * (_interpolated_maximum(displacement) + _interpolated_maximum(-displacement)),
         "opening": max(0.0, _interpolated_maximum(-samples.gap)),
-        "closed_share": track.share(track.sets > 0),
+        "closed_share": track.mean_time_share(track.sets > 0),
         "multiplier": multiplier,
         "truncation": truncation,
         "states": orbit.state,

@@ -257,7 +257,7 @@ class Orbits(CurveSystem):
             rest_change = self._scaled_rest_and_change[1]
             return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
-        events, pieces = motion.events, motion.pieces
+        events, pieces = motion.events, motion.n_taylor_pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, events, pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:

@@ -179,7 +179,7 @@ def find_irregular_motion(
         for _ in range(MAX_GROWTH_PERIODS):
             motion = flow.advance(state, omega, period, budget=Budget(pieces=piece_budget))
             change = motion.track @ (change / np.linalg.norm(weights * change))
-            state, piece_budget = motion.state, piece_budget - motion.pieces
+            state, piece_budget = motion.state, piece_budget - motion.n_taylor_pieces
             log_growths.append(log_growths[-1] + math.log(np.linalg.norm(weights * change)))
     start_index = len(log_growths) // 3
     log_growth = log_growths[-1] - log_growths[start_index]

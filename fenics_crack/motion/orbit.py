@@ -287,7 +287,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         row_products, row_gaps, row_forces = evaluate(period_fractions)
         if instants is None:
             track, exact_numbers = self.motion.track, dict(self.sliding)
-            exact_numbers |= {"closed_share": track.share(track.sets > 0)} if row_gaps.size else {}
+            exact_numbers |= (
+                {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
+            )
         yield Record(
             self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(row_products, OBSERVED_HARMONICS),
@@ -440,8 +442,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         track = self.motion.track
         return {
             "friction_loss": float(self.work.friction.sum()),
-            "stick_share": track.share(track.sets == kernel.STICK),
-            "slip_share": track.share(track.sets > kernel.STICK),
+            "stick_share": track.mean_time_share(track.sets == kernel.STICK),
+            "slip_share": track.mean_time_share(track.sets > kernel.STICK),
         }
 
     @property
@@ -561,7 +563,7 @@ class MotionInArcs(PeriodicOrbit):
             for state, start_time, instants in arc_argument_tuples
         ]
         array_tuples_of_parts = (
-            (arc_samples.states, arc_samples.answers, arc_samples.pair_states)
+            (arc_samples.states, arc_samples.forces_and_openings, arc_samples.pair_states)
             for arc_samples in part_samples
         )
         return Samples(
@@ -823,7 +825,7 @@ class _Search:
         self.n_integrated_periods += 1
         budget = Budget(pieces=self._remaining_pieces)
         motion = self._flow.advance(state, self._omega, self._period, budget=budget)
-        self._remaining_pieces -= motion.pieces
+        self._remaining_pieces -= motion.n_taylor_pieces
         return motion
 
 

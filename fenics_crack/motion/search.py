@@ -290,7 +290,7 @@ class Homotopy:
         if self.remaining_pieces <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         orbit_point = self._orbits.linearise(unknown, 1.0)
-        self.remaining_pieces -= max(orbit_point.pieces, PIECES_PER_PERIOD)
+        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, PIECES_PER_PERIOD)
         return _HomotopyPoint(orbit_point, parameter, self._orbits.start)
 
 
@@ -335,7 +335,9 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
             yield orbit
             return
         # A failed search takes about half of its maximum.
-        remaining_pieces -= MAX_SEARCH_PERIODS // 2 * max(PIECES_PER_PERIOD, orbits.pieces)
+        remaining_pieces -= (
+            MAX_SEARCH_PERIODS // 2 * max(PIECES_PER_PERIOD, orbits.n_taylor_pieces_in_last_period)
+        )
 
 
 ORBIT_STARTS_BY_NAME = {
@@ -359,7 +361,7 @@ def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Itera
             if remaining_pieces <= 0:
                 return
             state = orbits.unknown_after_period(state, 1.0)
-            remaining_pieces -= orbits.pieces
+            remaining_pieces -= orbits.n_taylor_pieces_in_last_period
             yield state
 
 

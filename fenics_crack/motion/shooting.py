@@ -38,8 +38,8 @@ class OrbitPoint(DenseLinearisation):
     ----------
     make_monodromy, make_parameter_derivative : callable
         Return the monodromy matrix S M S^-1 in the unknowns x, and dF/dp.
-    events, pieces : int
-        Events of the contact pairs in the period, and pieces of the Taylor series.
+    events, n_taylor_pieces : int
+        Number of the contact pairs' events in the period, and of Taylor pieces.
     """
 
     unknown: np.ndarray
@@ -47,7 +47,7 @@ class OrbitPoint(DenseLinearisation):
     make_monodromy: Callable[[], np.ndarray]
     make_parameter_derivative: Callable[[], np.ndarray]
     events: int
-    pieces: int
+    n_taylor_pieces: int
 
     @cached_property
     def monodromy(self) -> np.ndarray:
@@ -130,7 +130,7 @@ class ShootingEquations(Equations):
         return unknown + self._residual()
 
     @property
-    def pieces(self) -> int:
+    def n_taylor_pieces_in_last_period(self) -> int:
         """Return the number of Taylor pieces in the period integrated last."""
         return int(kernel.count_pieces(self._point))
 
@@ -170,7 +170,9 @@ class ShootingEquations(Equations):
             self.function_table.by_parameter(self.function_table, pointer(derivative))
             return derivative
 
-        point = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
+        point = OrbitPoint(
+            unknown, residual, monodromy, by_parameter, events, self.n_taylor_pieces_in_last_period
+        )
         self._last_linearisation = point_reference = weakref.ref(point)
         return point
 
