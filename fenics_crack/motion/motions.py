@@ -93,13 +93,14 @@ class Indicators(Observables, Tabular):
 
         Friction indicators are included if any is known.
         """
-        columns = {
-            indicator.name: np.asarray(getattr(self, indicator.name)) for indicator in fields(self)
+        columns_by_name = {
+            indicator_field.name: np.asarray(getattr(self, indicator_field.name))
+            for indicator_field in fields(self)
         }
         return {
-            name: column.tolist()
-            for name, column in columns.items()
-            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column))
+            name: column_values.tolist()
+            for name, column_values in columns_by_name.items()
+            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column_values))
         }
 
     def _title(self) -> str:
@@ -179,16 +180,19 @@ class Record:
         if not self.instants_per_load_period:
             return self
         last_instants = slice(-periods * self.instants_per_load_period, None)
-        names = "time", "row_products", "gap", "force"
-        return replace(self, **{name: getattr(self, name)[last_instants] for name in names})
+        array_names = "time", "row_products", "gap", "force"
+        return replace(
+            self,
+            **{array_name: getattr(self, array_name)[last_instants] for array_name in array_names},
+        )
 
     def select_rows(self, rows: slice) -> Record:
         """Return the record with some of its m products of rows with the displacement."""
         evaluate_all = self.evaluate_at_period_fractions
         evaluate = evaluate_all and (
             lambda period_fractions: (
-                (arrays := evaluate_all(period_fractions))[0][:, rows],
-                *arrays[1:],
+                (products_gaps_and_forces := evaluate_all(period_fractions))[0][:, rows],
+                *products_gaps_and_forces[1:],
             )
         )
         return replace(
@@ -202,8 +206,8 @@ class Record:
     def is_pair_in_crack(self) -> np.ndarray:
         """Return True for the pairs of each crack: (n_pairs, n_cracks)."""
         cracks = self.structure.pairs.cracks
-        crack_numbers = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
-        return crack_numbers[:, None] == np.unique(crack_numbers)
+        crack_of_pair = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
+        return crack_of_pair[:, None] == np.unique(crack_of_pair)
 
     @cached_property
     def row_and_face_maxima(self) -> np.ndarray:
@@ -213,22 +217,27 @@ class Record:
         products. With contact pairs four maxima follow: opening, penetration [m], contact force of
         a pair and of a crack [N].
         """
-        n_pairs, evaluate, is_in_crack = (
+        n_pairs, evaluate, is_pair_in_crack = (
             self.n_pairs,
             self.evaluate_at_period_fractions,
             self.is_pair_in_crack,
         )
 
         def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-            columns = [motion, -motion]
+            stacked_columns = [motion, -motion]
             if n_pairs:
                 gap, force = gap[:, :n_pairs], force[:, :n_pairs]
-                columns += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
-            return np.column_stack(columns)
+                stacked_columns += [
+                    -gap.min(1),
+                    gap.max(1),
+                    force.max(1),
+                    (force @ is_pair_in_crack).max(1),
+                ]
+            return np.column_stack(stacked_columns)
 
-        samples = stack_columns(self.row_products, self.gap, self.force)
+        sampled_columns = stack_columns(self.row_products, self.gap, self.force)
         return find_maxima(
-            samples,
+            sampled_columns,
             evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
         )
 
@@ -257,10 +266,10 @@ class Harmonics:
         self.largest_order = self.ratio_largest = math.nan
         higher_amplitudes = self._amplitudes[2 * subharmonic - 1 :: subharmonic]
         if len(higher_amplitudes):
-            index = int(higher_amplitudes.argmax())
-            self.ratio_largest = float(higher_amplitudes[index]) / self.fundamental
-            if higher_amplitudes[index] > NEGLIGIBLE * np.abs(coefficients).max():
-                self.largest_order = 2.0 + index
+            largest_index = int(higher_amplitudes.argmax())
+            self.ratio_largest = float(higher_amplitudes[largest_index]) / self.fundamental
+            if higher_amplitudes[largest_index] > NEGLIGIBLE * np.abs(coefficients).max():
+                self.largest_order = 2.0 + largest_index
 
     def harmonic(self, multiple: float) -> float:
         """Return the amplitude U_j [m] at j = ``multiple`` times the load's frequency.
@@ -268,8 +277,8 @@ class Harmonics:
         Without this harmonic: nan.
         """
         order = multiple * self._subharmonic
-        is_included = order == int(order) and order <= len(self._amplitudes)
-        return float(self._amplitudes[int(order) - 1]) if is_included else math.nan
+        has_harmonic = order == int(order) and order <= len(self._amplitudes)
+        return float(self._amplitudes[int(order) - 1]) if has_harmonic else math.nan
 
     def ratio(self, multiple: float) -> float:
         """Return U_j / U_1, relative to the amplitude at the load's frequency."""
@@ -289,9 +298,9 @@ class Point(Harmonics):
 
     def __init__(self, record: Record, row: int) -> None:
         super().__init__(record.coefficients[:, row], record.subharmonic)
-        self.displacement, n_rows = record.row_products[:, row], record.row_products.shape[1]
+        self.displacement, n_record_rows = record.row_products[:, row], record.row_products.shape[1]
         self.amplitude = 0.5 * float(
-            record.row_and_face_maxima[row] + record.row_and_face_maxima[n_rows + row]
+            record.row_and_face_maxima[row] + record.row_and_face_maxima[n_record_rows + row]
         )
 
 
@@ -314,25 +323,27 @@ class Faces:
         self.gap, self.force = record.gap[:, :n_pairs], record.force[:, :n_pairs]
         self.gap_and_force_maxima = record.row_and_face_maxima[-4:]
         if record.friction_coefficient is not None:
-            force, friction_force = np.hsplit(last_period.force, 2)
+            normal_force, friction_force = np.hsplit(last_period.force, 2)
             self.is_slipping_at_instants = is_slipping(
-                record.friction_coefficient, force, friction_force
+                record.friction_coefficient, normal_force, friction_force
             )
-            self.is_sticking_at_instants = (force > 0.0) & ~self.is_slipping_at_instants
+            self.is_sticking_at_instants = (normal_force > 0.0) & ~self.is_slipping_at_instants
             self.losses = friction_losses(last_period.gap[:, n_pairs:], friction_force)
 
 
-def is_slipping(coefficient: Any, force: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
+def is_slipping(
+    friction_coefficient: Any, normal_force: np.ndarray, friction_force: np.ndarray
+) -> np.ndarray:
     """Return True for slipping pairs: (n, n_pairs) bool.
 
     Parameters
     ----------
-    coefficient : float or (n_pairs,)
-        Friction coefficient.
-    force, friction_force : (n, n_pairs) [N]
+    friction_coefficient : float or (n_pairs,)
+    normal_force, friction_force : (n, n_pairs) [N]
     """
     return np.asarray(
-        (force > 0.0) & (np.abs(friction_force) >= SLIP_FORCE_RATIO * coefficient * force)
+        (normal_force > 0.0)
+        & (np.abs(friction_force) >= SLIP_FORCE_RATIO * friction_coefficient * normal_force)
     )
 
 
@@ -362,8 +373,8 @@ def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
         return np.zeros((0, structure.n_local))
     if structure.whole is not structure:
         return structure.values_at(np.eye(structure.n_dofs), dofs).T
-    local_dofs = structure.check_dofs(dofs) - structure.first_dof
-    return np.asarray(local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
+    rank_local_dofs = structure.check_dofs(dofs) - structure.first_dof
+    return np.asarray(rank_local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
 
 
 # --- what observes --------------------------------------------------------------------------------
@@ -429,7 +440,7 @@ class ObservedMotion:
 
         The motion is formed once for all new dofs.
         """
-        return [displacement.indicators for displacement in self.observe(dofs)[0]]
+        return [observed_displacement.indicators for observed_displacement in self.observe(dofs)[0]]
 
     @property
     def faces(self) -> dict[str, Any]:
@@ -439,8 +450,10 @@ class ObservedMotion:
         """
         if not self._face_numbers:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
-        numbers = self._gather_numbers(self._face_numbers)
-        return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
+        gathered_numbers = self._gather_numbers(self._face_numbers)
+        return {
+            name: value for name, value in gathered_numbers.items() if not np.all(np.isnan(value))
+        }
 
     def observe(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
@@ -461,11 +474,15 @@ class ObservedMotion:
         new_dofs = [
             dof for dof in dict.fromkeys(wanted_dofs) if dof not in self._observed_displacements
         ]
-        numbers: dict[str, Any] = {}
+        place_numbers: dict[str, Any] = {}
         if new_dofs or places:
-            displacements, numbers = self.observe_rows(rows_of(structure, new_dofs), places)
-            self._observed_displacements.update(zip(new_dofs, displacements, strict=True))
-        return [self._observed_displacements[dof] for dof in wanted_dofs], numbers
+            new_observed_displacements, place_numbers = self.observe_rows(
+                rows_of(structure, new_dofs), places
+            )
+            self._observed_displacements.update(
+                zip(new_dofs, new_observed_displacements, strict=True)
+            )
+        return [self._observed_displacements[dof] for dof in wanted_dofs], place_numbers
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
@@ -487,43 +504,50 @@ class ObservedMotion:
         """
         row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         all_rows = np.vstack([rows, *(place.rows for place in places)])
-        points_of_records, coefficients, numbers = [], [], list[dict[str, float]]()
-        for index, full_record in enumerate(self.records(all_rows)):
-            record = full_record.last_periods(RECORDED_PERIODS)
-            record = record.select_rows(slice(len(rows))) if places else record
-            if index < len(self._face_numbers):
-                record = replace(record, gap=record.gap[:, :0])
+        number_dicts_by_record, coefficients_by_record = [], []
+        place_number_dicts = list[dict[str, float]]()
+        for record_index, full_record in enumerate(self.records(all_rows)):
+            dof_record = full_record.last_periods(RECORDED_PERIODS)
+            dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
+            if record_index < len(self._face_numbers):
+                dof_record = replace(dof_record, gap=dof_record.gap[:, :0])
             else:
-                self._face_numbers.append(_read_face_numbers(record))
-            shared = {"omega": record.omega} | self._face_numbers[index]
-            points = (Point(record, row) for row in range(len(rows)))
-            points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
-            coefficients.append(record.coefficients.T)
-            numbers.append({})
-            for place, row_range in zip(places, pairwise(row_ends), strict=True):
-                numbers[-1] |= place.read_numbers(full_record.select_rows(slice(*row_range)))
-        displacements = [
-            ObservedDisplacement(
-                Indicators(**self._gather_numbers(row_numbers)),
-                self._gather(list(row_coefficients)),
+                self._face_numbers.append(_read_face_numbers(dof_record))
+            shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
+            point_iterator = (Point(dof_record, row) for row in range(len(rows)))
+            number_dicts_by_record.append(
+                [shared_numbers | read_at(Place.POINT, point) for point in point_iterator]
             )
-            for row_numbers, row_coefficients in zip(
-                zip(*points_of_records, strict=True), zip(*coefficients, strict=True), strict=True
+            coefficients_by_record.append(dof_record.coefficients.T)
+            place_number_dicts.append({})
+            for place, row_bounds in zip(places, pairwise(row_ends), strict=True):
+                place_number_dicts[-1] |= place.read_numbers(
+                    full_record.select_rows(slice(*row_bounds))
+                )
+        observed_displacements = [
+            ObservedDisplacement(
+                Indicators(**self._gather_numbers(number_dicts_of_row)),
+                self._gather(list(coefficients_of_row)),
+            )
+            for number_dicts_of_row, coefficients_of_row in zip(
+                zip(*number_dicts_by_record, strict=True),
+                zip(*coefficients_by_record, strict=True),
+                strict=True,
             )
         ]
-        return displacements, self._gather_numbers(numbers)
+        return observed_displacements, self._gather_numbers(place_number_dicts)
 
-    def _gather_numbers(self, numbers: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    def _gather_numbers(self, number_dicts: Sequence[Mapping[str, float]]) -> dict[str, Any]:
         """Gather each named number over all records: a float, on a curve (n,)."""
         return {
-            name: self._gather([record_numbers[name] for record_numbers in numbers])
-            for name in numbers[0]
+            name: self._gather([number_dict[name] for number_dict in number_dicts])
+            for name in number_dicts[0]
         }
 
     def _gather(self, values: list[Any]) -> Any:
         """Return the value of a motion's only record; curves override the method."""
-        [record_value] = values
-        return record_value
+        [only_record_value] = values
+        return only_record_value
 
     @cached_property
     def _observed_displacements(self) -> dict[int, ObservedDisplacement]:
@@ -541,8 +565,8 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
 
     Numbers without pairs, or without friction, are nan.
     """
-    numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
+    face_numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        requirements = FRICTION if record.friction_coefficient is None else FILES
-        numbers |= read_at(Place.FACES, Faces(record), requirements)
-    return numbers | dict(record.exact_numbers)
+        missing_requirements = FRICTION if record.friction_coefficient is None else FILES
+        face_numbers |= read_at(Place.FACES, Faces(record), missing_requirements)
+    return face_numbers | dict(record.exact_numbers)
