@@ -504,8 +504,11 @@ class ObservedMotion:
         """
         row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         all_rows = np.vstack([rows, *(place.rows for place in places)])
-        number_dicts_by_record, coefficients_by_record = [], []
-        place_number_dicts = list[dict[str, float]]()
+        number_dicts_by_record, coefficients_by_record, place_number_dicts = (
+            [],
+            [],
+            list[dict[str, float]](),
+        )
         for record_index, full_record in enumerate(self.records(all_rows)):
             dof_record = full_record.last_periods(RECORDED_PERIODS)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record

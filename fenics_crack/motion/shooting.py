@@ -108,10 +108,10 @@ class ShootingEquations(Equations):
             turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.pieces,
             max_intervals=Budget.intervals, **arrays,
         )  # fmt: skip
-        self._point = attach_destructor(
+        self._kernel_point_pointer = attach_destructor(
             kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point
         )
-        self.function_table = kernel.equations_of_shooting(self._point)
+        self.function_table = kernel.equations_of_shooting(self._kernel_point_pointer)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """Return F, dF/dx and dF/dp at unknowns x and a parameter p.
@@ -121,20 +121,20 @@ class ShootingEquations(Equations):
         ConvergenceError
             The motion exceeds its budget, or is not finite.
         """
-        self._evaluate(unknown, parameter)
+        self._integrate_period_in_kernel(unknown, parameter)
         return self.linearise_evaluated(unknown, parameter)
 
     def unknown_after_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """Return the unknowns x + F after a period from x."""
-        self._evaluate(unknown, parameter)
+        self._integrate_period_in_kernel(unknown, parameter)
         return unknown + self._residual()
 
     @property
     def n_taylor_pieces_in_last_period(self) -> int:
         """Return the number of Taylor pieces in the period integrated last."""
-        return int(kernel.count_pieces(self._point))
+        return int(kernel.count_pieces(self._kernel_point_pointer))
 
-    def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
+    def _integrate_period_in_kernel(self, unknown: np.ndarray, parameter: float) -> None:
         """Integrate the motion over a period from x, at a parameter p."""
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
@@ -151,18 +151,18 @@ class ShootingEquations(Equations):
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual = self._residual()
-        events = int(kernel.count_events(self._point))
+        n_events = int(kernel.count_events(self._kernel_point_pointer))
 
         def ensure_evaluated() -> None:
-            if self._last_linearisation is not point_reference:  # there is one for a point
-                self._evaluate(unknown, parameter)
-                self._last_linearisation = point_reference
+            if self._last_linearisation is not weak_point_reference:  # there is one for a point
+                self._integrate_period_in_kernel(unknown, parameter)
+                self._last_linearisation = weak_point_reference
 
         def monodromy() -> np.ndarray:
-            matrix = np.empty(2 * self.shape)
+            monodromy_matrix = np.empty(2 * self.shape)
             ensure_evaluated()
-            kernel.get_monodromy(self._point, pointer(matrix))
-            return matrix
+            kernel.get_monodromy(self._kernel_point_pointer, pointer(monodromy_matrix))
+            return monodromy_matrix
 
         def by_parameter() -> np.ndarray:
             derivative = np.empty(self.shape)
@@ -171,9 +171,14 @@ class ShootingEquations(Equations):
             return derivative
 
         point = OrbitPoint(
-            unknown, residual, monodromy, by_parameter, events, self.n_taylor_pieces_in_last_period
+            unknown,
+            residual,
+            monodromy,
+            by_parameter,
+            n_events,
+            self.n_taylor_pieces_in_last_period,
         )
-        self._last_linearisation = point_reference = weakref.ref(point)
+        self._last_linearisation = weak_point_reference = weakref.ref(point)
         return point
 
 
