@@ -257,9 +257,9 @@ class ContactFlow(Flow):
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
         modal_model, n_pairs = self.modal_model, structure.n_pairs
-        closed_pair_forces_by_mode = np.linalg.solve(self.compliance, modal_model.pairs.T)
+        closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.pairs.T)
         closed_stiffness_matrix = (
-            np.diag(modal_model.squares) + modal_model.pairs @ closed_pair_forces_by_mode
+            np.diag(modal_model.squares) + modal_model.pairs @ closed_pair_forces_of_modes
         )
         self.max_rate = _bound_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping

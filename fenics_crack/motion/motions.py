@@ -504,7 +504,7 @@ class ObservedMotion:
         """
         row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         all_rows = np.vstack([rows, *(place.rows for place in places)])
-        number_dicts_by_record, coefficients_by_record, place_number_dicts = (
+        number_dicts_of_records, coefficients_of_records, place_number_dicts = (
             [],
             [],
             list[dict[str, float]](),
@@ -518,10 +518,10 @@ class ObservedMotion:
                 self._face_numbers.append(_read_face_numbers(dof_record))
             shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
             point_iterator = (Point(dof_record, row) for row in range(len(rows)))
-            number_dicts_by_record.append(
+            number_dicts_of_records.append(
                 [shared_numbers | read_at(Place.POINT, point) for point in point_iterator]
             )
-            coefficients_by_record.append(dof_record.coefficients.T)
+            coefficients_of_records.append(dof_record.coefficients.T)
             place_number_dicts.append({})
             for place, row_bounds in zip(places, pairwise(row_ends), strict=True):
                 place_number_dicts[-1] |= place.read_numbers(
@@ -533,8 +533,8 @@ class ObservedMotion:
                 self._gather(list(coefficients_of_row)),
             )
             for number_dicts_of_row, coefficients_of_row in zip(
-                zip(*number_dicts_by_record, strict=True),
-                zip(*coefficients_by_record, strict=True),
+                zip(*number_dicts_of_records, strict=True),
+                zip(*coefficients_of_records, strict=True),
                 strict=True,
             )
         ]

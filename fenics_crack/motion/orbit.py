@@ -377,10 +377,10 @@ class PeriodicOrbit(ObservedMotion, Described):
             has_contact = track.sets.any(axis=1)
             rate_bounds = np.where(has_contact, flow.max_rate, flow.max_open_rate)
             interval_rotation_angles = track.lengths * (rate_bounds + max_wave_omega)
-            n_pieces_by_interval = np.maximum(
+            interval_piece_counts = np.maximum(
                 np.ceil(interval_rotation_angles / kernel.MAX_PIECE_ANGLE), 1
             ).astype(int)
-            piece_lengths = np.repeat(track.lengths / n_pieces_by_interval, n_pieces_by_interval)
+            piece_lengths = np.repeat(track.lengths / interval_piece_counts, interval_piece_counts)
             piece_starts = np.concatenate([[0.0], np.cumsum(piece_lengths)[:-1]])
             node_times = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (
                 1.0 + gauss_legendre_rule()[0]
