@@ -284,7 +284,7 @@ class Assessment:
             return ""
         if self.too_slow:
             assert self.flow is not None
-            n_cycles = self.flow.max_rate * self.wave.period / (2.0 * np.pi)
+            n_cycles = self.flow.rate_bound * self.wave.period / (2.0 * np.pi)
             cycles = f"{n_cycles / 1e3:.0f} thousand cycles in a period"
             cause = f"the load is so slow that the highest modes have {cycles}"
             return f"{cause}, too many for exact time integration; keep fewer modes"

@@ -252,7 +252,7 @@ def shoot(
     orbit = None if settle else assessment.orbit
     if orbit is None:
         orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
-        settled_unknown = orbits.start
+        settled_unknown = orbits.start_unknown
         for _ in range(settle):
             settled_unknown = orbits.unknown_after_period(settled_unknown, 1.0)
         start_state = orbits.state(settled_unknown)
@@ -378,7 +378,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     rms_motion = motion_size(orbits.scale * states) / np.sqrt(len(states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
     motions: list[Attractor] = []
-    start_unknowns = orbits.start + start_change, orbits.start - start_change
+    start_unknowns = orbits.start_unknown + start_change, orbits.start_unknown - start_change
     for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
         motion = find_attractor(orbits, start_unknown)
         if not any(

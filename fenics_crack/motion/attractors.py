@@ -222,6 +222,6 @@ def find_irregular_motion(
         f" {float(f'{growth_per_period:.2g}'):,g}-fold in a period",
         (len(cumulative_log_growths) - 1) * subharmonic,
         orbits,
-        orbits.start,
+        orbits.start_unknown,
         growth_per_period,
     )

@@ -261,11 +261,11 @@ class ContactFlow(Flow):
         closed_stiffness_matrix = (
             np.diag(modal_model.squares) + modal_model.pairs @ closed_pair_forces_of_modes
         )
-        self.max_rate = _bound_rates(
+        self.rate_bound = _bound_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
         )
         """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
-        self.max_open_rate = _bound_rates(float(modal_model.squares.max()), modal_model.damping)
+        self.open_rate_bound = _bound_rates(float(modal_model.squares.max()), modal_model.damping)
         """Upper bound of these rates while all pairs are open [1/s]."""
         friction_coefficients = None
         if self.friction_law:
@@ -279,7 +279,7 @@ class ContactFlow(Flow):
             rows=as_doubles(modal_model.pairs.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
-            gap=self.load_gap, max_rate=self.max_rate, max_open_rate=self.max_open_rate,
+            gap=self.load_gap, max_rate=self.rate_bound, max_open_rate=self.open_rate_bound,
             max_set_numbers=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
         self.handle = attach_destructor(
@@ -368,7 +368,7 @@ class ContactFlow(Flow):
 
         The motion lasts ``duration`` [s].
         """
-        return float(self.max_rate * duration / kernel.MAX_PIECE_ANGLE)
+        return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
     def weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the energy norm |w z|: (size,).
@@ -566,22 +566,23 @@ class Track:
         _check_outcome(outcome, len(self.lengths) - 1)
         return tangent_matrix
 
-    def derivative_by_softness(self, start: np.ndarray, softness_rate: np.ndarray) -> np.ndarray:
+    def derivative_by_softness(
+        self, start_state: np.ndarray, softness_rate: np.ndarray
+    ) -> np.ndarray:
         """Return the derivative of the end state by a structural parameter: (size,).
 
         The state at the start does not change with the parameter.
 
         Parameters
         ----------
-        start : (size,)
-            State at the start.
+        start_state : (size,)
         softness_rate : (n_rows,)
             Derivative of 1 / kappa of each contact row by the parameter.
         """
         derivative = np.empty(self.flow.size)
         checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._struct.address, pointer(as_doubles(start)), NULL,
+            self.flow.handle, self._struct.address, pointer(as_doubles(start_state)), NULL,
             pointer(checked_softness_rate), pointer(derivative),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
@@ -595,7 +596,7 @@ class Track:
         )
 
     def carry_changes(
-        self, start: np.ndarray, state_jumps: np.ndarray, interval_counts: np.ndarray
+        self, start_change: np.ndarray, state_jumps: np.ndarray, interval_counts: np.ndarray
     ) -> np.ndarray:
         """Carry a change d of the state through consecutive parts of the track.
 
@@ -603,7 +604,7 @@ class Track:
 
         Parameters
         ----------
-        start : (size,)
+        start_change : (size,)
             d_0.
         state_jumps : (n, size)
             Changes j added at the parts' ends.
@@ -616,7 +617,7 @@ class Track:
             d at the start of each part, and at the end.
         """
         changes = np.empty((len(interval_counts) + 1, self.flow.size))
-        changes[0] = start
+        changes[0] = start_change
         outcome = kernel.flow_carry_changes(
             self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
             pointer(as_doubles(state_jumps)),

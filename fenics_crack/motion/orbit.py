@@ -95,7 +95,7 @@ class Prediction(NamedTuple):
         Predicted error of the gaps, |P^T d| / |P^T Z|; P^T takes states to gaps.
     states : (n, flow.size)
         Z + d at the starts of n equal parts of the period.
-    track : Track
+    solution_track : Track
         States of the pairs along the solution, part after part.
     solve_i_minus_m : IMinusMSolver
         Returns (I - M)^-1 b, with the monodromy matrix M along the solution.
@@ -103,13 +103,13 @@ class Prediction(NamedTuple):
 
     relative_gap_error: float
     states: np.ndarray
-    track: Track
+    solution_track: Track
     solve_i_minus_m: IMinusMSolver
 
     @property
     def monodromy(self) -> np.ndarray:
         """Return the monodromy matrix along the solution: (flow.size, flow.size)."""
-        return self.track.tangent
+        return self.solution_track.tangent
 
 
 @dataclass(frozen=True, repr=False)
@@ -260,8 +260,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         nodes, gauss_weights, _ = gauss_legendre_rule()
         column_blocks = samples.products(rows), samples.gaps, samples.forces
         node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(nodes))
-        piece_ends, signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
-        barycentric_weights = signs * np.sqrt((1.0 - nodes**2) * gauss_weights)
+        piece_ends, alternating_signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
+        barycentric_weights = alternating_signs * np.sqrt((1.0 - nodes**2) * gauss_weights)
         column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
 
         def evaluate(period_fractions: np.ndarray) -> Any:
@@ -375,7 +375,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         if not self._gauss_sample_cache or self._gauss_sample_cache[-1][0] < max_wave_omega:
             track, flow = self.motion.track, self.flow
             has_contact = track.sets.any(axis=1)
-            rate_bounds = np.where(has_contact, flow.max_rate, flow.max_open_rate)
+            rate_bounds = np.where(has_contact, flow.rate_bound, flow.open_rate_bound)
             interval_rotation_angles = track.lengths * (rate_bounds + max_wave_omega)
             interval_piece_counts = np.maximum(
                 np.ceil(interval_rotation_angles / kernel.MAX_PIECE_ANGLE), 1

@@ -210,16 +210,16 @@ def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
 
 def _find_after_multiple_shooting_step(task: _SearchTask) -> Iterable[PeriodicOrbit]:
     """Find the first orbit after a Newton step for a whole guess."""
-    predictions = (
+    prediction_iterator = (
         predict_orbit(task.flow, task.omega, guessed_states, task.subharmonic)
         for guessed_states in task.tried_states
     )
-    found_orbits = (
+    orbit_or_none_iterator = (
         task.find_orbit(prediction.states[0], prediction.solve_i_minus_m)
-        for prediction in predictions
+        for prediction in prediction_iterator
         if prediction is not None
     )
-    return islice(filter(None, found_orbits), 1)
+    return islice(filter(None, orbit_or_none_iterator), 1)
 
 
 def wave_states(
@@ -249,14 +249,18 @@ def wave_states(
 class _HomotopyPoint(DenseLinearisation):
     """Residual and Jacobian of :class:`Homotopy` at a point (x, p)."""
 
-    def __init__(self, orbit_point: OrbitPoint, parameter: float, start: np.ndarray) -> None:
+    def __init__(
+        self, orbit_point: OrbitPoint, parameter: float, start_unknown: np.ndarray
+    ) -> None:
         self._orbit_point, self._parameter, self.unknown = (
             orbit_point,
             parameter,
             orbit_point.unknown,
         )
-        self._end_state_minus_guess = orbit_point.unknown + orbit_point.residual - start
-        self.residual = parameter * self._end_state_minus_guess - (orbit_point.unknown - start)
+        self._end_state_minus_guess = orbit_point.unknown + orbit_point.residual - start_unknown
+        self.residual = parameter * self._end_state_minus_guess - (
+            orbit_point.unknown - start_unknown
+        )
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -276,7 +280,7 @@ class Homotopy:
 
     Unknowns are the state z at phase zero; z(T) is the state after a period. At p = 0 the solution
     is a, at p = 1 an orbit. States are scaled like the unknowns x of ``orbits``; a is
-    ``orbits.start``.
+    ``orbits.start_unknown``.
 
     Attributes
     ----------
@@ -299,7 +303,7 @@ class Homotopy:
             raise ConvergenceError("orbits: the homotopy takes too long")
         orbit_point = self._orbits.linearise(unknown, 1.0)
         self.remaining_pieces -= max(orbit_point.n_taylor_pieces, PIECES_PER_PERIOD)
-        return _HomotopyPoint(orbit_point, parameter, self._orbits.start)
+        return _HomotopyPoint(orbit_point, parameter, self._orbits.start_unknown)
 
 
 def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
@@ -311,13 +315,18 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
-        closed_path_point = solve_in_plane(
-            flow_orbits, flow_orbits.start, 1.0, None, tolerance=MAX_LOCATION_RESIDUAL, iterations=1
+        solution_point = solve_in_plane(
+            flow_orbits,
+            flow_orbits.start_unknown,
+            1.0,
+            None,
+            tolerance=MAX_LOCATION_RESIDUAL,
+            iterations=1,
         )
-        if closed_path_point is not None:
-            yield flow_orbits.orbit(closed_path_point)
+        if solution_point is not None:
+            yield flow_orbits.orbit(solution_point)
             return
-        start_point = point_on_path(homotopy, flow_orbits.start, 0.0)
+        start_point = point_on_path(homotopy, flow_orbits.start_unknown, 0.0)
         end_point = Path(homotopy, start_point, path_options, [Target(1.0)]).run()
         if end_point is not None:
             yield from filter(None, [task.find_orbit(flow_orbits.state(end_point.unknown))])
@@ -330,9 +339,9 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
     flow_orbits, remaining_pieces = task.flow_orbits, SearchOptions.pieces(task.flow) // 4
     state_iterator = follow_periods(
-        flow_orbits, flow_orbits.start, SearchOptions.periods(task.flow)
+        flow_orbits, flow_orbits.start_unknown, SearchOptions.periods(task.flow)
     )
-    states_at_periods = np.array([flow_orbits.start, *state_iterator])
+    states_at_periods = np.array([flow_orbits.start_unknown, *state_iterator])
     task.reasons.append(describe_closest_return(states_at_periods, task.subharmonic))
     distances_after_period = np.linalg.norm(np.diff(states_at_periods, axis=0), axis=1)
     # Start from the last state, then from the close returns, the closest first.

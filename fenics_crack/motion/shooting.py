@@ -199,7 +199,7 @@ class FlowOrbits(ShootingEquations):
         Load periods in the orbit's period.
     scale : (flow.size,)
         Diagonal of S.
-    start : (flow.size,)
+    start_unknown : (flow.size,)
         Unknowns x of the nearby state.
     """
 
@@ -209,7 +209,7 @@ class FlowOrbits(ShootingEquations):
         weights = flow.amplitude_weights(omega / subharmonic)
         scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         super().__init__(flow, scale, (0.0, omega), subharmonic)
-        self.omega, self.start = omega, scale * state
+        self.omega, self.start_unknown = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
         """Return the state z = S^-1 x from the unknowns x: (flow.size,)."""

@@ -360,7 +360,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
     assert flow.modal_model.damping.ndim == 1 and flow.structure.n_pairs == 5
     sizes, turns = (0, 1, 2, 3, 5, 2, 0, 4, 1), np.array([2, 1, 1, 1.3, 0.7, 60, 1, 1, 1])
     sets = (np.arange(5) < np.array(sizes)[:, None]).astype(np.int8)
-    lengths = turns * turn / flow.max_rate
+    lengths = turns * turn / flow.rate_bound
     expected, pairs = np.eye(flow.size), flow.modal_model.pairs
     for closed, length in zip(sets > 0, lengths, strict=True):
         rows = pairs[:, closed]
@@ -370,7 +370,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
         matrix[1, :, 0] = -np.diag(flow.modal_model.squares) - rows @ pushed
         matrix[1, :, 1] = -np.diag(flow.modal_model.damping)
         expected = scipy.linalg.expm(length * matrix.reshape(expected.shape)) @ expected
-    unit = np.repeat([flow.max_rate, 1.0], flow.n_modes)
+    unit = np.repeat([flow.rate_bound, 1.0], flow.n_modes)
     tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
     assert np.abs(tangent - unit[:, None] * expected / unit).max() < 1e-13
 
@@ -481,7 +481,7 @@ def test_the_least_periods_after_which_a_motion_is_where_it_was() -> None:
     """It nearly is after two times forty of the load, and is after four: to rounding."""
     flow = known(two_masses(), fc.UnilateralPenalty(100.0))
     orbits = FlowOrbits(flow, 0.614, np.zeros(flow.size), 40)
-    found = find_attractor(orbits, orbits.start)
+    found = find_attractor(orbits, orbits.start_unknown)
     assert found.description == "settles to an orbit of 160 periods of the load"
     assert found.orbit is not None and abs(found.orbit.multipliers[0]) < 0.01
 
