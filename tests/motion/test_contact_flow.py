@@ -472,7 +472,7 @@ def test_by_omega() -> None:
     orbits = [find_orbit(flow, omega + h, np.zeros(flow.size)) for h in (0.0, step, -step)]
     here, after, before = (one for one in orbits if one is not None)
     system = FlowOrbits(flow, omega, here.state)
-    at = system.linearise(system.start, 1.0)
+    at = system.linearise(system.start_unknown, 1.0)
     slope = -at.solve(at.by_parameter) / (system.scale * omega)
     assert relative(slope, (after.state - before.state) / (2.0 * step)) < 1e-5
 
