@@ -762,7 +762,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     search = continuation.initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
-        return search(problem, initial)._replace(orbit=None, reason="lost")
+        return search(problem, initial)._replace(orbit=None, outcome_text="lost")
 
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
