@@ -785,7 +785,7 @@ def find_sliding_lines(
     pairs = motion.structure.n_pairs
     slip, force = (
         record.row_products.reshape(len(record.row_products), 2, pairs),
-        record.force[:, :pairs],
+        record.forces[:, :pairs],
     )
     slip_change = np.roll(slip, -1, axis=0) - slip
     weight = np.maximum(0.5 * (np.roll(force, -1, axis=0) + force), 0.0)

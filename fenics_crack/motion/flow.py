@@ -309,9 +309,9 @@ class ContactFlow(Flow):
             row_compliance = self.compliance[row_indices]
             slip_friction_matrix = np.zeros((len(row_indices), len(row_indices)))
             slip_signs = 1.0 * (pair_states == kernel.SLIP_UP) - (pair_states == kernel.SLIP_DOWN)
-            tangent_columns = row_compliance[:, n_pairs + closed_pairs]
+            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pairs]
             slip_friction_matrix[:, : len(closed_pairs)] = (
-                tangent_columns * slip_signs[closed_pairs]
+                tangential_compliance_columns * slip_signs[closed_pairs]
             )
             eigenvalues = np.linalg.eigvals(
                 np.linalg.solve(row_compliance[:, row_indices], slip_friction_matrix)

@@ -131,7 +131,7 @@ class Record:
         Fourier coefficients of the products over the period, or over the last period.
     row_products : (n, m)
         Products at the n instants. For a row that selects a dof: its displacement [m].
-    gap, force : (n, n_rows) [m], [N]
+    gaps, forces : (n, n_rows) [m], [N]
         Gaps and contact forces of all pairs; with friction tangential rows follow the normal rows.
     structure : Structure
         Structure at the parameter of the curve.
@@ -150,8 +150,8 @@ class Record:
     time: np.ndarray
     coefficients: np.ndarray
     row_products: np.ndarray
-    gap: np.ndarray
-    force: np.ndarray
+    gaps: np.ndarray
+    forces: np.ndarray
     structure: Structure
     friction_coefficient: float | np.ndarray | None = None
     evaluate_at_period_fractions: RecordFunction | None = None
@@ -173,14 +173,14 @@ class Record:
 
         0 if the record has no gaps because the crack faces' numbers are known already.
         """
-        return self.gap.shape[1] // (1 if self.friction_coefficient is None else 2)
+        return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
     def last_periods(self, periods: int) -> Record:
         """Return the record of the last load periods, if it has several."""
         if not self.instants_per_load_period:
             return self
         last_instants = slice(-periods * self.instants_per_load_period, None)
-        array_names = "time", "row_products", "gap", "force"
+        array_names = "time", "row_products", "gaps", "forces"
         return replace(
             self,
             **{array_name: getattr(self, array_name)[last_instants] for array_name in array_names},
@@ -223,19 +223,21 @@ class Record:
             self.is_pair_in_crack,
         )
 
-        def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-            stacked_columns = [motion, -motion]
+        def stack_columns(
+            row_products: np.ndarray, gaps: np.ndarray, forces: np.ndarray
+        ) -> np.ndarray:
+            stacked_columns = [row_products, -row_products]
             if n_pairs:
-                gap, force = gap[:, :n_pairs], force[:, :n_pairs]
+                gaps, forces = gaps[:, :n_pairs], forces[:, :n_pairs]
                 stacked_columns += [
-                    -gap.min(1),
-                    gap.max(1),
-                    force.max(1),
-                    (force @ is_pair_in_crack).max(1),
+                    -gaps.min(1),
+                    gaps.max(1),
+                    forces.max(1),
+                    (forces @ is_pair_in_crack).max(1),
                 ]
             return np.column_stack(stacked_columns)
 
-        sampled_columns = stack_columns(self.row_products, self.gap, self.force)
+        sampled_columns = stack_columns(self.row_products, self.gaps, self.forces)
         return find_maxima(
             sampled_columns,
             evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
@@ -319,16 +321,16 @@ class Faces:
     """
 
     def __init__(self, record: Record) -> None:
-        n_pairs, last_period = record.n_pairs, record.last_periods(1)
-        self.gap, self.force = record.gap[:, :n_pairs], record.force[:, :n_pairs]
+        n_pairs, last_period_record = record.n_pairs, record.last_periods(1)
+        self.gap, self.force = record.gaps[:, :n_pairs], record.forces[:, :n_pairs]
         self.gap_and_force_maxima = record.row_and_face_maxima[-4:]
         if record.friction_coefficient is not None:
-            normal_force, friction_force = np.hsplit(last_period.force, 2)
+            normal_force, friction_force = np.hsplit(last_period_record.forces, 2)
             self.is_slipping_at_instants = is_slipping(
                 record.friction_coefficient, normal_force, friction_force
             )
             self.is_sticking_at_instants = (normal_force > 0.0) & ~self.is_slipping_at_instants
-            self.losses = friction_losses(last_period.gap[:, n_pairs:], friction_force)
+            self.losses = friction_losses(last_period_record.gaps[:, n_pairs:], friction_force)
 
 
 def is_slipping(
@@ -513,7 +515,7 @@ class ObservedMotion:
             dof_record = full_record.last_periods(RECORDED_PERIODS)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
             if record_index < len(self._face_numbers):
-                dof_record = replace(dof_record, gap=dof_record.gap[:, :0])
+                dof_record = replace(dof_record, gaps=dof_record.gaps[:, :0])
             else:
                 self._face_numbers.append(_read_face_numbers(dof_record))
             shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]

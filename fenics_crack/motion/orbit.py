@@ -624,13 +624,13 @@ def predict_orbit(
     weights = flow.weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, interval_counts = flow.integrate_parts(states, omega, period)
+        end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
         state_jumps = end_states - np.concatenate([states[1:], states[:1]])
-        period_end_change = track.carry_changes(np.zeros(flow.size), state_jumps, interval_counts)[
-            -1
-        ]
-        solve_i_minus_m = _make_i_minus_m_solver(flow, track, weights)
-        changes = track.carry_changes(
+        period_end_change = solution_track.carry_changes(
+            np.zeros(flow.size), state_jumps, interval_counts
+        )[-1]
+        solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, weights)
+        changes = solution_track.carry_changes(
             solve_i_minus_m(period_end_change, FORCING_TERM), state_jumps, interval_counts
         )[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
@@ -638,7 +638,10 @@ def predict_orbit(
     part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.pairs
     gap_changes = changes[:, : flow.n_modes] @ flow.modal_model.pairs
     return Prediction(
-        relative_to_motion(gap_changes, part_start_gaps), states + changes, track, solve_i_minus_m
+        relative_to_motion(gap_changes, part_start_gaps),
+        states + changes,
+        solution_track,
+        solve_i_minus_m,
     )
 
 
@@ -788,7 +791,7 @@ class _Search:
                 projection_factor = self._fraction_along(simplified_step, earlier_step)
                 simplified_step = simplified_step + projection_factor * later_step
             step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
-            nonlinear_step_size = (
+            nonlinear_part_size = (
                 self.size(simplified_step - (1.0 - damping) * newton_step) + sys.float_info.min
             )
             state_size = self.size(trial_state)
@@ -798,7 +801,7 @@ class _Search:
                 if not is_m_current:
                     steps_with_same_m = []
                     continue
-                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinear_step_size)
+                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinear_part_size)
                 if damping < min_damping:
                     return False
                 continue
@@ -812,7 +815,7 @@ class _Search:
                 )
                 continue
             steps_with_same_m = []
-            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinear_step_size)
+            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinear_part_size)
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:

@@ -1102,7 +1102,7 @@ class Given(ObservedMotion):
             "time": np.zeros(2),
             "coefficients": waves[:, None],
         }
-        values |= {"row_products": np.array([[11.0], [-11.0]]), "gap": nothing, "force": nothing}
+        values |= {"row_products": np.array([[11.0], [-11.0]]), "gaps": nothing, "forces": nothing}
         self._record = Record(**values | {"structure": self.structure} | given)
 
     def records(self, rows: np.ndarray) -> Any:

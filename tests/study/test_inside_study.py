@@ -503,7 +503,7 @@ def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
     force = np.array([[7.0, 0.0], [7.0, 5.0], [0.0, 0.0]])
     structure = SimpleNamespace(clearance=np.zeros(2))
     record = SimpleNamespace(
-        row_products=motion, force=force, n_pairs=2, structure=structure, periods=1.0
+        row_products=motion, forces=force, n_pairs=2, structure=structure, periods=1.0
     )
     station = SimpleNamespace(adjacent_pairs=np.array([0, 1]))
     (at_station,) = at_tips(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
