@@ -447,7 +447,7 @@ class Search:
             for start in self._ladder(starts):
                 begin(start.name)
                 iterations_before = self.iterations
-                for guess in start.generate_guesses():
+                for guess in start.generate_candidates():
                     point = self._take_newton_steps(snes, guess)
                     if self.has_converged or self._is_spent:
                         break

@@ -679,7 +679,7 @@ class Samples:
 
     @property
     def whole_states(self) -> np.ndarray:
-        """Return the flow's states q, q' and, with friction, sliding places h: (n, size)."""
+        """Return the flow's states: q, q' and, with friction, h of all pairs: (n, size)."""
         return np.hstack([self.states, self.places])
 
     @property

@@ -98,12 +98,12 @@ class Start(NamedTuple):
     Attributes
     ----------
     name : str
-    generate_guesses : callable
+    generate_candidates : callable
         Returns guesses, or orbits, made on demand.
     """
 
     name: str
-    generate_guesses: Callable[..., Iterable[Any]]
+    generate_candidates: Callable[..., Iterable[Any]]
 
 
 class OrbitSearch(NamedTuple):
@@ -152,7 +152,7 @@ def search_orbit(
     task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
     for start in starts or ORBIT_STARTS_BY_NAME.values():
         begin(start.name)
-        if orbits_from_start := [*start.generate_guesses(task)]:
+        if orbits_from_start := [*start.generate_candidates(task)]:
             return OrbitSearch(orbits_from_start[0], tuple(orbits_from_start[1:]), start.name)
     return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
 
