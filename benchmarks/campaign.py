@@ -181,7 +181,7 @@ def _starts(
 
 def state_of(orbit: PeriodicOrbit, flow: ReferenceFlow) -> np.ndarray:
     """An orbit of the package at phase zero."""
-    return flow.state(*np.split(orbit.state, 2) @ orbit.flow.modes.shapes.T)
+    return flow.state(*np.split(orbit.state, 2) @ orbit.flow.modal_model.shapes.T)
 
 
 def finer(case: Case, found: fc.PeriodicSolution, factor: int) -> fc.PeriodicSolution:

@@ -42,7 +42,7 @@ import fenics_crack as fc
 from fenics_crack.balance.harmonic_balance import wave_of
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.study.meshes import finer_mesh
 
 ROOT = Path(__file__).parents[1]
@@ -241,7 +241,7 @@ def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbi
     """Return the orbit of a study with more modes that is next to another orbit."""
     problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
     wave = wave_of(problem, orbit, orbit.coefficients(5))
-    more_modes = MoreModes(flow_of(study.structure, study.contact), wave, orbit)
+    more_modes = MoreModes(exact_flow_or_none(study.structure, study.contact), wave, orbit)
     assert more_modes.orbit is not None
     return more_modes.orbit
 

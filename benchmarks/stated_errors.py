@@ -74,7 +74,7 @@ from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
 from fenics_crack.model.reduced import ReducedStructure
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.study.prepare import Study
 from fenics_crack.study.solve import solve_prepared
@@ -871,7 +871,7 @@ def with_four_times(
         larger_structure = fc.reduce_structure(
             structure.whole, modes=times * structure.n_modes, method="massless", reference=False
         )
-        flow = flow_of(larger_structure, run.contact)
+        flow = exact_flow_or_none(larger_structure, run.contact)
         assert flow is not None
         larger_orbit = MoreModes(flow, solution.assessment.wave, orbits[-1]).orbit
         orbits += [] if larger_orbit is None else [larger_orbit]

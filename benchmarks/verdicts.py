@@ -45,7 +45,7 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.balance.assessment import MAX_DISTANCE, Assessment, distance, stated_error
 from fenics_crack.motion.attractors import find_irregular_motion
-from fenics_crack.motion.flow import ContactFlow, exact_flow
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.time.march import initial_state
 
@@ -100,7 +100,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
             harmonics, nan, "not solved", False, nan, nan, "none", 0, "open", nan, "-", "-",
         )  # fmt: skip
     found = fc.floquet(plate, solution)
-    flow, orbit = exact_flow(plate, law), None
+    flow, orbit = exact_flow_or_error(plate, law), None
     start, kind, exact = flow.state(*initial_state(plate, law, solution)), "none", float("nan")
     try:
         orbit = fc.shoot(plate, solution)
@@ -167,7 +167,7 @@ def by_central_differences(
     """Whether a disturbance of 1 % returns or leaves, by central differences."""
     count = len(orbit.state) // 2
     displacement = orbit.displacement_at(np.zeros(1))[0]
-    velocity = orbit.flow.modes.shapes @ orbit.state[count:]
+    velocity = orbit.flow.modal_model.shapes @ orbit.state[count:]
     # With fewer steps the grid's own error decides where |mu| is within 0.003 of 1.
     steps = 512 * int(np.ceil(8.0 * fc.stable_steps_per_period(plate, omega, law) / 512))
     history = fc.integrate_central_difference(

@@ -156,7 +156,7 @@ def test_orbits_that_cases_do_not_have(name: str, monkeypatch: pytest.MonkeyPatc
     orbit = fc.solve_harmonic_balance(structure, omega, law, tolerance=0.01).orbit
     assert orbit is not None and not orbit.is_stable
     assert case["orbits"][0]["verdict"] == "unstable"
-    motions = np.split(orbit.state, 2) @ orbit.flow.modes.shapes.T
+    motions = np.split(orbit.state, 2) @ orbit.flow.modal_model.shapes.T
     state = motions.ravel()
     again = check.Motion(case).period(state, 1)
     assert np.abs(again["state"] - state).max() < 1e-11 * np.abs(state).max()

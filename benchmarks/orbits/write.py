@@ -26,7 +26,7 @@ import reference_flow
 from second import INSTANTS
 
 import fenics_crack as fc
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.search import wave_states
 
@@ -43,14 +43,15 @@ def reduced(
     name: str, title: str, structure: fc.Structure, law: Any, omega: float
 ) -> dict[str, Any]:
     """A case by its modes, of a reduced structure of the package whose pairs have no mass."""
-    flow = exact_flow(structure, law)
+    flow = exact_flow_or_error(structure, law)
     stiffness = np.broadcast_to(np.asarray(law.stiffness, float), structure.n_pairs)
     return {
         "format": 1, "name": name, "title": title, "source": OWN,
         "structure": {
-            "form": "modes", "squares": flow.modes.squares.tolist(),
-            "damping": flow.modes.damping.tolist(),
-            "pairs": flow.modes.pairs.tolist(), "flexibility": flow.residual_flexibility.tolist(),
+            "form": "modes", "squares": flow.modal_model.squares.tolist(),
+            "damping": flow.modal_model.damping.tolist(),
+            "pairs": flow.modal_model.pairs.tolist(),
+            "flexibility": flow.residual_flexibility.tolist(),
             "lift": (flow.load_gap + np.eye(len(flow.load_gap), 1) * flow.clearance).tolist(),
         },
         "load": {
@@ -145,7 +146,7 @@ def starts(
 
 def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> list[dict[str, Any]]:
     """All orbits found by the exact flow, the largest motion first."""
-    flow, omega = exact_flow(structure, law), case["load"]["omega"]
+    flow, omega = exact_flow_or_error(structure, law), case["load"]["omega"]
     orbits, seen = [], []
     count = flow.n_modes
     for state in starts(flow, structure, law, omega, structure.n_pairs > 3):
@@ -162,7 +163,7 @@ def exact_orbits(case: dict[str, Any], structure: fc.Structure, law: Any) -> lis
                 continue
             if any(np.linalg.norm(one - passed[0]) < 1e-5 * size for one in seen):
                 continue
-            if flow.friction and len(orbit.stuck) and any(len(one.stuck) for one in orbits):
+            if flow.friction_law and len(orbit.stuck) and any(len(one.stuck) for one in orbits):
                 continue  # another one of the same continuum
             seen += passed
             orbits.append(orbit)
@@ -174,7 +175,7 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     """What is stored of an orbit of the exact flow."""
     count, state = flow.n_modes, orbit.state
     if case["structure"]["form"] == "matrices":
-        shapes = flow.modes.shapes
+        shapes = flow.modal_model.shapes
         state = np.concatenate(
             [shapes @ state[:count], shapes @ state[count : 2 * count], state[2 * count :]]
         )
@@ -185,7 +186,7 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     found = stored(
         case, orbit.subharmonic, state, gap, loss, orbit.multipliers, orbit.events, waves
     )
-    if flow.friction:
+    if flow.friction_law:
         slide = orbit.tangential_gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)
         found["tangential_gap"], found["stuck"] = rounded(slide), orbit.stuck.tolist()
     elif case["structure"]["form"] == "matrices":

@@ -35,7 +35,7 @@ from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
 from fenics_crack.model.modal import is_small
 from fenics_crack.motion.attractors import Attractor, find_irregular_motion
-from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.orbit import (
     MAX_SEARCH_PERIODS,
     PeriodicOrbit,
@@ -120,7 +120,7 @@ class Assessment:
             return self._flow if self.exact_orbit is None else self.exact_orbit.flow
         if self.wave.contact is None or not self.wave.structure.n_pairs:
             return None
-        return flow_of(self.wave.structure, self.wave.contact)
+        return exact_flow_or_none(self.wave.structure, self.wave.contact)
 
     @property
     def affordable(self) -> bool:
@@ -140,7 +140,7 @@ class Assessment:
         assert self.flow is not None
         wave, flow = self.wave, self.flow
         states = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
-        if flow.friction:
+        if flow.friction_law:
             time = wave.period / len(states) * np.arange(len(states))
             states[:, 2 * flow.n_modes :] = wave.sticking_places(time)
         return states
@@ -159,7 +159,7 @@ class Assessment:
     @property
     def predicted_error(self) -> float:
         """Return the predicted relative error of the gaps over the period; inf if unknown."""
-        return np.inf if self.prediction is None else self.prediction.gap_error
+        return np.inf if self.prediction is None else self.prediction.relative_gap_error
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
@@ -195,11 +195,11 @@ class Assessment:
         states = [self.states[0]]
         if self.predicted_error <= MAX_ERROR:
             states.insert(0, self.prediction.states[0])
-        periods, inverse = self.wave.subharmonic, self.prediction.inverse
+        periods, inverse = self.wave.subharmonic, self.prediction.solve_i_minus_m
         search = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
-        orbits = (search(state, subharmonic=periods, inverse=inverse) for state in states)
+        orbits = (search(state, subharmonic=periods, solve_i_minus_m=inverse) for state in states)
         return next(filter(None, orbits), None)
 
     def _refined_assessment(self) -> Assessment | None:
@@ -248,9 +248,11 @@ class Assessment:
             errors = UNKNOWN, UNKNOWN
         else:
             assert self.flow is not None
-            change = (step.states - self.states)[:, : self.flow.n_modes] @ self.flow.modes.shapes.T
+            change = (step.states - self.states)[
+                :, : self.flow.n_modes
+            ] @ self.flow.modal_model.shapes.T
             time = np.arange(len(change)) * wave.period / len(change)
-            errors = step.gap_error, _change_at_load(wave, change, wave.coordinates(time))
+            errors = step.relative_gap_error, _change_at_load(wave, change, wave.coordinates(time))
             errors = (stated_error(errors[0]), stated_error(errors[1])) if search else errors
         return min(errors[0], UNKNOWN), min(errors[1], UNKNOWN)
 
@@ -267,7 +269,7 @@ class Assessment:
         if self.flow is None or reference is None or not is_small(reference):
             return None
         assert wave.contact is not None
-        flow = flow_of(reference, wave.contact)
+        flow = exact_flow_or_none(reference, wave.contact)
         is_searchable = flow is not None and is_affordable(
             flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
         )
@@ -282,7 +284,7 @@ class Assessment:
             return ""
         if self.too_slow:
             assert self.flow is not None
-            n_cycles = self.flow.max_rate * self.wave.period / (2.0 * np.pi)
+            n_cycles = self.flow.rate_bound * self.wave.period / (2.0 * np.pi)
             cycles = f"{n_cycles / 1e3:.0f} thousand cycles in a period"
             cause = f"the load is so slow that the highest modes have {cycles}"
             return f"{cause}, too many for exact time integration; keep fewer modes"

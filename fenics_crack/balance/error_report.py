@@ -50,7 +50,7 @@ from fenics_crack.numerics.newton import motion_square, solve_by_full_or_damped_
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
-ENOUGH_HARMONICS = SearchOptions.harmonics[-1]
+ENOUGH_HARMONICS = SearchOptions.guess_harmonic_counts[-1]
 """Harmonics of the load's frequency at which two solutions show the change due to modes.
 
 On 14 plates next to a resonance it is 0.3 to 3 times that of orbits; with 20 harmonics from a

@@ -56,15 +56,15 @@ from fenics_crack.model.modes import LIP_STATES
 from fenics_crack.model.reduced import ReducedStructure, as_massless_structure
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, exact_flow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error, exact_flow_or_none
 from fenics_crack.motion.motions import ObservedMotion
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
-    OrbitCoefficients,
     PeriodicOrbit,
+    RealFourierCoefficients,
     is_affordable,
 )
-from fenics_crack.motion.search import SEGMENT_STARTS, OrbitSearch, SearchOptions, search_orbit
+from fenics_crack.motion.search import SEGMENT_START_SLICE, OrbitSearch, SearchOptions, search_orbit
 from fenics_crack.numerics.fourier import from_complex, to_complex
 from fenics_crack.numerics.newton import relative_to_motion
 
@@ -458,14 +458,16 @@ def _solve_structure(
 ) -> PeriodicSolution:
     """Return the solution with a structure's present modes, if possible an exact orbit."""
     problem = solver.problem
-    flow = flow_of(problem.structure, problem.contact)
+    flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or not is_affordable(flow, problem.omega, problem.subharmonic):
         return _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
         orbit_solution = solution_of_orbit(problem, search.orbit, tolerance, initial)
         origin = (
-            f"{search.reason}, from H = {solutions[-1].harmonics}" if solutions else search.reason
+            f"{search.outcome_text}, from H = {solutions[-1].harmonics}"
+            if solutions
+            else search.outcome_text
         )
         return replace(
             orbit_solution,
@@ -476,8 +478,10 @@ def _solve_structure(
         initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
     solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
-    orders = ", ".join(str(count * problem.subharmonic) for count in SearchOptions.harmonics)
-    status = f"no exact orbit found from H = {orders}; {search.reason}; {solution.status}"
+    orders = ", ".join(
+        str(count * problem.subharmonic) for count in SearchOptions.guess_harmonic_counts
+    )
+    status = f"no exact orbit found from H = {orders}; {search.outcome_text}; {solution.status}"
     return replace(solution, status=status)
 
 
@@ -495,7 +499,7 @@ def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> 
     InputError
         There is no exact flow.
     """
-    flow = exact_flow(problem.structure, problem.contact)
+    flow = exact_flow_or_error(problem.structure, problem.contact)
     return _search_orbit_from_solutions(Solver(problem, throw=False), flow, initial)[1]
 
 
@@ -512,10 +516,10 @@ def _search_orbit_from_solutions(
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
-                yield orbit.sampled.whole_states[SEGMENT_STARTS]
+                yield orbit.sampled.whole_states[SEGMENT_START_SLICE]
             elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
-        for count in SearchOptions.harmonics:
+        for count in SearchOptions.guess_harmonic_counts:
             start_problem = problem.with_harmonics(problem.response_harmonics(count))
             solution = _solver_for(solver, start_problem).attempt(initial, wholly=False)[1]
             if solution.converged:
@@ -537,7 +541,7 @@ def _states_with_more_modes(
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
-        return more_modes.orbit.sampled.whole_states[SEGMENT_STARTS]
+        return more_modes.orbit.sampled.whole_states[SEGMENT_START_SLICE]
     return MoreModes(flow, assessment.wave, orbit).states
 
 
@@ -569,7 +573,9 @@ def solution_of_orbit(
     to the modes. A neighbouring solution ``initial`` makes it faster.
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
-    coefficients = orbit.coefficients(problem.response_harmonics(SearchOptions.harmonics[-1]))
+    coefficients = orbit.coefficients(
+        problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
+    )
     more_modes: MoreModes | None = None
 
     def wave_with(harmonics: int) -> PeriodicSolution:
@@ -579,7 +585,7 @@ def solution_of_orbit(
         return wave_of(problem.with_harmonics(harmonics), orbit, coefficients, more_modes)
 
     more_modes = wave_with(
-        problem.response_harmonics(SearchOptions.harmonics[0])
+        problem.response_harmonics(SearchOptions.guess_harmonic_counts[0])
     ).assessment.more_modes
     if more_modes and initial and initial.structure is problem.structure:
         initial_modes = initial.assessment.more_modes
@@ -615,7 +621,7 @@ def solution_of_orbit(
 def wave_of(
     problem: Problem,
     orbit: PeriodicOrbit,
-    coefficients: OrbitCoefficients,
+    coefficients: RealFourierCoefficients,
     more_modes: MoreModes | None = None,
 ) -> PeriodicSolution:
     """Return an orbit's motion with the harmonics of a problem."""
@@ -643,7 +649,7 @@ def _modal_truncation_errors(
     if not isinstance(structure, ReducedStructure) or structure.reference is None:
         return 0.0, 0.0
     if more_modes is None or more_modes.orbit is None:
-        n_harmonics = problem.response_harmonics(SearchOptions.harmonics[-1])
+        n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
         balance = Solver(problem.with_harmonics(n_harmonics))
         solution = balance.attempt(wave_with(n_harmonics), wholly=False, more_modes=more_modes)[1]
         if solution.converged:
@@ -676,7 +682,7 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     error = solution.report.truncation + solution.report.sampling
     is_unknown = (
         error >= UNKNOWN
-        and solution.harmonics >= SearchOptions.harmonics[-1] * solution.subharmonic
+        and solution.harmonics >= SearchOptions.guess_harmonic_counts[-1] * solution.subharmonic
     )
     meets_goal = error <= _error_goal(tolerance, solution.report.reduction)
     return meets_goal or is_unknown or solution.harmonics >= MAX_HARMONICS
@@ -777,7 +783,10 @@ def find_sliding_lines(
     assert tangents is not None
     [record] = motion.records(tangents.T.toarray())
     pairs = motion.structure.n_pairs
-    slip, force = record.motion.reshape(len(record.motion), 2, pairs), record.force[:, :pairs]
+    slip, force = (
+        record.row_products.reshape(len(record.row_products), 2, pairs),
+        record.forces[:, :pairs],
+    )
     slip_change = np.roll(slip, -1, axis=0) - slip
     weight = np.maximum(0.5 * (np.roll(force, -1, axis=0) + force), 0.0)
     work = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, weight)

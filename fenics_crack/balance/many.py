@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import Tabular
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, exact_flow
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
@@ -184,7 +184,7 @@ def solve_many(
         )
     cases = np.array(np.broadcast_arrays(*arguments), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
-    n_cases, flow = cases.shape[1], exact_flow(structure, contact)
+    n_cases, flow = cases.shape[1], exact_flow_or_error(structure, contact)
     columns: dict[str, Any] = dict(zip(PARAMETERS, cases, strict=True))
     columns |= {name: np.full(n_cases, "", dtype=object) for name in TEXT_COLUMNS}
     columns |= {name: np.full(n_cases, np.nan) for name in NUMBER_COLUMNS}
@@ -224,8 +224,8 @@ def _order_cases(
     rows.append(np.abs(flow.clearance).max() / load_size)
     x = np.nan_to_num(np.array(rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     scale, centre = np.ptp(x, axis=0), np.median(x, axis=0)
-    mode_index = int(np.abs(flow.modes.squares - centre[0] ** 2).argmin())
-    width = centre[1] * flow.modes.damping_force(np.eye(flow.n_modes))[mode_index, mode_index]
+    mode_index = int(np.abs(flow.modal_model.squares - centre[0] ** 2).argmin())
+    width = centre[1] * flow.modal_model.damping_force(np.eye(flow.n_modes))[mode_index, mode_index]
     scale[0] = min(scale[0], width) if width > 0.0 else scale[0]
     x = (x - centre) / np.where(scale > 0.0, scale, 1.0)
     order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")
@@ -264,9 +264,9 @@ def _find_orbit_of_case(
         return orbit
     search = initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
-        orbit, cases.status[case], cases.reason[case] = search.orbit, "alone", search.reason
+        orbit, cases.status[case], cases.reason[case] = search.orbit, "alone", search.outcome_text
     if orbit is None:
-        raise ConvergenceError(search.reason)
+        raise ConvergenceError(search.outcome_text)
     return orbit
 
 
@@ -294,7 +294,7 @@ def _orbit_numbers(
         "amplitude": 0.5
         * (_interpolated_maximum(displacement) + _interpolated_maximum(-displacement)),
         "opening": max(0.0, _interpolated_maximum(-samples.gap)),
-        "closed_share": track.share(track.sets > 0),
+        "closed_share": track.mean_time_share(track.sets > 0),
         "multiplier": multiplier,
         "truncation": truncation,
         "states": orbit.state,

@@ -29,14 +29,14 @@ from fenics_crack.motion.flow import ContactFlow, Samples
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
-    Inverse,
+    IMinusMSolver,
     MotionInArcs,
     PeriodicOrbit,
     find_orbit,
     predict_motion,
     predict_orbit,
 )
-from fenics_crack.motion.search import SEGMENT_STARTS
+from fenics_crack.motion.search import SEGMENT_START_SLICE
 from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import relative_to_motion
@@ -101,7 +101,7 @@ class MoreModes:
     """Harmonic-balance solution."""
     nearest_orbit: PeriodicOrbit
     """Nearest exact orbit, with the modes of the solution's structure."""
-    inverse: Inverse | None = None
+    inverse: IMinusMSolver | None = None
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
@@ -115,19 +115,19 @@ class MoreModes:
         n_modes = self.nearest_orbit.flow.n_modes
         coordinates, speed, places = np.split(samples.whole_states, [n_modes, 2 * n_modes], axis=1)
         if as_massless_structure(self.wave.structure) is None:
-            return self._reference_states(coordinates, speed, places)[SEGMENT_STARTS]
+            return self._reference_states(coordinates, speed, places)[SEGMENT_START_SLICE]
         n_kept = coordinates.shape[1]
         modal_loads = (
             fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
             @ flow.modal_load[:, n_kept:]
         )
-        modal_loads = modal_loads - samples.forces @ flow.modes.pairs[n_kept:].T
-        static_coordinates = modal_loads / flow.modes.squares[n_kept:]
+        modal_loads = modal_loads - samples.forces @ flow.modal_model.pairs[n_kept:].T
+        static_coordinates = modal_loads / flow.modal_model.squares[n_kept:]
         static_rates = (
             np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
         ) / (2.0 * samples.time[1])
         whole_states = [coordinates, static_coordinates, speed, static_rates, places]
-        return np.hstack(whole_states)[SEGMENT_STARTS]
+        return np.hstack(whole_states)[SEGMENT_START_SLICE]
 
     def _reference_states(
         self, coordinates: np.ndarray, speed: np.ndarray, places: np.ndarray
@@ -143,7 +143,7 @@ class MoreModes:
         mass_times_basis = multiply(whole_structure.mass, structure.basis)
         basis_change = (
             whole_structure.sum_over_ranks(reference.basis.T @ mass_times_basis)
-            @ self.nearest_orbit.flow.modes.shapes
+            @ self.nearest_orbit.flow.modal_model.shapes
         )
         return self.flow.state(coordinates @ basis_change.T, speed @ basis_change.T, places)
 
@@ -165,16 +165,16 @@ class MoreModes:
         )
         orbit = None
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = search(states[0], inverse=start_inverse) or (
+            orbit = search(states[0], solve_i_minus_m=start_inverse) or (
                 search(states[0]) if start_inverse else None
             )
         if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            orbit = search(step.states[0], inverse=step.inverse)
+            orbit = search(step.states[0], solve_i_minus_m=step.solve_i_minus_m)
             return orbit or predict_motion(flow, omega, step, periods)
         return orbit
 
     @property
-    def orbit_inverse(self) -> Inverse | None:
+    def orbit_inverse(self) -> IMinusMSolver | None:
         """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
             return self.orbit.inverse if self.orbit else None
@@ -213,7 +213,7 @@ class MoreModes:
         orbit_verdict = "stable" if modulus < 1.0 else "unstable"
         if orbit_verdict == verdict or abs(modulus - 1.0) <= MULTIPLIER_TOLERANCE:
             return ""
-        n_modes = len(self.flow.modes.squares)
+        n_modes = len(self.flow.modal_model.squares)
         return (
             f"with {n_modes} modes the orbit is {orbit_verdict} (largest multiplier {modulus:.6g})"
         )
@@ -221,7 +221,7 @@ class MoreModes:
 
 def is_still(samples: Samples) -> bool:
     """Return True if crack faces, pressed together by the load, move by rounding only."""
-    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modes.pairs
+    modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.pairs
     gap_motion = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(gap_motion) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
 

@@ -68,7 +68,7 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_affordable
 from fenics_crack.motion.search import SearchOptions, Start, search_orbit, wave_states
 from fenics_crack.numerics.equations import (
@@ -152,7 +152,7 @@ class Problem:
     structure: Structure
     omega: float
     contact: ContactLaw
-    harmonics: int = SearchOptions.harmonics[0]
+    harmonics: int = SearchOptions.guess_harmonic_counts[0]
     samples: int | None = None
     subharmonic: int = 1
     static_above: float | None = None
@@ -447,7 +447,7 @@ class Search:
             for start in self._ladder(starts):
                 begin(start.name)
                 iterations_before = self.iterations
-                for guess in start.candidates():
+                for guess in start.generate_candidates():
                     point = self._take_newton_steps(snes, guess)
                     if self.has_converged or self._is_spent:
                         break
@@ -545,7 +545,7 @@ class Search:
             and system.integrals.has_coupled_pairs
             and problem.harmonics <= self._min_harmonics_for_orbit_start
         ):
-            flow = flow_of(problem.structure, problem.contact)
+            flow = exact_flow_or_none(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
             start = Start("from an exact orbit", self._guesses_from_orbit)
             ladder.insert(len(ladder) * is_orbit_last, start)
@@ -554,7 +554,7 @@ class Search:
     @property
     def _min_harmonics_for_orbit_start(self) -> int:
         """Return the number of harmonics above which an exact orbit is tried first."""
-        return self.problem.response_harmonics(SearchOptions.harmonics[-1])
+        return self.problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
 
     def _guesses_near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
         """Yield a guess, then the point that shortened steps reach from it."""
@@ -642,7 +642,7 @@ class Search:
         rest. Nothing is yielded without an exact flow, or if the search would take long.
         """
         problem, simpler_point, guesses = self.problem, self._simpler_point, list[np.ndarray]()
-        flow = flow_of(problem.structure, problem.contact)
+        flow = exact_flow_or_none(problem.structure, problem.contact)
         omega, periods = problem.omega, problem.subharmonic
         if flow is None or not is_affordable(flow, omega, periods):
             return

@@ -209,9 +209,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         yield Record(
             self.omega, self.subharmonic, self.period * fractions, waves, motion, gap, force,
             structure=self.structure,
-            friction=friction,
+            friction_coefficient=friction,
             # Friction forces follow from earlier ones.
-            evaluate=evaluate_at if friction is None else None,
+            evaluate_at_period_fractions=evaluate_at if friction is None else None,
             exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 
@@ -385,7 +385,7 @@ class Solver:
         budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if known.
         """
         compliance = self.problem.compliance()
-        share = 1.0 if wholly else 1.0 / len(SearchOptions.harmonics)
+        share = 1.0 if wholly else 1.0 / len(SearchOptions.guess_harmonic_counts)
         try:
             problem = self.problem.with_weight(compliance)
             search, end_point, wave = replace(self, problem=problem).find(

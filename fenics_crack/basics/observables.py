@@ -121,20 +121,22 @@ class Observables:
         lambda at: at.largest_order, PRINTED)
     mean_shift: Any = _point("mean displacement over harmonic 1", "1",
         lambda at: at.mean / at.fundamental, SHOWN | DRAWN)
-    opening: Any = _face("largest opening", "m", lambda at: max(at.maxima[0], 0.0), EVERYWHERE)
-    penetration: Any = _face("largest penetration", "m", lambda at: max(at.maxima[1], 0.0), PRINTED)
-    contact_force: Any = _face("largest contact force of a pair", "N", lambda at: at.maxima[2],
-        PRINTED)
+    opening: Any = _face("largest opening", "m",
+        lambda at: max(at.gap_and_force_maxima[0], 0.0), EVERYWHERE)
+    penetration: Any = _face("largest penetration", "m",
+        lambda at: max(at.gap_and_force_maxima[1], 0.0), PRINTED)
+    contact_force: Any = _face("largest contact force of a pair", "N",
+        lambda at: at.gap_and_force_maxima[2], PRINTED)
     crack_force: Any = _face("largest contact force of a crack, all pairs", "N",
-        lambda at: at.maxima[3], SHOWN)
+        lambda at: at.gap_and_force_maxima[3], SHOWN)
     closed_share: Any = _face("contact duty cycle, mean over pairs", "1",
         lambda at: (at.force > 0.0).mean(), EVERYWHERE)
     friction_loss: Any = _face("friction loss of a period", "J", lambda at: at.losses.sum(),
         SHOWN | FRICTION)
     stick_share: Any = _face("share of the period in which pairs stick, mean over pairs", "1",
-        lambda at: at.sticks.mean(), PRINTED | FRICTION)
+        lambda at: at.is_sticking_at_instants.mean(), PRINTED | FRICTION)
     slip_share: Any = _face("share of the period in which pairs slip, mean over pairs", "1",
-        lambda at: at.slips.mean(), SHOWN | FRICTION)
+        lambda at: at.is_slipping_at_instants.mean(), SHOWN | FRICTION)
 
 
 QUANTITIES: dict[str, Observable] = {

@@ -161,9 +161,9 @@ def of_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
 def of_friction(found: PeriodicSolution) -> Iterator[str]:
     """A warning where contact has nearly more than one solution at an instant."""
     flow = found.assessment.flow
-    if flow is None or flow.friction is None:
+    if flow is None or flow.friction_law is None:
         return
-    largest, critical = float(np.max(flow.friction.coefficient)), flow.critical_friction
+    largest, critical = float(np.max(flow.friction_law.coefficient)), flow.critical_friction
     if largest > 0.5 * critical:
         high = f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}"
         yield f"{high}, from which on the contact forces of an instant need not be the only ones"

@@ -52,7 +52,7 @@ from fenics_crack.curves.verdicts import judge_curve
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.motion.flow import exact_flow, flow_of
+from fenics_crack.motion.flow import exact_flow_or_error, exact_flow_or_none
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY, PeriodicOrbit, is_too_slow
 from fenics_crack.numerics.newton import PathPoint, Tangent, tangent_of
 from fenics_crack.numerics.path import (
@@ -402,7 +402,7 @@ class Continuation(GrowingCurve):
                 initial = replace(initial, structure=reduced_structure)
         self._needs_verdicts = stability and not exact
         if self._needs_verdicts and is_rigid(problem.contact):
-            exact_flow(problem.structure, problem.contact)
+            exact_flow_or_error(problem.structure, problem.contact)
 
         start_problem = BALANCE_EQUATIONS[parameter].vary(problem, start)
         is_branch = isinstance(initial, Bifurcation)
@@ -480,7 +480,7 @@ def has_orbits(problem: Problem, parameter: str, start: float, end: float) -> bo
     monodromy matrix. The load must not be too slow.
     """
     check_range(problem, parameter, start, end)
-    flow = flow_of(problem.structure, problem.contact)
+    flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
     end_frequencies = [
@@ -515,7 +515,7 @@ def _find_start_orbit(
         check_initial(problem, initial)
     search_result = initial_orbit(problem, initial)
     if search_result.orbit is None:
-        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search_result.reason}"
+        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search_result.outcome_text}"
         advice_words = (
             "with harmonics in place of a tolerance the curve of harmonic balance is followed"
         )

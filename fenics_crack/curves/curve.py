@@ -44,7 +44,7 @@ from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
@@ -66,7 +66,7 @@ DESCRIPTION_BY_PARAMETER = {
 }
 """Parameters of a curve, with their units, by name (:attr:`ResponseCurve.parameter`)."""
 
-MIN_ORBIT_HARMONICS = SearchOptions.harmonics[0]
+MIN_ORBIT_HARMONICS = SearchOptions.guess_harmonic_counts[0]
 """Minimum harmonics of the load frequency in a solution from an exact orbit."""
 OBSERVED_INSTANTS_PER_PERIOD = 256
 """Instants per period at which the motion at a point is observed."""
@@ -340,7 +340,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def _common_flow(self) -> ContactFlow | None:
         """Exact flow that all points share; None except over the frequency, or without a flow."""
         is_over_frequency = self.parameter == "omega"
-        return flow_of(self.structure, self.contact) if is_over_frequency else None
+        return exact_flow_or_none(self.structure, self.contact) if is_over_frequency else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
         """Return the exact orbit at a point; InputError for a harmonic-balance curve."""
@@ -550,7 +550,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         None stands for the watched dof.
         """
-        return self.observe([dof])[0][0].coefficients
+        return self.observe([dof])[0][0].real_fourier_coefficients
 
     def _gather(self, values: list[Any]) -> np.ndarray:
         return np.array(values)

@@ -44,7 +44,7 @@ from fenics_crack.curves.orbit_events import (
     PeriodDoubling,
     leading_multipliers_and_counts,
 )
-from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow
+from fenics_crack.motion.flow import ContactFlow, Motion, as_doubles, exact_flow_or_error
 from fenics_crack.motion.shooting import OrbitPoint, ShootingEquations
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
@@ -85,7 +85,7 @@ class Orbits(CurveSystem):
     def _make_flow(self, value: float) -> ContactFlow:
         """Make the exact flow at a parameter value."""
         problem = self.problem_at(value)
-        return exact_flow(problem.structure, problem.contact)
+        return exact_flow_or_error(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
         """Return the exact flow at a parameter value; the last flow is kept."""
@@ -158,7 +158,9 @@ class Orbits(CurveSystem):
         The given states are in the modes at the curve's start. Shape: (n_unknowns,
         n_unknowns).
         """
-        modal_basis_change = self.flow(value).modes.inverse @ self._start_flow.modes.shapes
+        modal_basis_change = (
+            self.flow(value).modal_model.inverse @ self._start_flow.modal_model.shapes
+        )
         friction_identity = np.eye(self._start_flow.size - 2 * self._start_flow.n_modes)
         return scipy.linalg.block_diag(modal_basis_change, modal_basis_change, friction_identity)
 
@@ -191,7 +193,7 @@ class Orbits(CurveSystem):
         is_over_damping = self.name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
         if self.name in ("stiffness", "speed", "friction") or (
-            is_over_damping and self._start_flow.friction
+            is_over_damping and self._start_flow.friction_law
         ):
             return None
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
@@ -208,8 +210,8 @@ class Orbits(CurveSystem):
                 max(self.start, self.end) if is_over_damping else self.start
             )
             if is_over_damping:
-                damping_change = end_flow.modes.damping - start_flow.modes.damping
-                damping = start_flow.modes.damping
+                damping_change = end_flow.modal_model.damping - start_flow.modal_model.damping
+                damping = start_flow.modal_model.damping
                 kernel_fields |= {"damping": as_doubles(damping), "n_damping": damping.size}
                 kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
@@ -250,7 +252,7 @@ class Orbits(CurveSystem):
             return np.asarray(self.scale[:, None] * tangent_matrix / self.scale)
 
         def by_parameter() -> np.ndarray:
-            if self.name == "speed" or self._start_flow.friction:
+            if self.name == "speed" or self._start_flow.friction_law:
                 step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
                 return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
             state = self.state(unknown, value)
@@ -259,7 +261,7 @@ class Orbits(CurveSystem):
             rest_change = self._scaled_rest_and_change[1]
             return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
 
-        n_events, n_pieces = motion.events, motion.pieces
+        n_events, n_pieces = motion.events, motion.n_taylor_pieces
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
     def observe(self, records: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.modal import CACHE_BLOCK_SIZE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, find_attractor
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
@@ -62,7 +62,7 @@ from fenics_crack.motion.orbit import (
     find_orbit,
     is_same_orbit,
 )
-from fenics_crack.motion.search import ORBIT_STARTS, SearchOptions, search_orbit
+from fenics_crack.motion.search import ORBIT_STARTS_BY_NAME, SearchOptions, search_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.fourier import sample_period
 from fenics_crack.numerics.newton import motion_size
@@ -251,17 +251,17 @@ def shoot(
     check_count("settle", settle, 0)
     assessment, subharmonic = _assessment_of(structure, solution, contact), solution.subharmonic
     assert assessment.wave.contact is not None
-    flow = exact_flow(structure, assessment.wave.contact)
+    flow = exact_flow_or_error(structure, assessment.wave.contact)
     orbit = None if settle else assessment.orbit
     if orbit is None:
         orbit_equations = FlowOrbits(flow, solution.omega, assessment.states[0], subharmonic)
-        settled_unknown = orbit_equations.start
+        settled_unknown = orbit_equations.start_unknown
         for _ in range(settle):
-            settled_unknown = orbit_equations.advance_period(settled_unknown, 1.0)
+            settled_unknown = orbit_equations.unknown_after_period(settled_unknown, 1.0)
         start_state = orbit_equations.state(settled_unknown)
         orbit = search_orbit(
             flow, solution.omega, [start_state[None]], subharmonic, prefer_stable=False,
-            starts=(ORBIT_STARTS["guesses"], ORBIT_STARTS["path"]),
+            starts=(ORBIT_STARTS_BY_NAME["guesses"], ORBIT_STARTS_BY_NAME["path"]),
         ).orbit  # fmt: skip
     if orbit is not None and orbit.residual > tolerance:  # short last step, but large M
         reconverged_orbit = find_orbit(
@@ -318,7 +318,7 @@ def floquet(
     if assessment.flow is None:
         assert law is not None
         if is_unilateral(law) or not is_small(structure):
-            exact_flow(structure, law)  # raises InputError with the reason
+            exact_flow_or_error(structure, law)  # raises InputError with the reason
         return _stability_by_linear_flow(structure, solution, law)
     return stability_of(assessment)
 
@@ -383,7 +383,10 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     rms_motion = motion_size(orbit_equations.scale * orbit_states) / np.sqrt(len(orbit_states))
     start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
     distinct_attractors: list[Attractor] = []
-    start_unknowns = orbit_equations.start + start_change, orbit_equations.start - start_change
+    start_unknowns = (
+        orbit_equations.start_unknown + start_change,
+        orbit_equations.start_unknown - start_change,
+    )
     for start_unknown in start_unknowns if mu == abs(mu) else start_unknowns[:1]:
         attractor = find_attractor(orbit_equations, start_unknown)
         if not any(

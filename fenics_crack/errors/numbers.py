@@ -233,7 +233,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
     changes = np.abs(_ratios(other_record) - ratios)
     order_index = 2 + np.argmax(np.abs(ratios[2:]), axis=0)
     sizes = {
-        "amplitude": (other_record.motion - record.motion).std(axis=0),
+        "amplitude": (other_record.row_products - record.row_products).std(axis=0),
         "ratio_2_1": changes[2],
         "ratio_3_1": changes[3],
         "ratio_largest": np.take_along_axis(changes, order_index[None], axis=0)[0],
@@ -248,7 +248,7 @@ def sizes_of_change(study: Study, *motions: PeriodicOrbit | PeriodicSolution) ->
 
 def _ratios(record: Record) -> np.ndarray:
     """Return c_k of the module's equation for m signals: (n_harmonics, m) complex."""
-    spectrum = np.fft.rfft(record.motion, axis=0)[:: record.subharmonic]
+    spectrum = np.fft.rfft(record.row_products, axis=0)[:: record.subharmonic]
     size = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
     orders = np.arange(len(spectrum))[:, None]
     return np.asarray(spectrum / size * (spectrum[1].conj() / size) ** orders)
@@ -259,7 +259,7 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
     if not record.n_pairs:
         return {}
     faces, other_faces = Faces(record), Faces(other_record)
-    force_change = (other_faces.force - faces.force) @ record.pairs_of_cracks
+    force_change = (other_faces.force - faces.force) @ record.is_pair_in_crack
     parts, other_parts = _parts_of_pairs(record, faces), _parts_of_pairs(record, other_faces)
     return {
         "opening": float((other_faces.gap - faces.gap).std(axis=0).max()),
@@ -271,9 +271,9 @@ def _sizes_of_face_changes(record: Record, other_record: Record) -> dict[str, fl
 def _parts_of_pairs(record: Record, faces: Faces) -> dict[str, np.ndarray]:
     """Return each pair's part in sums over pairs: (n_pairs,) by name."""
     parts = {"closed_share": (faces.force > 0.0).mean(axis=0) / record.n_pairs}
-    if record.friction is None:
+    if record.friction_coefficient is None:
         return parts
     return parts | {
-        "slip_share": faces.slips.mean(axis=0) / record.n_pairs,
+        "slip_share": faces.is_slipping_at_instants.mean(axis=0) / record.n_pairs,
         "friction_loss": faces.losses,
     }

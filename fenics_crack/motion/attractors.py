@@ -31,7 +31,7 @@ MAX_SETTLED_CHANGE = 1e-3
 """Maximum relative change of a settled motion, from one return to the next."""
 MAX_GROWTH_PERIODS = 35
 """Maximum periods over which the growth of a disturbance is measured."""
-IRREGULAR_GROWTH = 1e3
+IRREGULAR_TOTAL_GROWTH = 1e3
 """Minimum disturbance growth in an irregular motion, over the last two thirds of the periods. Next
 to a stable orbit the growth is at most the condition number of the multipliers' eigenvectors."""
 
@@ -90,18 +90,18 @@ class Attractor:
         state, n_periods = self.orbits.state(self.last), 100
         if self.orbit is not None:
             state, n_periods = self.orbit.state, self.orbit.subharmonic // self.orbits.subharmonic
-        time = np.arange(n_periods * INSTANTS_PER_PERIOD) * period / INSTANTS_PER_PERIOD
-        displacement = flow.advance(
-            state, omega, n_periods * period, instants=time
+        sample_times = np.arange(n_periods * INSTANTS_PER_PERIOD) * period / INSTANTS_PER_PERIOD
+        structure_displacement = flow.advance(
+            state, omega, n_periods * period, instants=sample_times
         ).samples.displacement
-        watched_displacement = flow.structure.values_at(displacement, [dof]).reshape(
+        period_displacements = flow.structure.values_at(structure_displacement, [dof]).reshape(
             n_periods, INSTANTS_PER_PERIOD
         )
-        return np.asarray(np.ptp(watched_displacement, axis=1) / 2.0)
+        return np.asarray(np.ptp(period_displacements, axis=1) / 2.0)
 
 
 def find_attractor(
-    orbits: FlowOrbits, start: np.ndarray, max_periods: int | None = None
+    orbits: FlowOrbits, start_unknown: np.ndarray, max_periods: int | None = None
 ) -> Attractor:
     """Return the exact motion after many periods from a start.
 
@@ -111,40 +111,65 @@ def find_attractor(
     ----------
     orbits : FlowOrbits
         Flow, load frequency and period.
-    start : (flow.size,)
+    start_unknown : (flow.size,)
         State at phase zero, in the scaled unknowns x of ``orbits``.
     max_periods : int, optional
-        Default: a quarter of ``SearchOptions.evaluations``, for any number of modes.
+        Default: a quarter of ``SearchOptions.period_budget``, for any number of modes.
     """
-    max_periods = SearchOptions.evaluations // 4 if max_periods is None else max_periods
+    max_periods = SearchOptions.period_budget // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
     begin(f"the exact motion over up to {max_periods} periods")
-    states, next_states = start[None], follow_periods(orbits, start, max_periods)
-    while new_states := list(islice(next_states, len(states) - 1 + MAX_RETURN_PERIODS)):
-        states = np.concatenate([states, new_states])
-        last_state = states[-1]
-        changes = np.linalg.norm(states[-2 : -MAX_RETURN_PERIODS - 2 : -1] - last_state, axis=1)
-        size = np.linalg.norm(last_state)
-        for lag_index in np.flatnonzero(changes <= MAX_SETTLED_CHANGE * size):
-            n_load_periods = int(1 + lag_index) * orbits.subharmonic
+    states_at_periods, state_iterator = (
+        start_unknown[None],
+        follow_periods(orbits, start_unknown, max_periods),
+    )
+    while new_states := list(
+        islice(state_iterator, len(states_at_periods) - 1 + MAX_RETURN_PERIODS)
+    ):
+        states_at_periods = np.concatenate([states_at_periods, new_states])
+        last_state = states_at_periods[-1]
+        lag_distances = np.linalg.norm(
+            states_at_periods[-2 : -MAX_RETURN_PERIODS - 2 : -1] - last_state, axis=1
+        )
+        state_size = np.linalg.norm(last_state)
+        for lag_index in np.flatnonzero(lag_distances <= MAX_SETTLED_CHANGE * state_size):
+            n_orbit_load_periods = int(1 + lag_index) * orbits.subharmonic
             orbit = find_orbit(
-                orbits.flow, orbits.omega, orbits.state(last_state), subharmonic=n_load_periods
+                orbits.flow,
+                orbits.omega,
+                orbits.state(last_state),
+                subharmonic=n_orbit_load_periods,
             )
             if orbit is None:
                 continue
-            decay = 1.0 - abs(orbit.multipliers[0])
-            distance = np.linalg.norm(orbits.unknown(orbit.state) - last_state)
+            relative_decay_per_period = 1.0 - abs(orbit.multipliers[0])
+            distance_to_orbit = np.linalg.norm(orbits.unknown(orbit.state) - last_state)
             # A state at the distance d from an orbit with the multiplier mu moves by at least
             # (1 - |mu|) d in a period.
-            max_decay = 2.0 * changes[lag_index] + MAX_LOCATION_RESIDUAL * size
-            if decay > 0.0 and decay * distance <= max_decay:
-                orbit_words = f"an orbit of {n_load_periods} periods of the load"
-                description = f"settles to {orbit_words if lag_index else 'a periodic orbit'}"
+            allowed_movement = 2.0 * lag_distances[lag_index] + MAX_LOCATION_RESIDUAL * state_size
+            if (
+                relative_decay_per_period > 0.0
+                and relative_decay_per_period * distance_to_orbit <= allowed_movement
+            ):
+                orbit_text = f"an orbit of {n_orbit_load_periods} periods of the load"
+                description = f"settles to {orbit_text if lag_index else 'a periodic orbit'}"
                 return Attractor(
-                    orbit, description, (len(states) - 1) * orbits.subharmonic, orbits, last_state
+                    orbit,
+                    description,
+                    (len(states_at_periods) - 1) * orbits.subharmonic,
+                    orbits,
+                    last_state,
                 )
-    description = f"does not settle: {describe_closest_return(states, orbits.subharmonic, 'it')}"
-    return Attractor(None, description, (len(states) - 1) * orbits.subharmonic, orbits, states[-1])
+    description = (
+        f"does not settle: {describe_closest_return(states_at_periods, orbits.subharmonic, 'it')}"
+    )
+    return Attractor(
+        None,
+        description,
+        (len(states_at_periods) - 1) * orbits.subharmonic,
+        orbits,
+        states_at_periods[-1],
+    )
 
 
 def find_irregular_motion(
@@ -173,25 +198,30 @@ def find_irregular_motion(
     """
     begin("growth of a disturbance of the exact motion")
     period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
-    change = np.random.default_rng(1).normal(size=flow.size) / weights
-    piece_budget, log_growths = MAX_SEARCH_PIECES, [0.0]
+    state_change = np.random.default_rng(1).normal(size=flow.size) / weights
+    remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):
-            motion = flow.advance(state, omega, period, budget=Budget(pieces=piece_budget))
-            change = motion.track @ (change / np.linalg.norm(weights * change))
-            state, piece_budget = motion.state, piece_budget - motion.pieces
-            log_growths.append(log_growths[-1] + math.log(np.linalg.norm(weights * change)))
-    start_index = len(log_growths) // 3
-    log_growth = log_growths[-1] - log_growths[start_index]
-    if not log_growth > math.log(IRREGULAR_GROWTH):  # nan neither
+            motion = flow.advance(state, omega, period, budget=Budget(pieces=remaining_pieces))
+            state_change = motion.track @ (state_change / np.linalg.norm(weights * state_change))
+            state, remaining_pieces = motion.state, remaining_pieces - motion.n_taylor_pieces
+            cumulative_log_growths.append(
+                cumulative_log_growths[-1] + math.log(np.linalg.norm(weights * state_change))
+            )
+    transient_end_index = len(cumulative_log_growths) // 3
+    total_log_growth = cumulative_log_growths[-1] - cumulative_log_growths[transient_end_index]
+    if not total_log_growth > math.log(IRREGULAR_TOTAL_GROWTH):  # nan neither
         return None
-    growth = math.exp(log_growth / (len(log_growths) - 1 - start_index))
+    growth_per_period = math.exp(
+        total_log_growth / (len(cumulative_log_growths) - 1 - transient_end_index)
+    )
     orbits = FlowOrbits(flow, omega, state, subharmonic)
     return Attractor(
         None,
-        f"is irregular: a small disturbance grows {float(f'{growth:.2g}'):,g}-fold in a period",
-        (len(log_growths) - 1) * subharmonic,
+        "is irregular: a small disturbance grows"
+        f" {float(f'{growth_per_period:.2g}'):,g}-fold in a period",
+        (len(cumulative_log_growths) - 1) * subharmonic,
         orbits,
-        orbits.start,
-        growth,
+        orbits.start_unknown,
+        growth_per_period,
     )

@@ -67,18 +67,20 @@ class BudgetError(ConvergenceError):
     """A motion needs more Taylor pieces than its budget."""
 
 
-def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
+def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure, if there is one.
 
     None for a smooth law, for a large structure, and for rigid contact with a singular residual
     flexibility.
     """
     return (
-        ContactFlow(structure, contact) if _exact_flow_error(structure, contact) is None else None
+        ContactFlow(structure, contact)
+        if _exact_flow_input_error(structure, contact) is None
+        else None
     )
 
 
-def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
+def exact_flow_or_error(structure: Structure, contact: ContactLaw) -> ContactFlow:
     """Return the exact flow of a structure and a contact law.
 
     Raises
@@ -92,11 +94,11 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
 
 def check_exact(structure: Structure, contact: ContactLaw) -> None:
     """Raise InputError if a structure and a law lack an exact flow."""
-    if error := _exact_flow_error(structure, contact):
-        raise error
+    if input_error := _exact_flow_input_error(structure, contact):
+        raise input_error
 
 
-def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError | None:
+def _exact_flow_input_error(structure: Structure, contact: ContactLaw) -> InputError | None:
     """Return why a structure and a contact law have no exact flow. None if they have one."""
     check_law(structure, contact, rigid=True)
     if not is_unilateral(contact):
@@ -108,8 +110,10 @@ def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError |
         return None
     static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_part()
     if not is_regular(static_flexibility + np.diag(softness)):
-        allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
-        return InputError("structure", repr(structure), allowed)
+        allowed_text = (
+            "one whose faces have no mass: reduce_structure(structure, method='massless')"
+        )
+        return InputError("structure", repr(structure), allowed_text)
     return None
 
 
@@ -125,9 +129,11 @@ class Flow:
     ----------
     structure : Structure
     contact : ContactLaw
+    friction_law : CoulombFriction or None
+        Friction in the contact law.
     clearance : (n_rows,) [m]
         g0 of the rows; 0 for tangents.
-    modes : AllModes
+    modal_model : AllModes
         Moving modes; their pairs are the contact rows.
     n_modes, size : int
         Number of modes, and of entries in a state.
@@ -145,19 +151,21 @@ class Flow:
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
-        self.friction = friction_of(contact)
-        contact_structure = add_friction_pairs(contact, structure)
-        self.clearance = contact_structure.clearance
-        self.modes = modes = all_modes(contact_structure)
-        self.n_modes = len(modes.squares)
-        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction else 0)
-        self.residual_flexibility = modes.static_part()
+        self.friction_law = friction_of(contact)
+        structure_with_friction_rows = add_friction_pairs(contact, structure)
+        self.clearance = structure_with_friction_rows.clearance
+        self.modal_model = modal_model = all_modes(structure_with_friction_rows)
+        self.n_modes = len(modal_model.squares)
+        self.size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
+        self.residual_flexibility = modal_model.static_part()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
-        self.modal_load = np.ascontiguousarray(structure.force @ modes.shapes)
+        self.modal_load = np.ascontiguousarray(structure.force @ modal_model.shapes)
         self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
-        if modes.static_loads is not None:
-            self.load_gap += contact_structure.apply_bt(structure.force @ modes.static_loads)
+        if modal_model.static_loads is not None:
+            self.load_gap += structure_with_friction_rows.apply_bt(
+                structure.force @ modal_model.static_loads
+            )
         self.load_gap[0] -= self.clearance
 
     def state(
@@ -168,13 +176,16 @@ class Flow:
         ``places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the tangential gaps
         without contact forces.
         """
-        inverse, n_pairs = self.modes.inverse.T, self.structure.n_pairs
-        parts = [displacement @ inverse, velocity @ inverse]
-        if self.friction:
+        dof_to_mode_matrix, n_pairs = self.modal_model.inverse.T, self.structure.n_pairs
+        state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
+        if self.friction_law:
             if places is None:
-                places = parts[0] @ self.modes.pairs[:, n_pairs:] + self.load_gap[0, n_pairs:]
-            parts.append(places)
-        return np.concatenate(parts, axis=-1)
+                places = (
+                    state_parts[0] @ self.modal_model.pairs[:, n_pairs:]
+                    + self.load_gap[0, n_pairs:]
+                )
+            state_parts.append(places)
+        return np.concatenate(state_parts, axis=-1)
 
     def displacement(
         self,
@@ -222,16 +233,18 @@ class Flow:
         rows : (m, n_dofs), optional
             Factors; return products of rows with the displacement instead: (n, m).
         """
-        modes = self.modes
+        modal_model = self.modal_model
 
-        def select(motions: np.ndarray) -> np.ndarray:
+        def select(motion_columns: np.ndarray) -> np.ndarray:
             """Return the requested rows of motions (n_dofs, k)."""
-            return motions[dofs] if rows is None else rows @ motions
+            return motion_columns[dofs] if rows is None else rows @ motion_columns
 
-        displacement: np.ndarray = modal_displacement @ select(modes.shapes).T
-        if modes.static_loads is not None and modes.static_pairs is not None:
-            displacement += load_basis @ select((self.structure.force @ modes.static_loads).T).T
-            displacement -= force @ select(modes.static_pairs).T
+        displacement: np.ndarray = modal_displacement @ select(modal_model.shapes).T
+        if modal_model.static_loads is not None and modal_model.static_pairs is not None:
+            displacement += (
+                load_basis @ select((self.structure.force @ modal_model.static_loads).T).T
+            )
+            displacement -= force @ select(modal_model.static_pairs).T
         return displacement
 
 
@@ -243,29 +256,37 @@ class ContactFlow(Flow):
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
-        modes, n_pairs = self.modes, structure.n_pairs
-        closed_forces = np.linalg.solve(self.compliance, modes.pairs.T)
-        stiffness = np.diag(modes.squares) + modes.pairs @ closed_forces
-        self.max_rate = _bound_rates(float(np.linalg.eigvalsh(stiffness)[-1]), modes.damping)
+        modal_model, n_pairs = self.modal_model, structure.n_pairs
+        closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.pairs.T)
+        closed_stiffness_matrix = (
+            np.diag(modal_model.squares) + modal_model.pairs @ closed_pair_forces_of_modes
+        )
+        self.rate_bound = _bound_rates(
+            float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
+        )
         """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
-        self.max_open_rate = _bound_rates(float(modes.squares.max()), modes.damping)
+        self.open_rate_bound = _bound_rates(float(modal_model.squares.max()), modal_model.damping)
         """Upper bound of these rates while all pairs are open [1/s]."""
-        coefficients = None
-        if self.friction:
-            coefficients = np.broadcast_to(self.friction.coefficient, n_pairs).astype(float)
-        parts = Struct(
-            "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=coefficients,
-            coupled=modes.damping.ndim == 2, squares=as_doubles(modes.squares),
-            damping=as_doubles(modes.damping),
-            rows=as_doubles(modes.pairs.T), compliance=as_doubles(self.compliance),
+        friction_coefficients = None
+        if self.friction_law:
+            friction_coefficients = np.broadcast_to(self.friction_law.coefficient, n_pairs).astype(
+                float
+            )
+        flow_parts_struct = Struct(
+            "flow_parts", modes=self.n_modes, pairs=n_pairs, friction=friction_coefficients,
+            coupled=modal_model.damping.ndim == 2, squares=as_doubles(modal_model.squares),
+            damping=as_doubles(modal_model.damping),
+            rows=as_doubles(modal_model.pairs.T), compliance=as_doubles(self.compliance),
             force=self.modal_load,
             harmonics=len(self.modal_load) // 2,
-            gap=self.load_gap, max_rate=self.max_rate, max_open_rate=self.max_open_rate,
+            gap=self.load_gap, max_rate=self.rate_bound, max_open_rate=self.open_rate_bound,
             max_set_numbers=int(SETS_MEMORY_FRACTION * machine_memory()) // 8,
         )  # fmt: skip
-        self.handle = attach_destructor(kernel.new_flow(parts.address), kernel.free_flow)
+        self.handle = attach_destructor(
+            kernel.new_flow(flow_parts_struct.address), kernel.free_flow
+        )
         """The kernel's flow."""
-        self._max_intervals = 0
+        self._track_buffer_length = 0
 
     @cached_property
     def critical_friction(self) -> float:
@@ -281,20 +302,22 @@ class ContactFlow(Flow):
         / (a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1).
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
-        for states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
-            closed_pairs = np.flatnonzero(states)
-            stuck_pairs = np.flatnonzero(states == kernel.STICK)
-            rows = np.concatenate([closed_pairs, n_pairs + stuck_pairs])
-            row_compliance = self.compliance[rows]
-            friction_matrix = np.zeros((len(rows), len(rows)))
-            slip_signs = 1.0 * (states == kernel.SLIP_UP) - (states == kernel.SLIP_DOWN)
-            tangent_columns = row_compliance[:, n_pairs + closed_pairs]
-            friction_matrix[:, : len(closed_pairs)] = tangent_columns * slip_signs[closed_pairs]
-            eigenvalues = np.linalg.eigvals(
-                np.linalg.solve(row_compliance[:, rows], friction_matrix)
+        for pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
+            closed_pairs = np.flatnonzero(pair_states)
+            stuck_pairs = np.flatnonzero(pair_states == kernel.STICK)
+            row_indices = np.concatenate([closed_pairs, n_pairs + stuck_pairs])
+            row_compliance = self.compliance[row_indices]
+            slip_friction_matrix = np.zeros((len(row_indices), len(row_indices)))
+            slip_signs = 1.0 * (pair_states == kernel.SLIP_UP) - (pair_states == kernel.SLIP_DOWN)
+            tangential_compliance_columns = row_compliance[:, n_pairs + closed_pairs]
+            slip_friction_matrix[:, : len(closed_pairs)] = (
+                tangential_compliance_columns * slip_signs[closed_pairs]
             )
-            is_negative = (eigenvalues.imag == 0.0) & (eigenvalues.real < 0.0)
-            critical_coefficients.extend(-1.0 / eigenvalues.real[is_negative])
+            eigenvalues = np.linalg.eigvals(
+                np.linalg.solve(row_compliance[:, row_indices], slip_friction_matrix)
+            )
+            is_real_negative_eigenvalue = (eigenvalues.imag == 0.0) & (eigenvalues.real < 0.0)
+            critical_coefficients.extend(-1.0 / eigenvalues.real[is_real_negative_eigenvalue])
         return float(min(critical_coefficients))
 
     @cached_property
@@ -303,37 +326,49 @@ class ContactFlow(Flow):
 
         The state has no rigid-body motion, and no tangential forces.
         """
-        modes, n_pairs = self.modes, self.structure.n_pairs
-        modal_flexibility = np.zeros_like(modes.squares)
-        np.divide(1.0, modes.squares, out=modal_flexibility, where=modes.squares > 0.0)
-        normals, compliance = modes.pairs[:, :n_pairs], self.compliance[:, :n_pairs]
-        displacement_by_force = modal_flexibility[:, None] * normals
+        modal_model, n_pairs = self.modal_model, self.structure.n_pairs
+        mode_flexibilities = np.zeros_like(modal_model.squares)
+        np.divide(1.0, modal_model.squares, out=mode_flexibilities, where=modal_model.squares > 0.0)
+        normal_gaps_of_modes, normal_compliance = (
+            modal_model.pairs[:, :n_pairs],
+            self.compliance[:, :n_pairs],
+        )
+        modal_displacement_by_force = mode_flexibilities[:, None] * normal_gaps_of_modes
         # With all pairs open:
-        displacement = modal_flexibility * self.modal_load[0]
-        gap, force = displacement @ normals + self.load_gap[0, :n_pairs], np.zeros(n_pairs)
-        if np.any(gap > 0.0):
+        modal_displacement = mode_flexibilities * self.modal_load[0]
+        normal_gaps, normal_forces = (
+            modal_displacement @ normal_gaps_of_modes + self.load_gap[0, :n_pairs],
+            np.zeros(n_pairs),
+        )
+        if np.any(normal_gaps > 0.0):
             from scipy.optimize import nnls  # slow to import
 
             # D lambda - gap >= 0 and lambda >= 0, complementary, with D = L L^T: the minimum of
             # |L^T lambda - L^-1 gap|.
             cholesky_factor = np.linalg.cholesky(
-                compliance[:n_pairs] + normals.T @ displacement_by_force
+                normal_compliance[:n_pairs] + normal_gaps_of_modes.T @ modal_displacement_by_force
             )
-            force = nnls(cholesky_factor.T, np.linalg.solve(cholesky_factor, gap))[0]
-            displacement = displacement - displacement_by_force @ force
-        parts = [displacement, np.zeros_like(displacement)]
-        if self.friction:
-            parts.append(
-                (displacement @ modes.pairs + self.load_gap[0] - compliance @ force)[n_pairs:]
+            normal_forces = nnls(cholesky_factor.T, np.linalg.solve(cholesky_factor, normal_gaps))[
+                0
+            ]
+            modal_displacement = modal_displacement - modal_displacement_by_force @ normal_forces
+        state_parts = [modal_displacement, np.zeros_like(modal_displacement)]
+        if self.friction_law:
+            state_parts.append(
+                (
+                    modal_displacement @ modal_model.pairs
+                    + self.load_gap[0]
+                    - normal_compliance @ normal_forces
+                )[n_pairs:]
             )
-        return np.concatenate(parts)
+        return np.concatenate(state_parts)
 
     def count_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion without events.
 
         The motion lasts ``duration`` [s].
         """
-        return float(self.max_rate * duration / kernel.MAX_PIECE_ANGLE)
+        return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
     def weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the energy norm |w z|: (size,).
@@ -342,8 +377,8 @@ class ContactFlow(Flow):
         ``base_omega``.
         """
         weights = np.ones(self.size)
-        np.sqrt(np.maximum(self.modes.squares, base_omega**2), out=weights[: self.n_modes])
-        if self.friction:  # h deforms a spring as stiff as a single sticking pair
+        np.sqrt(np.maximum(self.modal_model.squares, base_omega**2), out=weights[: self.n_modes])
+        if self.friction_law:  # h deforms a spring as stiff as a single sticking pair
             stick_compliance = np.diag(self.compliance)[self.structure.n_pairs :]
             weights[2 * self.n_modes :] = 1.0 / np.sqrt(stick_compliance)
         return weights
@@ -355,9 +390,9 @@ class ContactFlow(Flow):
         displacements have weight 1. For h the divisor is the first mode's.
         """
         weights = self.weights(base_omega)
-        rates = weights[: self.n_modes]
-        place_rates = np.full(self.size - 2 * self.n_modes, rates[0])
-        return weights / np.concatenate([rates, rates, place_rates])
+        mode_rates = weights[: self.n_modes]
+        place_rates = np.full(self.size - 2 * self.n_modes, mode_rates[0])
+        return weights / np.concatenate([mode_rates, mode_rates, place_rates])
 
     def advance(
         self,
@@ -389,25 +424,31 @@ class ContactFlow(Flow):
         """
         end_state = np.array(state, dtype=float).reshape(self.size)
         instants = np.zeros(0) if instants is None else as_doubles(instants)
-        n_instants, n_rows, n_pairs = len(instants), len(self.softness), self.structure.n_pairs
+        n_instants, n_contact_rows, n_pairs = (
+            len(instants),
+            len(self.softness),
+            self.structure.n_pairs,
+        )
         states = np.empty((n_instants, 2 * self.n_modes))
-        answers = np.empty((n_instants, 2 * n_rows if self.friction else n_rows))
+        forces_and_openings = np.empty(
+            (n_instants, 2 * n_contact_rows if self.friction_law else n_contact_rows)
+        )
         pair_states = np.empty((n_instants, n_pairs), dtype=np.int8)
-        motion_struct, copy_track = self._make_motion_struct(
+        motion_struct, copy_track = self._make_motion_struct_and_track_copier(
             budget, omega=omega, time=start, end=start + duration, state=end_state,
-            n_instants=n_instants, instants=instants, states=states, answers=answers,
+            n_instants=n_instants, instants=instants, states=states, answers=forces_and_openings,
             closed=pair_states,
         )  # fmt: skip
         _check_outcome(
             kernel.flow_advance(self.handle, motion_struct.address), motion_struct.address.n_events
         )
         track = Track(self, omega, start, **copy_track(motion_struct.address.n_intervals))
-        samples = Samples(self, omega, instants, states, answers, pair_states)
-        n_events, n_pieces = (
+        samples = Samples(self, omega, instants, states, forces_and_openings, pair_states)
+        n_events, n_taylor_pieces = (
             int(motion_struct.address.n_events),
             int(motion_struct.address.n_pieces),
         )
-        return Motion(end_state, n_events, n_pieces, track, samples)
+        return Motion(end_state, n_events, n_taylor_pieces, track, samples)
 
     def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
@@ -435,7 +476,7 @@ class ContactFlow(Flow):
         """
         states = as_doubles(states)
         end_states, interval_counts = np.empty_like(states), np.empty(len(states), dtype=np.intc)
-        motion_struct, copy_track = self._make_motion_struct(None, omega=omega)
+        motion_struct, copy_track = self._make_motion_struct_and_track_copier(None, omega=omega)
         outcome = kernel.flow_advance_parts(
             self.handle, motion_struct.address, len(states), period, pointer(states),
             pointer(end_states), pointer(interval_counts),
@@ -444,7 +485,7 @@ class ContactFlow(Flow):
         track = Track(self, omega, 0.0, **copy_track(motion_struct.address.n_intervals))
         return end_states, track, interval_counts
 
-    def _make_motion_struct(
+    def _make_motion_struct_and_track_copier(
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the C struct ``flow_motion``, and a function to copy the track.
@@ -453,23 +494,26 @@ class ContactFlow(Flow):
         arrays by name.
         """
         budget = budget or Budget()
-        if self._max_intervals < budget.intervals:
-            self._max_intervals = max_intervals = budget.intervals
-            sets = np.empty((max_intervals, self.structure.n_pairs), np.int8)
-            self._track_arrays = {"sets": sets, "lengths": np.empty(max_intervals)}
-            if self.friction:
-                friction_kinds = {"causes": np.intc, "is_first": np.int8, "ratios": float}
+        if self._track_buffer_length < budget.intervals:
+            self._track_buffer_length = max_intervals = budget.intervals
+            pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
+            self._track_arrays = {"sets": pair_state_buffer, "lengths": np.empty(max_intervals)}
+            if self.friction_law:
+                friction_dtypes_by_name = {"causes": np.intc, "is_first": np.int8, "ratios": float}
                 self._track_arrays |= {
-                    name: np.empty(max_intervals, kind) for name, kind in friction_kinds.items()
+                    name: np.empty(max_intervals, dtype)
+                    for name, dtype in friction_dtypes_by_name.items()
                 }
             self._base_struct = Struct("flow_motion", **self._track_arrays)
-        arrays = self._track_arrays
-        limits = {"max_pieces": budget.pieces, "max_intervals": budget.intervals}
+        track_arrays = self._track_arrays
+        limits_by_name = {"max_pieces": budget.pieces, "max_intervals": budget.intervals}
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
-            return {name: array[:n_intervals].copy() for name, array in arrays.items()}
+            return {
+                name: track_array[:n_intervals].copy() for name, track_array in track_arrays.items()
+            }
 
-        return self._base_struct.with_members(**limits, **members), copy_track
+        return self._base_struct.with_members(**limits_by_name, **members), copy_track
 
 
 @dataclass(frozen=True)
@@ -500,7 +544,7 @@ class Track:
     is_first: np.ndarray | None = None
     ratios: np.ndarray | None = None
 
-    def share(self, is_selected: np.ndarray) -> float:
+    def mean_time_share(self, is_selected: np.ndarray) -> float:
         """Return the fraction of time in which pairs are in selected states.
 
         ``is_selected`` is (n, n_pairs) bool. The result is the mean over the pairs.
@@ -509,34 +553,37 @@ class Track:
 
     @cached_property
     def _struct(self) -> Struct:
-        members = {name: member for name, member in vars(self).items() if name != "flow"}
-        return Struct("flow_track", n_intervals=len(self.lengths), **members)
+        members_by_name = {name: member for name, member in vars(self).items() if name != "flow"}
+        return Struct("flow_track", n_intervals=len(self.lengths), **members_by_name)
 
     @cached_property
     def tangent(self) -> np.ndarray:
         """Return dz(end) / dz(start), the derivative of the state z: (size, size)."""
-        matrix = np.empty((self.flow.size, self.flow.size))
-        outcome = kernel.flow_tangent(self.flow.handle, self._struct.address, pointer(matrix))
+        tangent_matrix = np.empty((self.flow.size, self.flow.size))
+        outcome = kernel.flow_tangent(
+            self.flow.handle, self._struct.address, pointer(tangent_matrix)
+        )
         _check_outcome(outcome, len(self.lengths) - 1)
-        return matrix
+        return tangent_matrix
 
-    def derivative_by_softness(self, start: np.ndarray, softness_rate: np.ndarray) -> np.ndarray:
+    def derivative_by_softness(
+        self, start_state: np.ndarray, softness_rate: np.ndarray
+    ) -> np.ndarray:
         """Return the derivative of the end state by a structural parameter: (size,).
 
         The state at the start does not change with the parameter.
 
         Parameters
         ----------
-        start : (size,)
-            State at the start.
+        start_state : (size,)
         softness_rate : (n_rows,)
             Derivative of 1 / kappa of each contact row by the parameter.
         """
         derivative = np.empty(self.flow.size)
-        rates = require_shape(softness_rate, *self.flow.softness.shape)
+        checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
-            self.flow.handle, self._struct.address, pointer(as_doubles(start)), NULL,
-            pointer(rates), pointer(derivative),
+            self.flow.handle, self._struct.address, pointer(as_doubles(start_state)), NULL,
+            pointer(checked_softness_rate), pointer(derivative),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
         return derivative
@@ -549,18 +596,18 @@ class Track:
         )
 
     def carry_changes(
-        self, start: np.ndarray, excess: np.ndarray, interval_counts: np.ndarray
+        self, start_change: np.ndarray, state_jumps: np.ndarray, interval_counts: np.ndarray
     ) -> np.ndarray:
         """Carry a change d of the state through consecutive parts of the track.
 
-            d_{i+1} = M_i d_i + excess_i,    M_i = derivative of the flow over part i
+            d_{i+1} = M_i d_i + j_i,    M_i = derivative of the flow over part i
 
         Parameters
         ----------
-        start : (size,)
+        start_change : (size,)
             d_0.
-        excess : (n, size)
-            Change added at each part's end.
+        state_jumps : (n, size)
+            Changes j added at the parts' ends.
         interval_counts : (n,) int
             Number of intervals up to each part's end.
 
@@ -570,10 +617,10 @@ class Track:
             d at the start of each part, and at the end.
         """
         changes = np.empty((len(interval_counts) + 1, self.flow.size))
-        changes[0] = start
+        changes[0] = start_change
         outcome = kernel.flow_carry_changes(
             self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
-            pointer(as_doubles(excess)),
+            pointer(as_doubles(state_jumps)),
             pointer(changes),
         )  # fmt: skip
         _check_outcome(outcome, len(self.lengths) - 1)
@@ -597,7 +644,7 @@ class Samples:
     omega: float
     time: np.ndarray
     states: np.ndarray
-    answers: np.ndarray
+    forces_and_openings: np.ndarray
     """(n, n_pairs): closed pairs' forces [N], open pairs' openings [m]. With friction (n, 4
     n_pairs): forces on all rows, then gaps less the deformation of the contact springs."""
     pair_states: np.ndarray
@@ -610,17 +657,17 @@ class Samples:
     @cached_property
     def forces(self) -> np.ndarray:
         """Return normal contact forces, with friction then friction forces: (n, n_rows) [N]."""
-        if self.flow.friction:
-            return self.answers[:, : len(self.flow.softness)]
-        return np.where(self.is_closed, np.maximum(self.answers, 0.0), 0.0)
+        if self.flow.friction_law:
+            return self.forces_and_openings[:, : len(self.flow.softness)]
+        return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
     def gaps(self) -> np.ndarray:
         """Return normal gaps, with friction then tangential gaps: (n, n_rows) [m]."""
         spring_gaps = self.forces * self.flow.softness
-        if self.flow.friction:
-            return self.answers[:, len(self.flow.softness) :] + spring_gaps
-        return np.where(self.is_closed, spring_gaps, -self.answers)
+        if self.flow.friction_law:
+            return self.forces_and_openings[:, len(self.flow.softness) :] + spring_gaps
+        return np.where(self.is_closed, spring_gaps, -self.forces_and_openings)
 
     @property
     def places(self) -> np.ndarray:
@@ -628,11 +675,11 @@ class Samples:
 
         If a pair does not stick, h follows the motion. Without friction: (n, 0).
         """
-        return self.answers[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
+        return self.forces_and_openings[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
 
     @property
     def whole_states(self) -> np.ndarray:
-        """Return the flow's states q, q' and, with friction, sliding places h: (n, size)."""
+        """Return the flow's states: q, q' and, with friction, h of all pairs: (n, size)."""
         return np.hstack([self.states, self.places])
 
     @property
@@ -664,7 +711,7 @@ class Motion(NamedTuple):
     ----------
     state : (size,)
         State at the end.
-    events, pieces : int
+    events, n_taylor_pieces : int
         Number of events (a pair opens, closes, sticks or slips), and of Taylor pieces.
     track : Track
     samples : Samples
@@ -672,7 +719,7 @@ class Motion(NamedTuple):
 
     state: np.ndarray
     events: int
-    pieces: int
+    n_taylor_pieces: int
     track: Track
     samples: Samples
 
@@ -689,22 +736,22 @@ def _bound_rates(max_square: float, damping: np.ndarray) -> float:
     return max(float(np.sqrt(max(max_square, 0.0))), max_damping)
 
 
-def _check_outcome(outcome: int, events: int) -> None:
+def _check_outcome(outcome: int, n_events: int) -> None:
     """Raise the error for a failure code of the kernel's integration.
 
-    ``events`` is the number of events before the failure, for the message.
+    ``n_events`` is the number of events before the failure, for the message.
     """
     if outcome == kernel.FLOW_DONE:
         return
     if outcome == kernel.FLOW_NO_MEMORY:
         raise MemoryError("exact flow")
-    reasons = {
+    reason_by_outcome = {
         kernel.FLOW_TOO_MANY_PIECES: "the highest modes are too fast for that long",
         kernel.FLOW_TOO_MANY_INTERVALS: "the pairs open and close without end",
         kernel.FLOW_FAILED: "the motion is not finite, or its contact forces have not one solution",
     }
-    error = BudgetError if outcome == kernel.FLOW_TOO_MANY_PIECES else ConvergenceError
-    raise error(f"events: {reasons[outcome]} (after {events} events)")
+    error_class = BudgetError if outcome == kernel.FLOW_TOO_MANY_PIECES else ConvergenceError
+    raise error_class(f"events: {reason_by_outcome[outcome]} (after {n_events} events)")
 
 
 def as_doubles(array: np.ndarray) -> np.ndarray:

@@ -93,13 +93,14 @@ class Indicators(Observables, Tabular):
 
         Friction indicators are included if any is known.
         """
-        columns = {
-            indicator.name: np.asarray(getattr(self, indicator.name)) for indicator in fields(self)
+        columns_by_name = {
+            indicator_field.name: np.asarray(getattr(self, indicator_field.name))
+            for indicator_field in fields(self)
         }
         return {
-            name: column.tolist()
-            for name, column in columns.items()
-            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column))
+            name: column_values.tolist()
+            for name, column_values in columns_by_name.items()
+            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column_values))
         }
 
     def _title(self) -> str:
@@ -128,18 +129,17 @@ class Record:
         Equally spaced.
     coefficients : (2H+1, m)
         Fourier coefficients of the products over the period, or over the last period.
-    motion : (n, m)
+    row_products : (n, m)
         Products at the n instants. For a row that selects a dof: its displacement [m].
-    gap, force : (n, n_rows) [m], [N]
+    gaps, forces : (n, n_rows) [m], [N]
         Gaps and contact forces of all pairs; with friction tangential rows follow the normal rows.
     structure : Structure
         Structure at the parameter of the curve.
-    friction : float or (n_pairs,), optional
-        Friction coefficient.
-    evaluate : callable, optional
+    friction_coefficient : float or (n_pairs,), optional
+    evaluate_at_period_fractions : callable, optional
         Callable from positions in the period, 0 to 1, to products, gaps and forces. Extremes are
         then exact to rounding.
-    steps : int
+    instants_per_load_period : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
     exact_numbers : dict of str to float
         Numbers of the crack faces, known more accurately than from the instants.
@@ -149,19 +149,23 @@ class Record:
     subharmonic: int
     time: np.ndarray
     coefficients: np.ndarray
-    motion: np.ndarray
-    gap: np.ndarray
-    force: np.ndarray
+    row_products: np.ndarray
+    gaps: np.ndarray
+    forces: np.ndarray
     structure: Structure
-    friction: float | np.ndarray | None = None
-    evaluate: RecordFunction | None = None
-    steps: int = 0
+    friction_coefficient: float | np.ndarray | None = None
+    evaluate_at_period_fractions: RecordFunction | None = None
+    instants_per_load_period: int = 0
     exact_numbers: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def periods(self) -> float:
         """Return the number of load periods in the record."""
-        return (len(self.time) - 1) / self.steps if self.steps else self.subharmonic
+        return (
+            (len(self.time) - 1) / self.instants_per_load_period
+            if self.instants_per_load_period
+            else self.subharmonic
+        )
 
     @property
     def n_pairs(self) -> int:
@@ -169,59 +173,73 @@ class Record:
 
         0 if the record has no gaps because the crack faces' numbers are known already.
         """
-        return self.gap.shape[1] // (1 if self.friction is None else 2)
+        return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
     def last_periods(self, periods: int) -> Record:
         """Return the record of the last load periods, if it has several."""
-        if not self.steps:
+        if not self.instants_per_load_period:
             return self
-        last_instants = slice(-periods * self.steps, None)
-        names = "time", "motion", "gap", "force"
-        return replace(self, **{name: getattr(self, name)[last_instants] for name in names})
+        last_instants = slice(-periods * self.instants_per_load_period, None)
+        array_names = "time", "row_products", "gaps", "forces"
+        return replace(
+            self,
+            **{array_name: getattr(self, array_name)[last_instants] for array_name in array_names},
+        )
 
     def select_rows(self, rows: slice) -> Record:
         """Return the record with some of its m products of rows with the displacement."""
-        evaluate_all = self.evaluate
+        evaluate_all = self.evaluate_at_period_fractions
         evaluate = evaluate_all and (
             lambda period_fractions: (
-                (arrays := evaluate_all(period_fractions))[0][:, rows],
-                *arrays[1:],
+                (products_gaps_and_forces := evaluate_all(period_fractions))[0][:, rows],
+                *products_gaps_and_forces[1:],
             )
         )
         return replace(
             self,
             coefficients=self.coefficients[:, rows],
-            motion=self.motion[:, rows],
-            evaluate=evaluate,
+            row_products=self.row_products[:, rows],
+            evaluate_at_period_fractions=evaluate,
         )
 
     @cached_property
-    def pairs_of_cracks(self) -> np.ndarray:
+    def is_pair_in_crack(self) -> np.ndarray:
         """Return True for the pairs of each crack: (n_pairs, n_cracks)."""
         cracks = self.structure.pairs.cracks
-        crack_numbers = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
-        return crack_numbers[:, None] == np.unique(crack_numbers)
+        crack_of_pair = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
+        return crack_of_pair[:, None] == np.unique(crack_of_pair)
 
     @cached_property
-    def maxima(self) -> np.ndarray:
+    def row_and_face_maxima(self) -> np.ndarray:
         """Return the maxima over time in the record: (2 m,) or (2 m + 4,).
 
         First the maxima of the m products of rows with the displacement, then of the negative
         products. With contact pairs four maxima follow: opening, penetration [m], contact force of
         a pair and of a crack [N].
         """
-        n_pairs, evaluate, is_in_crack = self.n_pairs, self.evaluate, self.pairs_of_cracks
+        n_pairs, evaluate, is_pair_in_crack = (
+            self.n_pairs,
+            self.evaluate_at_period_fractions,
+            self.is_pair_in_crack,
+        )
 
-        def stack_columns(motion: np.ndarray, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
-            columns = [motion, -motion]
+        def stack_columns(
+            row_products: np.ndarray, gaps: np.ndarray, forces: np.ndarray
+        ) -> np.ndarray:
+            stacked_columns = [row_products, -row_products]
             if n_pairs:
-                gap, force = gap[:, :n_pairs], force[:, :n_pairs]
-                columns += [-gap.min(1), gap.max(1), force.max(1), (force @ is_in_crack).max(1)]
-            return np.column_stack(columns)
+                gaps, forces = gaps[:, :n_pairs], forces[:, :n_pairs]
+                stacked_columns += [
+                    -gaps.min(1),
+                    gaps.max(1),
+                    forces.max(1),
+                    (forces @ is_pair_in_crack).max(1),
+                ]
+            return np.column_stack(stacked_columns)
 
-        samples = stack_columns(self.motion, self.gap, self.force)
+        sampled_columns = stack_columns(self.row_products, self.gaps, self.forces)
         return find_maximum_values(
-            samples,
+            sampled_columns,
             evaluate and (lambda period_fractions: stack_columns(*evaluate(period_fractions))),
         )
 
@@ -250,10 +268,10 @@ class Harmonics:
         self.largest_order = self.ratio_largest = math.nan
         higher_amplitudes = self._amplitudes[2 * subharmonic - 1 :: subharmonic]
         if len(higher_amplitudes):
-            index = int(higher_amplitudes.argmax())
-            self.ratio_largest = float(higher_amplitudes[index]) / self.fundamental
-            if higher_amplitudes[index] > NEGLIGIBLE * np.abs(coefficients).max():
-                self.largest_order = 2.0 + index
+            largest_index = int(higher_amplitudes.argmax())
+            self.ratio_largest = float(higher_amplitudes[largest_index]) / self.fundamental
+            if higher_amplitudes[largest_index] > NEGLIGIBLE * np.abs(coefficients).max():
+                self.largest_order = 2.0 + largest_index
 
     def harmonic(self, multiple: float) -> float:
         """Return the amplitude U_j [m] at j = ``multiple`` times the load's frequency.
@@ -261,8 +279,8 @@ class Harmonics:
         Without this harmonic: nan.
         """
         order = multiple * self._subharmonic
-        is_included = order == int(order) and order <= len(self._amplitudes)
-        return float(self._amplitudes[int(order) - 1]) if is_included else math.nan
+        has_harmonic = order == int(order) and order <= len(self._amplitudes)
+        return float(self._amplitudes[int(order) - 1]) if has_harmonic else math.nan
 
     def ratio(self, multiple: float) -> float:
         """Return U_j / U_1, relative to the amplitude at the load's frequency."""
@@ -274,16 +292,18 @@ class Point(Harmonics):
 
     Attributes
     ----------
-    motion : (n,) [m]
-        Displacement at the instants.
+    displacement : (n,) [m]
+        At the instants of the record.
     amplitude : float [m]
         Half the peak-to-peak displacement.
     """
 
     def __init__(self, record: Record, row: int) -> None:
         super().__init__(record.coefficients[:, row], record.subharmonic)
-        self.motion, n_rows = record.motion[:, row], record.motion.shape[1]
-        self.amplitude = 0.5 * float(record.maxima[row] + record.maxima[n_rows + row])
+        self.displacement, n_record_rows = record.row_products[:, row], record.row_products.shape[1]
+        self.amplitude = 0.5 * float(
+            record.row_and_face_maxima[row] + record.row_and_face_maxima[n_record_rows + row]
+        )
 
 
 class Faces:
@@ -292,36 +312,40 @@ class Faces:
     Attributes
     ----------
     gap, force : (n, n_pairs) [m], [N]
-    maxima : (4,)
+    gap_and_force_maxima : (4,)
         Largest opening and penetration [m], largest contact force of a pair and of a crack [N].
-    slips, sticks : (n, n_pairs) bool
+    is_slipping_at_instants, is_sticking_at_instants : (n, n_pairs) bool
         With friction: True if a pair slips or sticks, in the last load period.
     losses : (n_pairs,) [J]
         With friction: loss in the last load period.
     """
 
     def __init__(self, record: Record) -> None:
-        n_pairs, last_period = record.n_pairs, record.last_periods(1)
-        self.gap, self.force = record.gap[:, :n_pairs], record.force[:, :n_pairs]
-        self.maxima = record.maxima[-4:]
-        if record.friction is not None:
-            force, friction_force = np.hsplit(last_period.force, 2)
-            self.slips = is_slipping(record.friction, force, friction_force)
-            self.sticks = (force > 0.0) & ~self.slips
-            self.losses = friction_losses(last_period.gap[:, n_pairs:], friction_force)
+        n_pairs, last_period_record = record.n_pairs, record.last_periods(1)
+        self.gap, self.force = record.gaps[:, :n_pairs], record.forces[:, :n_pairs]
+        self.gap_and_force_maxima = record.row_and_face_maxima[-4:]
+        if record.friction_coefficient is not None:
+            normal_force, friction_force = np.hsplit(last_period_record.forces, 2)
+            self.is_slipping_at_instants = is_slipping(
+                record.friction_coefficient, normal_force, friction_force
+            )
+            self.is_sticking_at_instants = (normal_force > 0.0) & ~self.is_slipping_at_instants
+            self.losses = friction_losses(last_period_record.gaps[:, n_pairs:], friction_force)
 
 
-def is_slipping(coefficient: Any, force: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
+def is_slipping(
+    friction_coefficient: Any, normal_force: np.ndarray, friction_force: np.ndarray
+) -> np.ndarray:
     """Return True for slipping pairs: (n, n_pairs) bool.
 
     Parameters
     ----------
-    coefficient : float or (n_pairs,)
-        Friction coefficient.
-    force, friction_force : (n, n_pairs) [N]
+    friction_coefficient : float or (n_pairs,)
+    normal_force, friction_force : (n, n_pairs) [N]
     """
     return np.asarray(
-        (force > 0.0) & (np.abs(friction_force) >= SLIP_FORCE_RATIO * coefficient * force)
+        (normal_force > 0.0)
+        & (np.abs(friction_force) >= SLIP_FORCE_RATIO * friction_coefficient * normal_force)
     )
 
 
@@ -351,8 +375,8 @@ def rows_of(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
         return np.zeros((0, structure.n_local))
     if structure.whole is not structure:
         return structure.values_at(np.eye(structure.n_dofs), dofs).T
-    local_dofs = structure.check_dofs(dofs) - structure.first_dof
-    return np.asarray(local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
+    rank_local_dofs = structure.check_dofs(dofs) - structure.first_dof
+    return np.asarray(rank_local_dofs[:, None] == np.arange(structure.n_local), dtype=float)
 
 
 # --- what observes --------------------------------------------------------------------------------
@@ -379,12 +403,12 @@ class ObservedDisplacement(NamedTuple):
     Attributes
     ----------
     indicators : Indicators
-    coefficients : (2H+1,) [m], or (n, 2H+1) along a curve
-        Fourier coefficients.
+    real_fourier_coefficients : (2H+1,) [m], or (n, 2H+1) along a curve
+        Rows a0, a1, b1, ....
     """
 
     indicators: Indicators
-    coefficients: np.ndarray
+    real_fourier_coefficients: np.ndarray
 
 
 class ObservedMotion:
@@ -418,7 +442,7 @@ class ObservedMotion:
 
         The motion is formed once for all new dofs.
         """
-        return [displacement.indicators for displacement in self.observe(dofs)[0]]
+        return [observed_displacement.indicators for observed_displacement in self.observe(dofs)[0]]
 
     @property
     def faces(self) -> dict[str, Any]:
@@ -428,8 +452,10 @@ class ObservedMotion:
         """
         if not self._face_numbers:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
-        numbers = self._gather_numbers(self._face_numbers)
-        return {name: value for name, value in numbers.items() if not np.all(np.isnan(value))}
+        gathered_numbers = self._gather_numbers(self._face_numbers)
+        return {
+            name: value for name, value in gathered_numbers.items() if not np.all(np.isnan(value))
+        }
 
     def observe(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
@@ -450,11 +476,15 @@ class ObservedMotion:
         new_dofs = [
             dof for dof in dict.fromkeys(wanted_dofs) if dof not in self._observed_displacements
         ]
-        numbers: dict[str, Any] = {}
+        place_numbers: dict[str, Any] = {}
         if new_dofs or places:
-            displacements, numbers = self.observe_rows(rows_of(structure, new_dofs), places)
-            self._observed_displacements.update(zip(new_dofs, displacements, strict=True))
-        return [self._observed_displacements[dof] for dof in wanted_dofs], numbers
+            new_observed_displacements, place_numbers = self.observe_rows(
+                rows_of(structure, new_dofs), places
+            )
+            self._observed_displacements.update(
+                zip(new_dofs, new_observed_displacements, strict=True)
+            )
+        return [self._observed_displacements[dof] for dof in wanted_dofs], place_numbers
 
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
@@ -476,43 +506,53 @@ class ObservedMotion:
         """
         row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         all_rows = np.vstack([rows, *(place.rows for place in places)])
-        points_of_records, coefficients, numbers = [], [], list[dict[str, float]]()
-        for index, full_record in enumerate(self.records(all_rows)):
-            record = full_record.last_periods(RECORDED_PERIODS)
-            record = record.select_rows(slice(len(rows))) if places else record
-            if index < len(self._face_numbers):
-                record = replace(record, gap=record.gap[:, :0])
+        number_dicts_of_records, coefficients_of_records, place_number_dicts = (
+            [],
+            [],
+            list[dict[str, float]](),
+        )
+        for record_index, full_record in enumerate(self.records(all_rows)):
+            dof_record = full_record.last_periods(RECORDED_PERIODS)
+            dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
+            if record_index < len(self._face_numbers):
+                dof_record = replace(dof_record, gaps=dof_record.gaps[:, :0])
             else:
-                self._face_numbers.append(_read_face_numbers(record))
-            shared = {"omega": record.omega} | self._face_numbers[index]
-            points = (Point(record, row) for row in range(len(rows)))
-            points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
-            coefficients.append(record.coefficients.T)
-            numbers.append({})
-            for place, row_range in zip(places, pairwise(row_ends), strict=True):
-                numbers[-1] |= place.read_numbers(full_record.select_rows(slice(*row_range)))
-        displacements = [
-            ObservedDisplacement(
-                Indicators(**self._gather_numbers(row_numbers)),
-                self._gather(list(row_coefficients)),
+                self._face_numbers.append(_read_face_numbers(dof_record))
+            shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
+            point_iterator = (Point(dof_record, row) for row in range(len(rows)))
+            number_dicts_of_records.append(
+                [shared_numbers | read_at(Place.POINT, point) for point in point_iterator]
             )
-            for row_numbers, row_coefficients in zip(
-                zip(*points_of_records, strict=True), zip(*coefficients, strict=True), strict=True
+            coefficients_of_records.append(dof_record.coefficients.T)
+            place_number_dicts.append({})
+            for place, row_bounds in zip(places, pairwise(row_ends), strict=True):
+                place_number_dicts[-1] |= place.read_numbers(
+                    full_record.select_rows(slice(*row_bounds))
+                )
+        observed_displacements = [
+            ObservedDisplacement(
+                Indicators(**self._gather_numbers(number_dicts_of_row)),
+                self._gather(list(coefficients_of_row)),
+            )
+            for number_dicts_of_row, coefficients_of_row in zip(
+                zip(*number_dicts_of_records, strict=True),
+                zip(*coefficients_of_records, strict=True),
+                strict=True,
             )
         ]
-        return displacements, self._gather_numbers(numbers)
+        return observed_displacements, self._gather_numbers(place_number_dicts)
 
-    def _gather_numbers(self, numbers: Sequence[Mapping[str, float]]) -> dict[str, Any]:
+    def _gather_numbers(self, number_dicts: Sequence[Mapping[str, float]]) -> dict[str, Any]:
         """Gather each named number over all records: a float, on a curve (n,)."""
         return {
-            name: self._gather([record_numbers[name] for record_numbers in numbers])
-            for name in numbers[0]
+            name: self._gather([number_dict[name] for number_dict in number_dicts])
+            for name in number_dicts[0]
         }
 
     def _gather(self, values: list[Any]) -> Any:
         """Return the value of a motion's only record; curves override the method."""
-        [record_value] = values
-        return record_value
+        [only_record_value] = values
+        return only_record_value
 
     @cached_property
     def _observed_displacements(self) -> dict[int, ObservedDisplacement]:
@@ -530,8 +570,8 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
 
     Numbers without pairs, or without friction, are nan.
     """
-    numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
+    face_numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
     if record.n_pairs:
-        requirements = FRICTION if record.friction is None else FILES
-        numbers |= read_at(Place.FACES, Faces(record), requirements)
-    return numbers | dict(record.exact_numbers)
+        missing_requirements = FRICTION if record.friction_coefficient is None else FILES
+        face_numbers |= read_at(Place.FACES, Faces(record), missing_requirements)
+    return face_numbers | dict(record.exact_numbers)

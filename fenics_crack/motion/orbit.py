@@ -58,7 +58,7 @@ from fenics_crack.numerics.newton import FORCING_TERM, gmres, relative_to_motion
 
 MAX_SEARCH_PERIODS = 20
 """Maximum periods that a search integrates."""
-MIN_NEWTON_STEP = 1e-3
+MIN_NEWTON_DAMPING = 1e-3
 """Minimum damping factor of a Newton step."""
 MAX_SEARCH_PIECES = 20_000
 """Maximum Taylor pieces of a search: about a second, with many pairs. If M is formed and a period
@@ -67,7 +67,7 @@ MAX_MODES_FOR_MONODROMY = 120
 """Maximum modes with a formed M."""
 MAX_GMRES_PRODUCTS = 60
 """Maximum products with M in a solution by GMRES."""
-COMPARISON_TOLERANCE = 0.25
+COMPARED_STEP_GMRES_TOLERANCE = 0.25
 """Relative residual of GMRES for a step that is only compared with another step."""
 MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers. A smaller ||mu| - 1| is inconclusive."""
@@ -81,7 +81,7 @@ OBSERVED_HARMONICS = 40
 512 instants, 3.4 % with the 256 of a curve."""
 
 
-Inverse = Callable[[np.ndarray, float], np.ndarray]
+IMinusMSolver = Callable[[np.ndarray, float], np.ndarray]
 """Callable from b and a relative residual to (I - M)^-1 b, with the monodromy matrix M. If M is
 formed the solution is exact."""
 
@@ -91,25 +91,25 @@ class Prediction(NamedTuple):
 
     Attributes
     ----------
-    error : float
+    relative_gap_error : float
         Predicted error of the gaps, |P^T d| / |P^T Z|; P^T takes states to gaps.
     states : (n, flow.size)
         Z + d at the starts of n equal parts of the period.
-    track : Track
+    solution_track : Track
         States of the pairs along the solution, part after part.
-    inverse : Inverse
-        (I - M)^-1, with the monodromy matrix M along the solution.
+    solve_i_minus_m : IMinusMSolver
+        Returns (I - M)^-1 b, with the monodromy matrix M along the solution.
     """
 
-    gap_error: float
+    relative_gap_error: float
     states: np.ndarray
-    track: Track
-    inverse: Inverse
+    solution_track: Track
+    solve_i_minus_m: IMinusMSolver
 
     @property
     def monodromy(self) -> np.ndarray:
         """Return the monodromy matrix along the solution: (flow.size, flow.size)."""
-        return self.track.tangent
+        return self.solution_track.tangent
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,22 +180,26 @@ class PeriodicOrbit(ObservedMotion, Described):
         return float(np.linalg.norm(self.flow.weights(self.omega / self.subharmonic) * change))
 
     @cached_property
-    def inverse(self) -> Inverse:
+    def inverse(self) -> IMinusMSolver:
         """Return the function b to (I - M)^-1 b.
 
         M is the monodromy matrix. Raises LinAlgError if I - M is singular.
         """
         weights = self.flow.weights(self.omega / self.subharmonic)
-        return _make_inverse(self.flow, self.motion.track, weights)
+        return _make_i_minus_m_solver(self.flow, self.motion.track, weights)
 
     def samples(self, time: np.ndarray) -> Samples:
         """Return the motion at ascending times of the period [s]."""
         return self.flow.advance(self.state, self.omega, self.period, instants=time).samples
 
-    def _evaluate_at(self, time: np.ndarray, name: str) -> np.ndarray:
-        """Return an array of :class:`Samples`, by name, at any times [s]."""
-        times, indices = np.unique(np.mod(time, self.period), return_inverse=True)
-        return np.asarray(getattr(self.samples(times), name)[indices.ravel()])
+    def _evaluate_at(self, time: np.ndarray, samples_attribute: str) -> np.ndarray:
+        """Return an array of :class:`Samples`, by the attribute's name, at any times [s]."""
+        sample_times, sample_index_of_time = np.unique(
+            np.mod(time, self.period), return_inverse=True
+        )
+        return np.asarray(
+            getattr(self.samples(sample_times), samples_attribute)[sample_index_of_time.ravel()]
+        )
 
     @cached_property
     def sampled(self) -> Samples:
@@ -253,12 +257,12 @@ class PeriodicOrbit(ObservedMotion, Described):
         samples, piece_lengths = self._gauss_samples_and_lengths(
             len(self.flow.modal_load) // 2 * self.omega
         )
-        nodes, weights, _ = gauss_nodes()
-        columns = samples.products(rows), samples.gaps, samples.forces
-        node_values, node_numbers = np.hstack(columns), np.arange(len(nodes))
-        piece_ends, signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
-        barycentric_weights = signs * np.sqrt((1.0 - nodes**2) * weights)
-        splits = np.cumsum([part.shape[1] for part in columns])[:2]
+        nodes, gauss_weights, _ = gauss_legendre_rule()
+        column_blocks = samples.products(rows), samples.gaps, samples.forces
+        node_values, node_indices_in_piece = np.hstack(column_blocks), np.arange(len(nodes))
+        piece_ends, alternating_signs = np.cumsum(piece_lengths), (-1.0) ** np.arange(len(nodes))
+        barycentric_weights = alternating_signs * np.sqrt((1.0 - nodes**2) * gauss_weights)
+        column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
 
         def evaluate(period_fractions: np.ndarray) -> Any:
             time = self.period * np.mod(period_fractions, 1.0)
@@ -266,50 +270,62 @@ class PeriodicOrbit(ObservedMotion, Described):
             piece_coordinate = (
                 1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
             )
-            distances = piece_coordinate[:, None] - nodes
-            distances = np.where(distances == 0.0, sys.float_info.min, distances)
-            node_weights = barycentric_weights / distances
+            node_distances = piece_coordinate[:, None] - nodes
+            node_distances = np.where(node_distances == 0.0, sys.float_info.min, node_distances)
+            node_weights = barycentric_weights / node_distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
-            column_indices = len(nodes) * piece_index[:, None] + node_numbers
+            column_indices = len(nodes) * piece_index[:, None] + node_indices_in_piece
             row_starts = len(nodes) * np.arange(len(time) + 1)
-            interpolation = sparse.csr_matrix(
+            interpolation_matrix = sparse.csr_matrix(
                 (node_weights.ravel(), column_indices.ravel(), row_starts),
                 (len(time), len(node_values)),
             )
-            return np.split(interpolation @ node_values, splits, axis=1)
+            return np.split(interpolation_matrix @ node_values, column_splits, axis=1)
 
         n_instants, exact_numbers = instants or INSTANTS_PER_PERIOD, {}
         period_fractions = np.arange(n_instants) / n_instants
-        motion, gap, force = evaluate(period_fractions)
+        row_products, row_gaps, row_forces = evaluate(period_fractions)
         if instants is None:
             track, exact_numbers = self.motion.track, dict(self.sliding)
-            exact_numbers |= {"closed_share": track.share(track.sets > 0)} if gap.size else {}
+            exact_numbers |= (
+                {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
+            )
         yield Record(
             self.omega, self.subharmonic, self.period * period_fractions,
-            fourier_coefficients(motion, OBSERVED_HARMONICS),
-            motion, gap, force,
+            fourier_coefficients(row_products, OBSERVED_HARMONICS),
+            row_products, row_gaps, row_forces,
             structure=self.structure,
-            friction=getattr(self.flow.friction, "coefficient", None),
-            evaluate=evaluate,
+            friction_coefficient=getattr(self.flow.friction_law, "coefficient", None),
+            evaluate_at_period_fractions=evaluate,
             exact_numbers=exact_numbers,
         )  # fmt: skip
 
-    def coefficients(self, harmonics: int) -> OrbitCoefficients:
+    def coefficients(self, harmonics: int) -> RealFourierCoefficients:
         """Return Fourier coefficients of gaps, contact forces and displacements.
 
         Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
         """
         samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[0]
-        gaps, forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
-        node_values = np.hstack([gaps, forces, samples.states[:, :n_modes]])
-        splits = np.cumsum([gaps.shape[1], forces.shape[1]])
-        coefficients = self._integrate_coefficients(node_values, harmonics)
-        gap, force, modal_displacement = np.split(coefficients, splits, axis=1)
-        orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
-        load_rows = np.arange(len(self.flow.modal_load)) + 2 * orders * (self.subharmonic - 1)
-        load_basis = np.equal.outer(np.arange(len(coefficients)), load_rows).astype(float)
-        displacement = self.flow.combine_displacement(modal_displacement, force, load_basis)
-        return OrbitCoefficients(gap, force, displacement)
+        row_gaps, row_forces, n_modes = samples.gaps, samples.forces, self.flow.n_modes
+        node_values = np.hstack([row_gaps, row_forces, samples.states[:, :n_modes]])
+        column_splits = np.cumsum([row_gaps.shape[1], row_forces.shape[1]])
+        stacked_coefficients = self._integrate_coefficients(node_values, harmonics)
+        gap_coefficients, force_coefficients, modal_coefficients = np.split(
+            stacked_coefficients, column_splits, axis=1
+        )
+        load_orders = np.arange(1, len(self.flow.modal_load) + 1) // 2
+        load_row_indices = np.arange(len(self.flow.modal_load)) + 2 * load_orders * (
+            self.subharmonic - 1
+        )
+        load_selection_matrix = np.equal.outer(
+            np.arange(len(stacked_coefficients)), load_row_indices
+        ).astype(float)
+        displacement_coefficients = self.flow.combine_displacement(
+            modal_coefficients, force_coefficients, load_selection_matrix
+        )
+        return RealFourierCoefficients(
+            gap_coefficients, force_coefficients, displacement_coefficients
+        )
 
     def product_coefficients(self, rows: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients of rows times the displacement: (2H+1, m).
@@ -322,28 +338,33 @@ class PeriodicOrbit(ObservedMotion, Described):
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
         base_omega = self.omega / self.subharmonic
-        samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
-        time_weights = (0.5 * piece_lengths[:, None] * gauss_nodes()[1]).ravel() / self.period
-        coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
-        basis_buffer = np.empty((len(coefficients), INSTANTS_PER_BLOCK))
-        for start in range(0, len(node_values), INSTANTS_PER_BLOCK):
-            block = slice(start, start + INSTANTS_PER_BLOCK)
-            base_phasor = np.exp(1j * base_omega * samples.time[block])
+        node_samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
+        time_weights = (
+            0.5 * piece_lengths[:, None] * gauss_legendre_rule()[1]
+        ).ravel() / self.period
+        cosine_sine_coefficients = np.zeros((2 * harmonics + 1, node_values.shape[1]))
+        basis_buffer = np.empty((len(cosine_sine_coefficients), INSTANTS_PER_BLOCK))
+        for slice_start in range(0, len(node_values), INSTANTS_PER_BLOCK):
+            sample_slice = slice(slice_start, slice_start + INSTANTS_PER_BLOCK)
+            base_phasor = np.exp(1j * base_omega * node_samples.time[sample_slice])
             weighted_basis = basis_buffer[:, : len(base_phasor)]
-            phasor = 2.0 * time_weights[block] * base_phasor
-            weighted_basis[0] = time_weights[block]
+            weighted_phasor = 2.0 * time_weights[sample_slice] * base_phasor
+            weighted_basis[0] = time_weights[sample_slice]
             # Products take a tenth of the time of sines and cosines.
             for order in range(1, harmonics + 1):
-                weighted_basis[2 * order - 1], weighted_basis[2 * order] = phasor.real, phasor.imag
-                phasor *= base_phasor
-            coefficients += weighted_basis @ node_values[block]
-        return coefficients
+                weighted_basis[2 * order - 1], weighted_basis[2 * order] = (
+                    weighted_phasor.real,
+                    weighted_phasor.imag,
+                )
+                weighted_phasor *= base_phasor
+            cosine_sine_coefficients += weighted_basis @ node_values[sample_slice]
+        return cosine_sine_coefficients
 
-    def _gauss_samples_and_lengths(self, omega: float) -> tuple[Samples, np.ndarray]:
+    def _gauss_samples_and_lengths(self, max_wave_omega: float) -> tuple[Samples, np.ndarray]:
         """Return the motion at Gauss nodes in all pieces of the period.
 
-        Within a piece no pair opens, closes, sticks or slips, and waves up to ``omega`` [rad/s]
-        turn by a small angle. The samples for the highest ``omega`` so far are kept.
+        Within a piece no pair opens, closes, sticks or slips, and waves up to ``max_wave_omega``
+        [rad/s] turn by a small angle. The samples for the highest frequency so far are kept.
 
         Returns
         -------
@@ -351,21 +372,27 @@ class PeriodicOrbit(ObservedMotion, Described):
             Motion at all nodes, in order of time.
         piece_lengths : (n_pieces,) [s]
         """
-        if not self._node_samples or self._node_samples[-1][0] < omega:
+        if not self._gauss_sample_cache or self._gauss_sample_cache[-1][0] < max_wave_omega:
             track, flow = self.motion.track, self.flow
             has_contact = track.sets.any(axis=1)
-            rates = np.where(has_contact, flow.max_rate, flow.max_open_rate)
-            angles = track.lengths * (rates + omega)
-            n_pieces = np.maximum(np.ceil(angles / kernel.MAX_PIECE_ANGLE), 1).astype(int)
-            piece_lengths = np.repeat(track.lengths / n_pieces, n_pieces)
+            rate_bounds = np.where(has_contact, flow.rate_bound, flow.open_rate_bound)
+            interval_rotation_angles = track.lengths * (rate_bounds + max_wave_omega)
+            interval_piece_counts = np.maximum(
+                np.ceil(interval_rotation_angles / kernel.MAX_PIECE_ANGLE), 1
+            ).astype(int)
+            piece_lengths = np.repeat(track.lengths / interval_piece_counts, interval_piece_counts)
             piece_starts = np.concatenate([[0.0], np.cumsum(piece_lengths)[:-1]])
-            time = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (1.0 + gauss_nodes()[0])
-            self._node_samples[:] = [(omega, self.samples(time.ravel()), piece_lengths)]
-        return self._node_samples[-1][1:]
+            node_times = piece_starts[:, None] + 0.5 * piece_lengths[:, None] * (
+                1.0 + gauss_legendre_rule()[0]
+            )
+            self._gauss_sample_cache[:] = [
+                (max_wave_omega, self.samples(node_times.ravel()), piece_lengths)
+            ]
+        return self._gauss_sample_cache[-1][1:]
 
     @cached_property
-    def _node_samples(self) -> list[tuple[float, Samples, np.ndarray]]:
-        """Return a list with the last (omega [rad/s], samples, piece lengths [s])."""
+    def _gauss_sample_cache(self) -> list[tuple[float, Samples, np.ndarray]]:
+        """Return a list with the last (highest frequency [rad/s], samples, piece lengths [s])."""
         return []
 
     @cached_property
@@ -379,25 +406,29 @@ class PeriodicOrbit(ObservedMotion, Described):
         samples, piece_lengths = self._gauss_samples_and_lengths(
             len(flow.modal_load) // 2 * self.omega
         )
-        _, weights, differentiation = gauss_nodes()
+        _, gauss_weights, differentiation = gauss_legendre_rule()
 
         def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
             """Return the work int F x' dt of each column of forces and displacements."""
-            shape = len(piece_lengths), len(weights), -1
+            shape = len(piece_lengths), len(gauss_weights), -1
             rates = differentiation @ node_displacements.reshape(shape)
-            return np.asarray(np.einsum("k,pkc,pkc->c", weights, node_forces.reshape(shape), rates))
+            return np.asarray(
+                np.einsum("k,pkc,pkc->c", gauss_weights, node_forces.reshape(shape), rates)
+            )
 
-        load = fourier_basis_for(flow.modal_load, self.omega * samples.time)
+        load_basis = fourier_basis_for(flow.modal_load, self.omega * samples.time)
         velocities = samples.states[:, flow.n_modes :]
-        time_weights = (0.5 * piece_lengths[:, None] * weights).ravel()
-        damping_power = np.sum(velocities * flow.modes.damping_force(velocities), axis=1)
+        time_weights = (0.5 * piece_lengths[:, None] * gauss_weights).ravel()
+        damping_power = np.sum(velocities * flow.modal_model.damping_force(velocities), axis=1)
         damping_work = float(time_weights @ damping_power)
         n_pairs = flow.structure.n_pairs
-        friction_work = np.zeros(n_pairs)
-        if flow.friction:
-            friction_work = integrate_power(samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:])
-        load_work = float(integrate_power(load, samples.products(flow.structure.force)).sum())
-        return Work(load_work, damping_work, friction_work)
+        pair_friction_work = np.zeros(n_pairs)
+        if flow.friction_law:
+            pair_friction_work = integrate_power(
+                samples.forces[:, n_pairs:], samples.gaps[:, n_pairs:]
+            )
+        load_work = float(integrate_power(load_basis, samples.products(flow.structure.force)).sum())
+        return Work(load_work, damping_work, pair_friction_work)
 
     @cached_property
     def sliding(self) -> dict[str, float]:
@@ -406,13 +437,13 @@ class PeriodicOrbit(ObservedMotion, Described):
         Keys are names of :class:`Indicators`. The shares are fractions of the period, as means over
         the pairs. Without friction the dictionary is empty.
         """
-        if not self.flow.friction:
+        if not self.flow.friction_law:
             return {}
         track = self.motion.track
         return {
             "friction_loss": float(self.work.friction.sum()),
-            "stick_share": track.share(track.sets == kernel.STICK),
-            "slip_share": track.share(track.sets > kernel.STICK),
+            "stick_share": track.mean_time_share(track.sets == kernel.STICK),
+            "slip_share": track.mean_time_share(track.sets > kernel.STICK),
         }
 
     @property
@@ -422,19 +453,21 @@ class PeriodicOrbit(ObservedMotion, Described):
         Tangential gaps of these pairs follow from earlier motion, not from the orbit, and have no
         part in the multipliers.
         """
-        sets = self.motion.track.sets
-        sticks_always = self.flow.friction is not None and np.all(sets == kernel.STICK, axis=0)
+        pair_states = self.motion.track.sets
+        sticks_always = self.flow.friction_law is not None and np.all(
+            pair_states == kernel.STICK, axis=0
+        )
         return np.flatnonzero(sticks_always)
 
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
         """Return multiplier, gap extremes [m], events, residual and iterations by name."""
-        faces = {"opening": 0.0, "penetration": 0.0} | self.faces
+        face_numbers = {"opening": 0.0, "penetration": 0.0} | self.faces
         return {
             "multiplier": float(abs(self.multipliers[0])),
-            "opening": faces["opening"],
-            "penetration": faces["penetration"],
+            "opening": face_numbers["opening"],
+            "penetration": face_numbers["penetration"],
             "events": self.events,
             "residual": float(self.residual),
             "iterations": self.iterations,
@@ -465,7 +498,7 @@ class Work(NamedTuple):
 
 
 @lru_cache
-def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def gauss_legendre_rule() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the Gauss rule for a piece of the period.
 
     Returns
@@ -476,14 +509,18 @@ def gauss_nodes() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     differentiation : (n, n)
         Matrix from values at the nodes to derivatives at the nodes.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
-    values = np.polynomial.legendre.legvander(nodes, len(nodes) - 1)
-    slopes = np.polynomial.legendre.legder(np.eye(len(nodes)))
-    slope_values = np.polynomial.legendre.legval(nodes, slopes).T
-    return nodes, weights, np.linalg.solve(values.T, slope_values.T).T
+    legendre_nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
+    polynomials_at_nodes = np.polynomial.legendre.legvander(legendre_nodes, len(legendre_nodes) - 1)
+    derivative_coefficients = np.polynomial.legendre.legder(np.eye(len(legendre_nodes)))
+    derivatives_at_nodes = np.polynomial.legendre.legval(legendre_nodes, derivative_coefficients).T
+    return (
+        legendre_nodes,
+        weights,
+        np.linalg.solve(polynomials_at_nodes.T, derivatives_at_nodes.T).T,
+    )
 
 
-class OrbitCoefficients(NamedTuple):
+class RealFourierCoefficients(NamedTuple):
     """Fourier coefficients of an orbit: rows a0, a1, b1, ....
 
     Attributes
@@ -518,36 +555,46 @@ class MotionInArcs(PeriodicOrbit):
         duration = self.period / len(self.starts)
         start_times = duration * np.arange(len(self.starts) + 1)
         times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
-        arcs = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
-        parts = [
-            self.flow.advance(state, self.omega, duration, start=start, instants=instants).samples
-            for state, start, instants in arcs
+        arc_argument_tuples = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
+        part_samples = [
+            self.flow.advance(
+                state, self.omega, duration, start=start_time, instants=instants
+            ).samples
+            for state, start_time, instants in arc_argument_tuples
         ]
-        arrays = ((part.states, part.answers, part.pair_states) for part in parts)
-        return Samples(self.flow, self.omega, time, *map(np.concatenate, zip(*arrays, strict=True)))
+        array_tuples_of_parts = (
+            (arc_samples.states, arc_samples.forces_and_openings, arc_samples.pair_states)
+            for arc_samples in part_samples
+        )
+        return Samples(
+            self.flow,
+            self.omega,
+            time,
+            *map(np.concatenate, zip(*array_tuples_of_parts, strict=True)),
+        )
 
 
 def is_affordable(
     flow: ContactFlow,
     omega: float,
     subharmonic: int = 1,
-    periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
+    n_periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
 ) -> bool:
     """Return True if a search for an orbit is fast.
 
     M is the monodromy matrix, formed for up to 120 modes. Two cases are affordable:
 
     - M is formed, and the load is not too slow.
-    - M is not formed, crack faces have no mass, and ``periods`` periods without events fit into the
-      budget of Taylor pieces.
+    - M is not formed, crack faces have no mass, and ``n_periods`` periods without events fit into
+      the budget of Taylor pieces.
 
     Large models are not tried if crack faces have mass, and bounce: Newton's method fails from
     harmonic-balance solutions.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_too_slow(flow, omega, subharmonic)
-    pieces = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.structure.light_lips and periods * pieces <= MAX_SEARCH_PIECES
+    pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
+    return flow.structure.light_lips and n_periods * pieces_per_period <= MAX_SEARCH_PIECES
 
 
 def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
@@ -555,8 +602,8 @@ def is_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
 
     Events are not counted. For a large model the result is False.
     """
-    pieces = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
-    return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces > Budget.pieces
+    pieces_per_period = flow.count_pieces(2.0 * np.pi * subharmonic / omega)
+    return flow.n_modes <= MAX_MODES_FOR_MONODROMY and 2.0 * pieces_per_period > Budget.pieces
 
 
 def predict_orbit(
@@ -577,16 +624,25 @@ def predict_orbit(
     weights = flow.weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
-        end_states, track, interval_counts = flow.integrate_parts(states, omega, period)
-        excess = end_states - np.concatenate([states[1:], states[:1]])
-        change = track.carry_changes(np.zeros(flow.size), excess, interval_counts)[-1]
-        inverse = _make_inverse(flow, track, weights)
-        changes = track.carry_changes(inverse(change, FORCING_TERM), excess, interval_counts)[:-1]
+        end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
+        state_jumps = end_states - np.concatenate([states[1:], states[:1]])
+        period_end_change = solution_track.carry_changes(
+            np.zeros(flow.size), state_jumps, interval_counts
+        )[-1]
+        solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, weights)
+        changes = solution_track.carry_changes(
+            solve_i_minus_m(period_end_change, FORCING_TERM), state_jumps, interval_counts
+        )[:-1]
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    gap = states[:, : flow.n_modes] @ flow.modes.pairs
-    gap_change = changes[:, : flow.n_modes] @ flow.modes.pairs
-    return Prediction(relative_to_motion(gap_change, gap), states + changes, track, inverse)
+    part_start_gaps = states[:, : flow.n_modes] @ flow.modal_model.pairs
+    gap_changes = changes[:, : flow.n_modes] @ flow.modal_model.pairs
+    return Prediction(
+        relative_to_motion(gap_changes, part_start_gaps),
+        states + changes,
+        solution_track,
+        solve_i_minus_m,
+    )
 
 
 def predict_motion(
@@ -603,23 +659,23 @@ def predict_motion(
     return None
 
 
-def _make_inverse(flow: ContactFlow, track: Track, weights: np.ndarray) -> Inverse:
+def _make_i_minus_m_solver(flow: ContactFlow, track: Track, weights: np.ndarray) -> IMinusMSolver:
     """Return the function b to (I - M)^-1 b for a track.
 
     M is the monodromy matrix. Models with more than 120 modes use GMRES, in the norm with the given
     ``weights``.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-        factors = factorise(np.eye(flow.size) - track.tangent)
-        if not (np.isfinite(factors[0]).all() and np.diag(factors[0]).all()):
+        i_minus_m_factors = factorise(np.eye(flow.size) - track.tangent)
+        if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
-        return lambda right_side, tolerance: solve_factored(factors, right_side)
+        return lambda right_side, tolerance: solve_factored(i_minus_m_factors, right_side)
 
-    def apply(change: np.ndarray) -> np.ndarray:
+    def apply_i_minus_m(change: np.ndarray) -> np.ndarray:
         return change - weights * (track @ (change / weights))
 
     return lambda right_side, tolerance: (
-        gmres(apply, weights * right_side, tolerance, MAX_GMRES_PRODUCTS) / weights
+        gmres(apply_i_minus_m, weights * right_side, tolerance, MAX_GMRES_PRODUCTS) / weights
     )
 
 
@@ -629,7 +685,7 @@ def find_orbit(
     state: np.ndarray,
     *,
     subharmonic: int = 1,
-    inverse: Inverse | None = None,
+    solve_i_minus_m: IMinusMSolver | None = None,
     step_tolerance: float = MAX_LOCATION_RESIDUAL,
     failure_reasons: list[str] | None = None,
 ) -> PeriodicOrbit | None:
@@ -642,8 +698,8 @@ def find_orbit(
     ----------
     state : (flow.size,)
         Guess at phase zero.
-    inverse : Inverse, optional
-        (I - M)^-1 for the first steps, with the monodromy matrix M of a nearby motion.
+    solve_i_minus_m : IMinusMSolver, optional
+        Returns (I - M)^-1 b for the first steps, with the monodromy matrix M of a nearby motion.
     step_tolerance : float
         Maximum relative Newton step at the orbit. If M is not formed, it is ROOT_TOLERANCE.
     failure_reasons : list of str, optional
@@ -656,16 +712,19 @@ def find_orbit(
     """
     search = _Search(flow, omega, subharmonic, state)
     try:
-        if not search.leads_to_orbit(inverse, step_tolerance):
+        if not search.leads_to_orbit(solve_i_minus_m, step_tolerance):
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
         if failure_reasons is not None and isinstance(error, BudgetError):
-            summary = (
-                f"the search for an exact orbit ended at its budget of {search.budget:,} pieces"
+            budget_text = f"its budget of {search.allowed_taylor_pieces:,} pieces"
+            failure_reasons.append(
+                f"the search for an exact orbit ended at {budget_text}; use fewer pairs"
+                " (mesh.patches) or modes"
             )
-            failure_reasons.append(f"{summary}; use fewer pairs (mesh.patches) or modes")
         return None
-    orbit = PeriodicOrbit(flow, omega, subharmonic, search.motion, search.state, search.flows)
+    orbit = PeriodicOrbit(
+        flow, omega, subharmonic, search.motion, search.state, search.n_integrated_periods
+    )
     # If M is huge, a step may be short although the motion does not close.
     return orbit if orbit.residual <= MULTIPLIER_TOLERANCE else None
 
@@ -675,9 +734,8 @@ class _Search:
 
     Attributes
     ----------
-    flows : int
-        Number of periods integrated so far.
-    budget : int
+    n_integrated_periods : int
+    allowed_taylor_pieces : int
         Maximum Taylor pieces of all periods.
     """
 
@@ -686,86 +744,91 @@ class _Search:
     ) -> None:
         self._flow, self._omega = flow, omega
         self._period = 2.0 * np.pi * subharmonic / omega
-        max_pieces = MAX_SEARCH_PIECES
+        allowed_taylor_pieces = MAX_SEARCH_PIECES
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY and not is_too_slow(flow, omega, subharmonic):
-            max_pieces = max(
-                max_pieces, math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period))
+            allowed_taylor_pieces = max(
+                allowed_taylor_pieces,
+                math.ceil(MAX_SEARCH_PERIODS * flow.count_pieces(self._period)),
             )
-        self.budget = self._remaining_pieces = max_pieces
+        self.allowed_taylor_pieces = self._remaining_pieces = allowed_taylor_pieces
         self._weights = flow.weights(omega / subharmonic)
-        self.state, self.flows = state, 0
+        self.state, self.n_integrated_periods = state, 0
 
     def size(self, change: np.ndarray) -> float:
         """Return the energy norm of a state change."""
-        weighted = self._weights * change
-        return math.sqrt(weighted @ weighted)
+        weighted_change = self._weights * change
+        return math.sqrt(weighted_change @ weighted_change)
 
-    def leads_to_orbit(self, inverse: Inverse | None, step_tolerance: float) -> bool:
+    def leads_to_orbit(self, solve_i_minus_m: IMinusMSolver | None, step_tolerance: float) -> bool:
         """Take Newton steps and return True if an orbit is reached.
 
-        ``inverse`` is (I - M)^-1 of a nearby motion, or None. A step is accepted if |simplified
-        step| <= (1 - damping / 4) |step|. The next damping factor follows from the nonlinearity
-        |simplified step - (1 - damping) step|.
+        ``solve_i_minus_m`` belongs to a nearby motion, or is None. A step is accepted if
+        |simplified step| <= (1 - damping / 4) |step|. The next damping factor follows from the
+        nonlinearity |simplified step - (1 - damping) step|.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
-        min_damping = MIN_NEWTON_STEP if forms_monodromy else 0.1
+        min_damping = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
         step_tolerance = step_tolerance if forms_monodromy else ROOT_TOLERANCE
         self.motion = self._follow(self.state)
-        damping, is_current = 1.0, False  # is_current: the inverse is that of self.motion
-        steps: list[np.ndarray] = []  # with the same inverse
-        if forms_monodromy and inverse is not None:
-            steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
-        while self.flows < MAX_SEARCH_PERIODS:
-            if inverse is None or not steps:
-                inverse = _make_inverse(self._flow, self.motion.track, self._weights)
-                is_current = True
-                steps = [inverse(self.motion.state - self.state, FORCING_TERM)]
-            newton_step = steps[-1]
+        damping, is_m_current = 1.0, False  # is_m_current: M is that of self.motion
+        steps_with_same_m: list[np.ndarray] = []
+        if forms_monodromy and solve_i_minus_m is not None:
+            steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
+        while self.n_integrated_periods < MAX_SEARCH_PERIODS:
+            if solve_i_minus_m is None or not steps_with_same_m:
+                solve_i_minus_m = _make_i_minus_m_solver(
+                    self._flow, self.motion.track, self._weights
+                )
+                is_m_current = True
+                steps_with_same_m = [solve_i_minus_m(self.motion.state - self.state, FORCING_TERM)]
+            newton_step = steps_with_same_m[-1]
             trial_state = self.state + damping * newton_step
             trial_motion = self._follow(trial_state)
-            simplified_step = inverse(trial_motion.state - trial_state, COMPARISON_TOLERANCE)
-            for earlier_step, later_step in pairwise(steps):
-                fraction = self._fraction_along(simplified_step, earlier_step)
-                simplified_step = simplified_step + fraction * later_step
+            simplified_step = solve_i_minus_m(
+                trial_motion.state - trial_state, COMPARED_STEP_GMRES_TOLERANCE
+            )
+            for earlier_step, later_step in pairwise(steps_with_same_m):
+                projection_factor = self._fraction_along(simplified_step, earlier_step)
+                simplified_step = simplified_step + projection_factor * later_step
             step_size, simplified_size = self.size(newton_step), self.size(simplified_step)
-            nonlinearity = (
+            nonlinear_part_size = (
                 self.size(simplified_step - (1.0 - damping) * newton_step) + sys.float_info.min
             )
             state_size = self.size(trial_state)
             if not simplified_size <= (1.0 - 0.25 * damping) * step_size:
                 if step_size <= MULTIPLIER_TOLERANCE * state_size:  # steps are rounding errors
                     return True
-                if not is_current:
-                    steps = []
+                if not is_m_current:
+                    steps_with_same_m = []
                     continue
-                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinearity)
+                damping = min(0.5 * damping, 0.5 * damping**2 * step_size / nonlinear_part_size)
                 if damping < min_damping:
                     return False
                 continue
-            self.state, self.motion, is_current = trial_state, trial_motion, False
+            self.state, self.motion, is_m_current = trial_state, trial_motion, False
             if simplified_size <= step_tolerance * state_size:
                 return True
-            # After a good step the inverse serves once more.
+            # After a good step M serves once more.
             if forms_monodromy and damping == 1.0 and simplified_size <= 0.1 * step_size:
-                steps.append(
+                steps_with_same_m.append(
                     simplified_step / (1.0 - self._fraction_along(simplified_step, newton_step))
                 )
                 continue
-            steps = []
-            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinearity)
+            steps_with_same_m = []
+            damping = min(1.0, 0.5 * damping**2 * step_size / nonlinear_part_size)
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
         """Return the coefficient of a change projected on a step, in the energy norm."""
-        weighted_vector = self._weights**2 * step
-        return float(change @ weighted_vector / (step @ weighted_vector))
+        twice_weighted_step = self._weights**2 * step
+        return float(change @ twice_weighted_step / (step @ twice_weighted_step))
 
     def _follow(self, state: np.ndarray) -> Motion:
         """Integrate a period from a state, on the remaining budget."""
-        self.flows += 1
+        self.n_integrated_periods += 1
         budget = Budget(pieces=self._remaining_pieces)
         motion = self._flow.advance(state, self._omega, self._period, budget=budget)
-        self._remaining_pieces -= motion.pieces
+        self._remaining_pieces -= motion.n_taylor_pieces
         return motion
 
 
@@ -782,8 +845,8 @@ def orbit_from(
 
 def is_same_orbit(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
     """Return True if two orbits agree to 1e-6 of their size in the energy norm."""
-    distance = orbit.energy_norm(orbit.state - other_orbit.state)
-    return distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)
+    energy_distance = orbit.energy_norm(orbit.state - other_orbit.state)
+    return energy_distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:

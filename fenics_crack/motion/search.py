@@ -1,6 +1,6 @@
 """Search for a periodic orbit: a ladder of starts, and a budget.
 
-The search climbs :data:`ORBIT_STARTS` until a :class:`Start` leads to an orbit:
+The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`Start` leads to an orbit:
 
 1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
    harmonics. Nearly all guesses lead to an orbit.
@@ -39,7 +39,7 @@ from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
     MAX_SEARCH_PERIODS,
-    Inverse,
+    IMinusMSolver,
     PeriodicOrbit,
     find_orbit,
     is_same_orbit,
@@ -51,9 +51,9 @@ from fenics_crack.numerics.fourier import differentiate, fourier_basis_over_peri
 from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
-SEGMENTS = 32
+SEGMENTS_PER_PERIOD = 32
 """Multiple-shooting segments per period."""
-SEGMENT_STARTS = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS)
+SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
 """Samples of an orbit at which its segments begin."""
 PIECES_PER_PERIOD = 200
 """Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
@@ -67,9 +67,9 @@ class SearchOptions:
 
     Attributes
     ----------
-    harmonics : tuple of int
+    guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
-    evaluations : int
+    period_budget : int
         Budget in periods of the flow after Newton's method failed from all guesses. Half of them
         are for the path, a quarter for the motion, and the rest for orbits near close returns. A
         period has 200 Taylor pieces and 12 modes; other sizes count by time, proportional to pieces
@@ -77,13 +77,13 @@ class SearchOptions:
         quarters are allowed, for one to three seconds.
     """
 
-    harmonics: tuple[int, ...] = (5, 10, 20, 40)
-    evaluations: int = 4000
+    guess_harmonic_counts: tuple[int, ...] = (5, 10, 20, 40)
+    period_budget: int = 4000
 
     @classmethod
     def pieces(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, in pieces with a Taylor series."""
-        n_periods = (0.75 if flow.friction else 1.0) * cls.evaluations
+        n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(PIECES_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.size) ** 2))
 
     @classmethod
@@ -98,12 +98,12 @@ class Start(NamedTuple):
     Attributes
     ----------
     name : str
-    candidates : callable
+    generate_candidates : callable
         Returns guesses, or orbits, made on demand.
     """
 
     name: str
-    candidates: Callable[..., Iterable[Any]]
+    generate_candidates: Callable[..., Iterable[Any]]
 
 
 class OrbitSearch(NamedTuple):
@@ -115,19 +115,19 @@ class OrbitSearch(NamedTuple):
         A stable orbit if the search met one, else the first orbit.
     other_orbits : tuple of PeriodicOrbit
         Further orbits.
-    reason : str
+    outcome_text : str
         How the orbit was found, or why the attempts failed and how the motion behaves.
     """
 
     orbit: PeriodicOrbit | None
     other_orbits: tuple[PeriodicOrbit, ...]
-    reason: str
+    outcome_text: str
 
 
 def search_orbit(
     flow: ContactFlow,
     omega: float,
-    guesses: Iterable[np.ndarray],
+    state_guesses: Iterable[np.ndarray],
     subharmonic: int = 1,
     *,
     prefer_stable: bool = True,
@@ -137,23 +137,23 @@ def search_orbit(
 
     Parameters
     ----------
-    guesses : iterable of (n, flow.size)
+    state_guesses : iterable of (n, flow.size)
         States at equal parts of the period, from phase zero on.
     prefer_stable : bool
         Continue after an unstable orbit. A stable orbit then comes first.
     starts : iterable of Start
-        Some of :data:`ORBIT_STARTS`; default: all.
+        Some of :data:`ORBIT_STARTS_BY_NAME`; default: all.
 
     Returns
     -------
     OrbitSearch
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    task = _SearchTask(flow, omega, guesses, subharmonic, prefer_stable)
-    for start in starts or ORBIT_STARTS.values():
+    task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
+    for start in starts or ORBIT_STARTS_BY_NAME.values():
         begin(start.name)
-        if orbits := [*start.candidates(task)]:
-            return OrbitSearch(orbits[0], tuple(orbits[1:]), start.name)
+        if orbits_from_start := [*start.generate_candidates(task)]:
+            return OrbitSearch(orbits_from_start[0], tuple(orbits_from_start[1:]), start.name)
     return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
 
 
@@ -171,64 +171,76 @@ class _SearchTask:
 
     flow: ContactFlow
     omega: float
-    guesses: Iterable[np.ndarray]
+    state_guesses: Iterable[np.ndarray]
     subharmonic: int
     prefer_stable: bool
     tried_states: list[np.ndarray] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
 
-    def find_orbit(self, state: np.ndarray, inverse: Inverse | None = None) -> PeriodicOrbit | None:
+    def find_orbit(
+        self, state: np.ndarray, solve_i_minus_m: IMinusMSolver | None = None
+    ) -> PeriodicOrbit | None:
         """Search for an orbit by Newton's method."""
         return find_orbit(
-            self.flow, self.omega, state, subharmonic=self.subharmonic, inverse=inverse,
-            failure_reasons=self.reasons,
+            self.flow, self.omega, state, subharmonic=self.subharmonic,
+            solve_i_minus_m=solve_i_minus_m, failure_reasons=self.reasons,
         )  # fmt: skip
 
     @property
-    def orbits(self) -> FlowOrbits:
+    def flow_orbits(self) -> FlowOrbits:
         """Return orbit equations next to the last guess, or to rest."""
-        start = self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.size)
-        return FlowOrbits(self.flow, self.omega, start, self.subharmonic)
+        start_state = self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.size)
+        return FlowOrbits(self.flow, self.omega, start_state, self.subharmonic)
 
 
 def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
     """Find orbits up to the first, or up to the first stable orbit, and sort by stability."""
-    orbits = list[PeriodicOrbit]()
-    for states in task.guesses:
-        task.tried_states.append(states)
-        orbit = task.find_orbit(states[0])
+    found_orbits = list[PeriodicOrbit]()
+    for guessed_states in task.state_guesses:
+        task.tried_states.append(guessed_states)
+        orbit = task.find_orbit(guessed_states[0])
         if orbit is None:
             continue
-        if not any(is_same_orbit(orbit, known_orbit) for known_orbit in orbits):
-            orbits.append(orbit)
+        if not any(is_same_orbit(orbit, known_orbit) for known_orbit in found_orbits):
+            found_orbits.append(orbit)
         if not task.prefer_stable or orbit.is_stable:
             break
-    return sorted(orbits, key=lambda orbit: task.prefer_stable and not orbit.is_stable)
+    return sorted(found_orbits, key=lambda orbit: task.prefer_stable and not orbit.is_stable)
 
 
-def _find_by_steps(task: _SearchTask) -> Iterable[PeriodicOrbit]:
+def _find_after_multiple_shooting_step(task: _SearchTask) -> Iterable[PeriodicOrbit]:
     """Find the first orbit after a Newton step for a whole guess."""
-    steps = (
-        predict_orbit(task.flow, task.omega, states, task.subharmonic)
-        for states in task.tried_states
+    prediction_iterator = (
+        predict_orbit(task.flow, task.omega, guessed_states, task.subharmonic)
+        for guessed_states in task.tried_states
     )
-    orbits = (task.find_orbit(step.states[0], step.inverse) for step in steps if step is not None)
-    return islice(filter(None, orbits), 1)
+    orbit_or_none_iterator = (
+        task.find_orbit(prediction.states[0], prediction.solve_i_minus_m)
+        for prediction in prediction_iterator
+        if prediction is not None
+    )
+    return islice(filter(None, orbit_or_none_iterator), 1)
 
 
-def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
+def wave_states(
+    flow: ContactFlow, displacement_coefficients: np.ndarray, base_omega: float
+) -> np.ndarray:
     """Return a Fourier series' states at equal parts of the period: (32, flow.size).
 
     Parameters
     ----------
-    displacement : (2H+1, n_dofs) [m]
-        Fourier coefficients of the displacement.
+    displacement_coefficients : (2H+1, n_dofs) [m]
+        Rows a0, a1, b1, ....
     base_omega : float
         Frequency of the first harmonic [rad/s].
     """
-    basis = fourier_basis_over_period(len(displacement) // 2, SEGMENTS)
-    velocity = differentiate(displacement, base_omega)
-    return flow.state(basis @ displacement, basis @ velocity)
+    fourier_basis = fourier_basis_over_period(
+        len(displacement_coefficients) // 2, SEGMENTS_PER_PERIOD
+    )
+    velocity_coefficients = differentiate(displacement_coefficients, base_omega)
+    return flow.state(
+        fourier_basis @ displacement_coefficients, fourier_basis @ velocity_coefficients
+    )
 
 
 # --- along a path ---------------------------------------------------------------------------------
@@ -237,14 +249,18 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
 class _HomotopyPoint(DenseLinearisation):
     """Residual and Jacobian of :class:`Homotopy` at a point (x, p)."""
 
-    def __init__(self, orbit_point: OrbitPoint, parameter: float, start: np.ndarray) -> None:
+    def __init__(
+        self, orbit_point: OrbitPoint, parameter: float, start_unknown: np.ndarray
+    ) -> None:
         self._orbit_point, self._parameter, self.unknown = (
             orbit_point,
             parameter,
             orbit_point.unknown,
         )
-        self._end_offset = orbit_point.unknown + orbit_point.residual - start
-        self.residual = parameter * self._end_offset - (orbit_point.unknown - start)
+        self._end_state_minus_guess = orbit_point.unknown + orbit_point.residual - start_unknown
+        self.residual = parameter * self._end_state_minus_guess - (
+            orbit_point.unknown - start_unknown
+        )
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -254,7 +270,7 @@ class _HomotopyPoint(DenseLinearisation):
 
     @property
     def by_parameter(self) -> np.ndarray:
-        return self._end_offset
+        return self._end_state_minus_guess
 
 
 class Homotopy:
@@ -264,7 +280,7 @@ class Homotopy:
 
     Unknowns are the state z at phase zero; z(T) is the state after a period. At p = 0 the solution
     is a, at p = 1 an orbit. States are scaled like the unknowns x of ``orbits``; a is
-    ``orbits.start``.
+    ``orbits.start_unknown``.
 
     Attributes
     ----------
@@ -272,8 +288,8 @@ class Homotopy:
         Taylor pieces left in the budget.
     """
 
-    def __init__(self, orbits: FlowOrbits, pieces: int) -> None:
-        self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, pieces
+    def __init__(self, orbits: FlowOrbits, taylor_piece_budget: int) -> None:
+        self._orbits, self.shape, self.remaining_pieces = orbits, orbits.shape, taylor_piece_budget
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
         """Return the equations at a scaled state and a parameter p.
@@ -286,29 +302,34 @@ class Homotopy:
         if self.remaining_pieces <= 0:
             raise ConvergenceError("orbits: the homotopy takes too long")
         orbit_point = self._orbits.linearise(unknown, 1.0)
-        self.remaining_pieces -= max(orbit_point.pieces, PIECES_PER_PERIOD)
-        return _HomotopyPoint(orbit_point, parameter, self._orbits.start)
+        self.remaining_pieces -= max(orbit_point.n_taylor_pieces, PIECES_PER_PERIOD)
+        return _HomotopyPoint(orbit_point, parameter, self._orbits.start_unknown)
 
 
 def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find the orbit to which a path leads from the last guess."""
     if not task.tried_states or task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
-    orbits = task.orbits
-    system = Homotopy(orbits, SearchOptions.pieces(task.flow) // 2)
+    flow_orbits = task.flow_orbits
+    homotopy = Homotopy(flow_orbits, SearchOptions.pieces(task.flow) // 2)
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
-        closed_point = solve_in_plane(
-            orbits, orbits.start, 1.0, None, tolerance=MAX_LOCATION_RESIDUAL, max_iterations=1
+        solution_point = solve_in_plane(
+            flow_orbits,
+            flow_orbits.start_unknown,
+            1.0,
+            None,
+            tolerance=MAX_LOCATION_RESIDUAL,
+            max_iterations=1,
         )
-        if closed_point is not None:
-            yield orbits.orbit(closed_point)
+        if solution_point is not None:
+            yield flow_orbits.orbit(solution_point)
             return
-        start_point = point_on_path(system, orbits.start, 0.0)
-        end_point = Path(system, start_point, path_options, [Target(1.0)]).run_to_terminal_event()
+        start_point = point_on_path(homotopy, flow_orbits.start_unknown, 0.0)
+        end_point = Path(homotopy, start_point, path_options, [Target(1.0)]).run_to_terminal_event()
         if end_point is not None:
-            yield from filter(None, [task.find_orbit(orbits.state(end_point.unknown))])
+            yield from filter(None, [task.find_orbit(flow_orbits.state(end_point.unknown))])
 
 
 # --- along the motion -----------------------------------------------------------------------------
@@ -316,75 +337,83 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
-    orbits, remaining_pieces = task.orbits, SearchOptions.pieces(task.flow) // 4
-    periods = follow_periods(orbits, orbits.start, SearchOptions.periods(task.flow))
-    states = np.array([orbits.start, *periods])
-    task.reasons.append(describe_closest_return(states, task.subharmonic))
-    return_distances = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    flow_orbits, remaining_pieces = task.flow_orbits, SearchOptions.pieces(task.flow) // 4
+    state_iterator = follow_periods(
+        flow_orbits, flow_orbits.start_unknown, SearchOptions.periods(task.flow)
+    )
+    states_at_periods = np.array([flow_orbits.start_unknown, *state_iterator])
+    task.reasons.append(describe_closest_return(states_at_periods, task.subharmonic))
+    distances_after_period = np.linalg.norm(np.diff(states_at_periods, axis=0), axis=1)
     # Start from the last state, then from the close returns, the closest first.
-    for index in (-1, *np.argsort(return_distances, kind="stable").tolist()):
+    for state_index in (-1, *np.argsort(distances_after_period, kind="stable").tolist()):
         if remaining_pieces <= 0:
             return
-        state = orbits.state(states[index])
-        orbit = find_orbit(task.flow, task.omega, state, subharmonic=task.subharmonic)
+        start_state = flow_orbits.state(states_at_periods[state_index])
+        orbit = find_orbit(task.flow, task.omega, start_state, subharmonic=task.subharmonic)
         if orbit is not None:
             yield orbit
             return
         # A failed search takes about half of its maximum.
-        remaining_pieces -= MAX_SEARCH_PERIODS // 2 * max(PIECES_PER_PERIOD, orbits.pieces)
+        remaining_pieces -= (
+            MAX_SEARCH_PERIODS
+            // 2
+            * max(PIECES_PER_PERIOD, flow_orbits.n_taylor_pieces_in_last_period)
+        )
 
 
-ORBIT_STARTS = {
+ORBIT_STARTS_BY_NAME = {
     "guesses": Start("exact orbit by Newton's method", _find_from_guesses),
-    "steps": Start("exact orbit by a step of the whole motion", _find_by_steps),
+    "steps": Start("exact orbit by a step of the whole motion", _find_after_multiple_shooting_step),
     "path": Start("exact orbit along a path from the motion", _find_along_path),
     "motion": Start("exact orbit by following the motion", _find_along_motion),
 }
 """Starts for an orbit search, by name, in order."""
 
 
-def follow_periods(orbits: FlowOrbits, state: np.ndarray, periods: int) -> Iterator[np.ndarray]:
+def follow_periods(orbits: FlowOrbits, state: np.ndarray, max_periods: int) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.
 
-    The motion ends after ``periods`` periods, at a failure, or at 200 Taylor pieces times
-    ``periods``.
+    The motion ends after ``max_periods`` periods, at a failure, or at 200 Taylor pieces times
+    ``max_periods``.
     """
-    remaining_pieces = PIECES_PER_PERIOD * periods
+    remaining_pieces = PIECES_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end
-        for _ in range(periods):
+        for _ in range(max_periods):
             if remaining_pieces <= 0:
                 return
-            state = orbits.advance_period(state, 1.0)
-            remaining_pieces -= orbits.pieces
+            state = orbits.unknown_after_period(state, 1.0)
+            remaining_pieces -= orbits.n_taylor_pieces_in_last_period
             yield state
 
 
 def describe_closest_return(
-    states: np.ndarray, subharmonic: int, motion: str = "the exact motion"
+    states_at_periods: np.ndarray, subharmonic: int, motion_name: str = "the exact motion"
 ) -> str:
     """Return words on a motion's closest return to an earlier state.
 
     Parameters
     ----------
-    states : (n, flow.size)
+    states_at_periods : (n, flow.size)
         States one period apart.
     subharmonic : int
         Load periods between two states.
-    motion : str
+    motion_name : str
         Subject of the sentence.
     """
-    relative_distances = []
-    for lag in range(1, min(MAX_RETURN_PERIODS, len(states) - 1) + 1):
-        sizes = np.linalg.norm(states[lag:], axis=1)
-        distances = np.linalg.norm(states[lag:] - states[:-lag], axis=1)
-        relative_distances.append(float(np.min(distances / np.maximum(sizes, 1e-300))))
-    if not relative_distances:
-        return f"{motion} cannot be integrated over a period"
-    closest_index = int(np.argmin(relative_distances))
-    followed_periods = counted((len(states) - 1) * subharmonic, "period")
-    return_periods = counted((closest_index + 1) * subharmonic, "period")
-    closeness = percent(relative_distances[closest_index])
+    closest_relative_distances = []
+    for lag in range(1, min(MAX_RETURN_PERIODS, len(states_at_periods) - 1) + 1):
+        state_sizes = np.linalg.norm(states_at_periods[lag:], axis=1)
+        distances = np.linalg.norm(states_at_periods[lag:] - states_at_periods[:-lag], axis=1)
+        closest_relative_distances.append(
+            float(np.min(distances / np.maximum(state_sizes, 1e-300)))
+        )
+    if not closest_relative_distances:
+        return f"{motion_name} cannot be integrated over a period"
+    closest_index = int(np.argmin(closest_relative_distances))
+    followed_periods_text = counted((len(states_at_periods) - 1) * subharmonic, "period")
+    return_periods_text = counted((closest_index + 1) * subharmonic, "period")
+    closeness_text = percent(closest_relative_distances[closest_index])
     return (
-        f"followed for {followed_periods} of the load, {motion} comes back to within"
-        f" {closeness} of where it was at best, after {return_periods}"
+        f"followed for {followed_periods_text} of the load, {motion_name} comes back to within"
+        f" {closeness_text} of where it was at best, after {return_periods_text}"
     )

@@ -38,8 +38,8 @@ class OrbitPoint(DenseLinearisation):
     ----------
     make_monodromy, make_parameter_derivative : callable
         Return the monodromy matrix S M S^-1 in the unknowns x, and dF/dp.
-    events, pieces : int
-        Events of the contact pairs in the period, and pieces of the Taylor series.
+    events, n_taylor_pieces : int
+        Number of the contact pairs' events in the period, and of Taylor pieces.
     """
 
     unknown: np.ndarray
@@ -47,7 +47,7 @@ class OrbitPoint(DenseLinearisation):
     make_monodromy: Callable[[], np.ndarray]
     make_parameter_derivative: Callable[[], np.ndarray]
     events: int
-    pieces: int
+    n_taylor_pieces: int
 
     @cached_property
     def monodromy(self) -> np.ndarray:
@@ -103,15 +103,15 @@ class ShootingEquations(Equations):
         self._struct = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.n_modes,
             harmonics=len(flow.modal_load) // 2,
-            pairs=flow.structure.n_pairs, friction=flow.friction is not None,
+            pairs=flow.structure.n_pairs, friction=flow.friction_law is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.pieces,
             max_intervals=Budget.intervals, **arrays,
         )  # fmt: skip
-        self._point = attach_destructor(
+        self._kernel_point_pointer = attach_destructor(
             kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point
         )
-        self.function_table = kernel.equations_of_shooting(self._point)
+        self.function_table = kernel.equations_of_shooting(self._kernel_point_pointer)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """Return F, dF/dx and dF/dp at unknowns x and a parameter p.
@@ -121,20 +121,20 @@ class ShootingEquations(Equations):
         ConvergenceError
             The motion exceeds its budget, or is not finite.
         """
-        self._evaluate(unknown, parameter)
+        self._integrate_period_in_kernel(unknown, parameter)
         return self.linearise_evaluated(unknown, parameter)
 
-    def advance_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+    def unknown_after_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """Return the unknowns x + F after a period from x."""
-        self._evaluate(unknown, parameter)
+        self._integrate_period_in_kernel(unknown, parameter)
         return unknown + self._residual()
 
     @property
-    def pieces(self) -> int:
+    def n_taylor_pieces_in_last_period(self) -> int:
         """Return the number of Taylor pieces in the period integrated last."""
-        return int(kernel.count_pieces(self._point))
+        return int(kernel.count_pieces(self._kernel_point_pointer))
 
-    def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
+    def _integrate_period_in_kernel(self, unknown: np.ndarray, parameter: float) -> None:
         """Integrate the motion over a period from x, at a parameter p."""
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
@@ -151,20 +151,20 @@ class ShootingEquations(Equations):
 
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual = self._residual()
-        events = int(kernel.count_events(self._point))
+        n_events = int(kernel.count_events(self._kernel_point_pointer))
 
         def ensure_evaluated() -> None:
             if (
-                self._last_linearisation_reference is not point_reference
+                self._last_linearisation_reference is not weak_point_reference
             ):  # there is one for a point
-                self._evaluate(unknown, parameter)
-                self._last_linearisation_reference = point_reference
+                self._integrate_period_in_kernel(unknown, parameter)
+                self._last_linearisation_reference = weak_point_reference
 
         def monodromy() -> np.ndarray:
-            matrix = np.empty(2 * self.shape)
+            monodromy_matrix = np.empty(2 * self.shape)
             ensure_evaluated()
-            kernel.get_monodromy(self._point, pointer(matrix))
-            return matrix
+            kernel.get_monodromy(self._kernel_point_pointer, pointer(monodromy_matrix))
+            return monodromy_matrix
 
         def by_parameter() -> np.ndarray:
             derivative = np.empty(self.shape)
@@ -172,8 +172,15 @@ class ShootingEquations(Equations):
             self.function_table.by_parameter(self.function_table, pointer(derivative))
             return derivative
 
-        point = OrbitPoint(unknown, residual, monodromy, by_parameter, events, self.pieces)
-        self._last_linearisation_reference = point_reference = weakref.ref(point)
+        point = OrbitPoint(
+            unknown,
+            residual,
+            monodromy,
+            by_parameter,
+            n_events,
+            self.n_taylor_pieces_in_last_period,
+        )
+        self._last_linearisation_reference = weak_point_reference = weakref.ref(point)
         return point
 
 
@@ -194,7 +201,7 @@ class FlowOrbits(ShootingEquations):
         Load periods in the orbit's period.
     scale : (flow.size,)
         Diagonal of S.
-    start : (flow.size,)
+    start_unknown : (flow.size,)
         Unknowns x of the nearby state.
     """
 
@@ -204,7 +211,7 @@ class FlowOrbits(ShootingEquations):
         weights = flow.amplitude_weights(omega / subharmonic)
         scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         super().__init__(flow, scale, (0.0, omega), subharmonic)
-        self.omega, self.start = omega, scale * state
+        self.omega, self.start_unknown = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
         """Return the state z = S^-1 x from the unknowns x: (flow.size,)."""

@@ -101,7 +101,9 @@ class Run(Answer, Generic[ResultType]):
         if isinstance(result, TimeHistory):
             columns = list(result.displacement(dofs).T)
         elif isinstance(result, ObservedMotion):
-            columns = [displacement.coefficients for displacement in result.observe(dofs)[0]]
+            columns = [
+                displacement.real_fourier_coefficients for displacement in result.observe(dofs)[0]
+            ]
         return dict(zip((point.words for point in self.watched), columns, strict=False))
 
     def save(self, path: str | Path) -> None:

@@ -101,8 +101,8 @@ def held(record: Record) -> Held:
     """The clamp in a record of :func:`inertia_rows`."""
     whole, omega = record.structure.whole, record.omega
     clamp, drag = _clamp(whole)
-    if record.steps:
-        return Held(*clamp.reaction_of_record(record.time, record.motion, omega, drag))
+    if record.instants_per_load_period:
+        return Held(*clamp.reaction_of_record(record.time, record.row_products, omega, drag))
     base = omega / record.subharmonic
     parts = record.coefficients, base, record.subharmonic, drag, base * record.time
     return Held(*clamp.reaction_of_waves(*parts))
@@ -185,7 +185,7 @@ def at_tips(
     """Stress intensity at each tip in a record of the rows of :func:`tip_rows`. At the front of a
     solid's crack without clearance K_I is zero while all pairs that touch it are closed, and never
     negative."""
-    rows = (record.motion + record.force[:, : record.n_pairs] @ of_forces.T).T
+    rows = (record.row_products + record.forces[:, : record.n_pairs] @ of_forces.T).T
     exact = not np.any(record.structure.clearance)
     found = []
     for tip, (one, two, *three) in zip(
@@ -193,7 +193,7 @@ def at_tips(
     ):
         stated, touching = one, tip.adjacent_pairs
         if exact and len(touching):
-            shut = np.all(record.force[:, touching] > 0.0, axis=1)
+            shut = np.all(record.forces[:, touching] > 0.0, axis=1)
             stated = np.where(shut, 0.0, one.clip(0.0))
         left_out = float(np.abs(one - stated).max())
         found.append(AtTip(stated, two, record.periods, law, three[0] if three else None, left_out))

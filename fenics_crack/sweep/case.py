@@ -360,7 +360,7 @@ def _observed(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Fo
     points, found = solution.observe_rows(stacked, rows_requested(geometry.study))
     for name, seen in zip(rows, points, strict=True):
         values = {quantity: getattr(seen.indicators, quantity) for quantity in AT_POINTS}
-        values |= zip(PHASES, seen.coefficients[1:].tolist(), strict=False)
+        values |= zip(PHASES, seen.real_fourier_coefficients[1:].tolist(), strict=False)
         found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
     return found
 

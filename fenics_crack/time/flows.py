@@ -45,7 +45,7 @@ from fenics_crack.kernel import Struct, kernel, pointer, require_shape
 from fenics_crack.model.contact import ActiveSetSolver, ContactLaw, FrictionSets, coefficient_of
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow
+from fenics_crack.motion.flow import Flow, as_doubles, check_exact, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
@@ -168,10 +168,10 @@ def _displacement_and_velocity(
     With friction the sticking places (n_pairs,) [m] follow.
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
-    displacement_and_velocity = displacement.copy(), flow.modes.shapes @ modal_velocity
+    displacement_and_velocity = displacement.copy(), flow.modal_model.shapes @ modal_velocity
     return (
         (*displacement_and_velocity, sticking_places.copy())
-        if flow.friction
+        if flow.friction_law
         else displacement_and_velocity
     )
 
@@ -182,7 +182,7 @@ class _ByEvents(Scheme):
     name = "events"
 
     def __init__(self, request: March) -> None:
-        self._request, self._flow = request, exact_flow(request.structure, request.contact)
+        self._request, self._flow = request, exact_flow_or_error(request.structure, request.contact)
         self._period = 2.0 * np.pi / request.omega
         fractions = np.arange(request.steps_per_period + 1) / request.steps_per_period
         self._instants = fractions * self._period
@@ -235,7 +235,7 @@ class ExponentialFlow(Flow):
             steps_per_period,
             2.0 * np.pi / omega / steps_per_period,
         )
-        modes, (n_modes, n_rows) = self.modes, self.modes.pairs.shape
+        modes, (n_modes, n_rows) = self.modal_model, self.modal_model.pairs.shape
         transition, response = modes.transition(self.step_size)
         halved_response = 0.5 * response  # Gamma
         gap_response = modes.pairs.T @ halved_response[:n_modes]
@@ -309,7 +309,7 @@ class ExponentialFlow(Flow):
         is_closed = np.empty((n_requested_steps + 1, n_pairs), dtype=np.int8)
         states[0] = state
         initial_gap = self.gap_rows @ (state - self.steady_states[0]) + self.linear_gap[0]
-        if self.friction:
+        if self.friction_law:
             forces[:1], is_closed[:1], new_sticking_places, _ = self._initial_friction_solver.solve(
                 initial_gap[None], sticking_places
             )
@@ -324,7 +324,7 @@ class ExponentialFlow(Flow):
             raise ConvergenceError(
                 f"exponential: the contact forces of step {n_steps_made + 1} were not found"
             )
-        sticking_places = self._sticking_places.copy() if self.friction else sticking_places
+        sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
         return Steps(self, states, forces, is_closed > 0, np.append(states[-1], sticking_places))
 
 
@@ -364,7 +364,7 @@ class Steps:
     def friction_loss(self) -> float:
         """Energy that friction dissipates over all steps, by their mean forces [J]."""
         flow, n_pairs = self.flow, self.flow.structure.n_pairs
-        if not flow.friction:
+        if not flow.friction_law:
             return 0.0
         friction_force = self.forces[:, n_pairs:]
         sticking_places = self.gaps[:, n_pairs:] - flow.softness[n_pairs:] * friction_force
@@ -410,9 +410,9 @@ class _ByExponentials(Scheme):
         if number == 0:
             self._energy_input = self._energy(flow_steps, 0)
             self._missing_energy = -self._energy_input
-        modal_velocity = states[:, len(flow.modes.squares) :]
+        modal_velocity = states[:, len(flow.modal_model.squares) :]
         damping_power = np.einsum(
-            "nj,nj->n", flow.modes.damping_force(modal_velocity), modal_velocity
+            "nj,nj->n", flow.modal_model.damping_force(modal_velocity), modal_velocity
         )
         load_work = float(np.sum(self._mean_load_over_step * np.diff(displacement_at_load, axis=0)))
         self._energy_input += abs(load_work)
@@ -435,7 +435,7 @@ class _ByExponentials(Scheme):
         doubled_elastic_energy = (
             displacement @ multiply(flow.structure.stiffness, displacement[:, None])[:, 0]
         )
-        modal_velocity = flow_steps.states[instant_index, len(flow.modes.squares) :]
+        modal_velocity = flow_steps.states[instant_index, len(flow.modal_model.squares) :]
         doubled_spring_energy = np.sum(flow.softness * flow_steps.forces[instant_index] ** 2)
         return 0.5 * float(
             doubled_elastic_energy + modal_velocity @ modal_velocity + doubled_spring_energy

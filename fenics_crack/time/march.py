@@ -389,8 +389,8 @@ class TimeHistory(ObservedMotion, Tabular):
             fourier_coefficients(motion[-n_steps:], min(10, (n_steps - 1) // 2)),
             motion, gap, force,
             structure=structure,
-            friction=self.friction,
-            steps=n_steps,
+            friction_coefficient=self.friction,
+            instants_per_load_period=n_steps,
         )  # fmt: skip
 
 

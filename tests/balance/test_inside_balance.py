@@ -1102,7 +1102,7 @@ class Given(ObservedMotion):
             "time": np.zeros(2),
             "coefficients": waves[:, None],
         }
-        values |= {"motion": np.array([[11.0], [-11.0]]), "gap": nothing, "force": nothing}
+        values |= {"row_products": np.array([[11.0], [-11.0]]), "gaps": nothing, "forces": nothing}
         self._record = Record(**values | {"structure": self.structure} | given)
 
     def records(self, rows: np.ndarray) -> Any:
@@ -1158,7 +1158,7 @@ def test_force_of_each_crack() -> None:
     for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
         pairs = Pairs(cracks=None if cracks is None else np.array(cracks))
         structure = oscillator().with_places(None, pairs)
-        found = indicators_of(np.ones(3), gap=-np.ones((2, 3)), force=force, structure=structure)
+        found = indicators_of(np.ones(3), gaps=-np.ones((2, 3)), forces=force, structure=structure)
         assert (found.contact_force, found.crack_force) == (4.0, expected)
 
 
@@ -1183,7 +1183,11 @@ def test_wave_of_a_bilinear_oscillator(ratio: float) -> None:
     wave = bilinear_wave(ratio, 8192)
     gap = wave[:, None]
     found = indicators_of(
-        fourier_coefficients(wave, 5), time=wave, motion=gap, gap=gap, force=np.maximum(gap, 0.0)
+        fourier_coefficients(wave, 5),
+        time=wave,
+        row_products=gap,
+        gaps=gap,
+        forces=np.maximum(gap, 0.0),
     )
     mean = 2.0 * closed / (np.pi * ratio) - 2.0 * is_open / np.pi
     assert found.harmonic_1 == pytest.approx(part(1), rel=1e-6)

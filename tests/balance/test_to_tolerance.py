@@ -72,7 +72,7 @@ def test_error_is_what_was_asked_for(name: str, tolerance: float) -> None:
     closing = size_of_motion(orbit.gap + structure.clearance)
     off = np.linalg.norm(found.gap(time) - orbit.gap) / closing
     assert off == pytest.approx(found.report.truncation, rel=0.3)
-    rate = orbit.flow.modes.shapes @ orbit.state[orbit.flow.size // 2 :]
+    rate = orbit.flow.modal_model.shapes @ orbit.state[orbit.flow.size // 2 :]
     begun = orbit.displacement_at(np.zeros(1))[0], rate
     history = fc.integrate_central_difference(
         structure, omega, law, periods=1, steps_per_period=512 * 600, initial=begun

@@ -37,7 +37,7 @@ from fenics_crack.curves.orbit_events import (
 from fenics_crack.curves.orbits import Orbits
 from fenics_crack.curves.stability import monodromy_of_linear_flow
 from fenics_crack.model.modal import all_modes
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.motion.search import wave_states
 from fenics_crack.numerics.newton import point_on_path
@@ -62,7 +62,7 @@ RANGES = {
 
 def orbit_at(problem: fc.Problem) -> PeriodicOrbit:
     """An orbit near the harmonic-balance solution of a problem."""
-    flow, law = exact_flow(problem.structure, problem.contact), problem.contact
+    flow, law = exact_flow_or_error(problem.structure, problem.contact), problem.contact
     for harmonics in (10, 40):
         wave = fc.solve_harmonic_balance(
             problem.structure, problem.omega, law, harmonics=harmonics, throw=False
@@ -150,7 +150,9 @@ def test_end_is_the_orbit_found_there(parameter: str) -> None:
     family = Orbits(problem, parameter, *RANGES[parameter])
     last, there, state = path.points[-1], family.problem_at(RANGES[parameter][1]), states(path)[-1]
     assert last.value == pytest.approx(RANGES[parameter][1]) and last.omega == there.omega
-    orbit = find_orbit(exact_flow(there.structure, there.contact), there.omega, 1.001 * state)
+    orbit = find_orbit(
+        exact_flow_or_error(there.structure, there.contact), there.omega, 1.001 * state
+    )
     assert state == pytest.approx(orbit.state, abs=1e-7 * np.abs(orbit.state).max())
     assert np.abs(last.multipliers) == pytest.approx(np.abs(orbit.multipliers[:8]), abs=1e-7)
 
@@ -310,7 +312,7 @@ def test_bifurcations_by_the_reference_flow(stop: Continuation) -> None:
     assert found[-1].kind == "fold" and np.abs(found[-1].multipliers - 1.0).min() > 1e-4
     flow = ReferenceFlow(two_masses(), LAW)
     for one in found[:-1]:
-        shapes = one.orbit.flow.modes.shapes
+        shapes = one.orbit.flow.modal_model.shapes
         state = flow.state(*(shapes @ part for part in np.split(one.orbit.state, 2)))
         passage = flow.advance(state, one.value, 0.0, 2.0 * np.pi / one.value)
         assert passage.state == pytest.approx(state, abs=1e-8)
@@ -762,7 +764,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     search = continuation.initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
-        return search(problem, initial)._replace(orbit=None, reason="lost")
+        return search(problem, initial)._replace(orbit=None, outcome_text="lost")
 
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)

@@ -15,7 +15,7 @@ from fenics_crack.balance.assessment import stated_error
 from fenics_crack.cli.command_line import main
 from fenics_crack.cli.studies import warnings_of
 from fenics_crack.motion.attractors import find_irregular_motion
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import exact_flow_or_error
 
 LAW = fc.UnilateralPenalty(1e11)
 SCENE = DEMOS / "paper_plate.toml"
@@ -36,7 +36,7 @@ def test_disturbance_grows_as_two_motions_part() -> None:
     assert stability.verdict == "irregular" and "the exact motion is irregular" in stability.reason
     [motion] = fc.attractors(plate(), solution)
     assert motion.growth == stability.multipliers[0] and motion.orbit is None
-    flow, states = exact_flow(plate(), LAW), [solution.assessment.states[0]]
+    flow, states = exact_flow_or_error(plate(), LAW), [solution.assessment.states[0]]
     states.append(states[0] * (1.0 + 1e-10 * np.random.default_rng(2).normal(size=flow.size)))
     apart = []
     for _ in range(11):

@@ -46,7 +46,7 @@ def off_reference(flow: ReferenceFlow, one: Any) -> float:
     the reference's orbit; inf where it has none."""
     # The exact state: Newton's method may lead elsewhere from a solution to 1e-2.
     parts = np.split(one.orbit.state, 2)
-    state = flow.state(*(one.orbit.flow.modes.shapes @ part for part in parts))
+    state = flow.state(*(one.orbit.flow.modal_model.shapes @ part for part in parts))
     try:
         orbit = flow.orbit(state, one.value, 2.0 * np.pi / one.value)
     except (NoOrbit, np.linalg.LinAlgError):
@@ -61,7 +61,7 @@ def false_verdicts(curve: fc.ResponseCurve, span: tuple[float, float]) -> dict[s
     """Share of a curve's way through its range with another verdict than the reference's, and the
     widest stretch of it, over the resolution and over the longest step taken."""
     flow, omega = ReferenceFlow(curve.structure, curve.contact), curve.values
-    spacing, shapes = STEP * (span[1] - span[0]) / FINER, curve.orbit(0).flow.modes.shapes
+    spacing, shapes = STEP * (span[1] - span[0]) / FINER, curve.orbit(0).flow.modal_model.shapes
     way = np.append(0.0, np.cumsum(np.abs(np.diff(omega))))
     met = np.arange(spacing, way[-1], spacing)
     folded = {curve.nearest(one) for one in curve.bifurcations if one.kind == "fold"}

@@ -88,7 +88,7 @@ def test_exact_orbit_against_integration() -> None:
     found = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3)
     orbit = found.orbit
     assert orbit is not None and orbit.events >= 4
-    shapes = orbit.flow.modes.shapes.T
+    shapes = orbit.flow.modal_model.shapes.T
     start = np.concatenate([part @ shapes for part in np.split(orbit.state, 2)])
     reached = followed(structure, omega, start, orbit.period)
     assert relative(reached[:N], orbit.displacement_at(np.array([orbit.period]))[0]) < 1e-8

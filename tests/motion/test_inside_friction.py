@@ -67,7 +67,10 @@ def test_laws_from_any_state(pairs: int) -> None:
         found = flow.advance(start, 0.8, 1e-3, instants=np.zeros(1)).samples
         normal, pulled = np.split(found.forces, 2, axis=1)
         gap = found.gaps[:, :pairs]
-        large, long = np.abs(found.answers[:, : 2 * pairs]).max(), np.abs(found.gaps).max()
+        large, long = (
+            np.abs(found.forces_and_openings[:, : 2 * pairs]).max(),
+            np.abs(found.gaps).max(),
+        )
         assert normal.min() >= -1e-12 * large
         assert gap.max() <= 1e-12 * long
         assert (np.abs(pulled) - 0.3 * normal).max() <= 1e-12 * large

@@ -24,7 +24,7 @@ def differences(number: int) -> tuple[float, float] | None:
     if orbit is None:
         return None
     flow = case.flow(case.structure)
-    shape, rate = np.split(orbit.state, 2) @ orbit.flow.modes.shapes.T
+    shape, rate = np.split(orbit.state, 2) @ orbit.flow.modal_model.shapes.T
     other = flow.orbit(flow.state(shape, rate), orbit.omega, orbit.period)
     gap = orbit.gap_at(np.arange(len(other.gap)) * orbit.period / len(other.gap))
     moduli = (np.sort(np.abs(values)) for values in (orbit.multipliers, other.multipliers))

@@ -14,7 +14,7 @@ from helpers import chain, relative
 
 import fenics_crack as fc
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import find_orbit
 from fenics_crack.motion.shooting import FlowOrbits
 from fenics_crack.numerics.equations import DenseLinearisation
@@ -243,10 +243,10 @@ def test_equations_of_a_path(light: bool) -> None:
     structure, contact = chain(pairs=3, seed=2), fc.UnilateralPenalty(20.0)
     if light:
         structure, contact = fc.reduce_structure(structure, modes=6, method="massless"), RIGID
-    flow = flow_of(structure, contact)
+    flow = exact_flow_or_none(structure, contact)
     settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     system, step = FlowOrbits(flow, 0.6, settled), 1e-6
-    x = 1.05 * system.start
+    x = 1.05 * system.start_unknown
     at = system.linearise(x, 1.02)
     moved = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
     assert relative(at.residual, system.scale * moved - x) < 1e-12
@@ -255,7 +255,7 @@ def test_equations_of_a_path(light: bool) -> None:
     change = np.random.default_rng(0).normal(size=flow.size)
     ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
     assert relative(at.jacobian @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
-    first = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-11)
+    first = solve_in_plane(system, system.start_unknown, 1.0, None, tolerance=1e-11)
     options = PathOptions(0.01, max_step=0.05, max_steps=6, span=(0.9, 1.1))
     points = list(Path(system, point_on_path(system, first.unknown, 1.0), options).points())
     assert len(points) > 4

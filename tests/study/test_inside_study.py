@@ -503,12 +503,12 @@ def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
     force = np.array([[7.0, 0.0], [7.0, 5.0], [0.0, 0.0]])
     structure = SimpleNamespace(clearance=np.zeros(2))
     record = SimpleNamespace(
-        motion=motion, force=force, n_pairs=2, structure=structure, periods=1.0
+        row_products=motion, forces=force, n_pairs=2, structure=structure, periods=1.0
     )
     station = SimpleNamespace(adjacent_pairs=np.array([0, 1]))
     (at_station,) = at_tips(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
     assert np.array_equal(at_station.one, [3.0, 0.0, 0.0]) and at_station.closed == 3.0
-    record.motion = motion[:, :2]
+    record.row_products = motion[:, :2]
     tip = Tip("the crack tip", 0, np.zeros(2), np.ones(2), 0.01, 0.001)
     (at_plate_tip,) = at_tips(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
     assert np.array_equal(at_plate_tip.one, motion[:, 0])

@@ -12,7 +12,7 @@ from helpers import DEMOS, ROOT
 import fenics_crack as fc
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.errors.numbers import of_orbit
-from fenics_crack.motion.flow import flow_of
+from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.orbit import PeriodicOrbit
 
 ALONE = {
@@ -47,7 +47,7 @@ def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
             run.structure.whole, modes=factor * orbit.structure.n_modes, method="massless",
             reference=False,
         )  # fmt: skip
-        flow = flow_of(structure, run.contact)
+        flow = exact_flow_or_none(structure, run.contact)
         found = MoreModes(flow, result.assessment.wave, larger).orbit
         larger = found
     few, many = numbers(orbit), numbers(larger)

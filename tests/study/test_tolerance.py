@@ -105,7 +105,7 @@ def test_claims_of_a_blade() -> None:
     found = fc.solve(scene.replace(changes), MPI.COMM_SELF).result
     orbit = found.assessment.orbit
     assert orbit is not None and found.report.total < 3e-3
-    flow, shapes = ReferenceFlow(found.structure, found.contact), orbit.flow.modes.shapes
+    flow, shapes = ReferenceFlow(found.structure, found.contact), orbit.flow.modal_model.shapes
     state = flow.state(*(shapes @ part for part in np.split(orbit.state, 2)))
     passage = flow.advance(state, found.omega, 0.0, found.period, len(orbit.gap))
     assert relative(passage.state, state) < 1e-8

@@ -87,7 +87,7 @@ def test_central_differences(dofs: int, pairs: int, damping: str, rigid: bool, s
 
 def by_exponentials(flow: ExponentialFlow, start: np.ndarray, steps: int) -> tuple[np.ndarray, ...]:
     """States and forces, by matrices of the whole flow."""
-    modes = flow.modes
+    modes = flow.modal_model
     count, pairs = modes.pairs.shape
     damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
     whole = np.zeros((2 * count + pairs,) * 2)
@@ -122,7 +122,7 @@ def test_exponential_steps(dofs: int, pairs: int, damping: str, steps: int, seed
         rng, dofs, min(pairs, dofs), damping if damping != "none" else "modal"
     )
     flow = ExponentialFlow(structure, 1.1, fc.UnilateralPenalty(20.0), steps)
-    start = 0.3 * rng.normal(size=2 * len(flow.modes.squares))
+    start = 0.3 * rng.normal(size=2 * len(flow.modal_model.squares))
     found = flow.advance(start, 2)
     states, forces = by_exponentials(flow, start, 2 * steps)
     assert np.abs(found.states - states).max() <= 1e-12 * scale_of(states) * steps
@@ -171,7 +171,7 @@ def test_no_step_is_too_long(
     for count in {1, structure.n_pairs}:
         closed = np.arange(structure.n_pairs) < count
         flow = ExponentialFlow(structure, 2000.0, law, 4)
-        squares, pairs = flow.modes.squares, flow.modes.pairs
+        squares, pairs = flow.modal_model.squares, flow.modal_model.pairs
         soft = flow.residual_flexibility + np.diag(flow.softness)
         rest = -(pairs @ closed) / squares  # under unit forces of the closed pairs
         pressed = rest @ pairs - soft @ closed + 1e9 * np.abs(rest @ pairs).max() * ~closed
