@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.model.matrices import ReadOnlyArrays, read_only_rows
+from fenics_crack.model.matrices import ReadOnlyArrays, read_only_csr_matrix
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 
 
@@ -52,7 +52,7 @@ class Body(ReadOnlyArrays):
             object.__setattr__(self, "comm", self.mass.comm.tompi4py())
         for name in ("gap", "tangential"):
             if (sparse_rows := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only_rows(sparse_rows))
+                object.__setattr__(self, name, read_only_csr_matrix(sparse_rows))
         super().__post_init__()
 
 

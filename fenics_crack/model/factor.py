@@ -141,9 +141,9 @@ class Factor:
 
     Attributes
     ----------
-    null_pivots : int
+    n_null_pivots : int
         Number of zero pivots, the dimension of the null space.
-    negative_pivots : int
+    n_negative_pivots : int
         Number of negative eigenvalues of a symmetric matrix on the space with B^T x = 0, by
         Sylvester's law of inertia.
 
@@ -153,7 +153,7 @@ class Factor:
     matrix together. PETSc options with the prefix ``crack_factor_`` reach the solver.
     """
 
-    null_pivots = negative_pivots = 0
+    n_null_pivots = n_negative_pivots = 0
 
     def __init__(
         self,
@@ -176,8 +176,8 @@ class Factor:
             except PETSc.Error:
                 self._destroy_factor()
         self._factorise("mumps")
-        self.null_pivots = int(self._factor.getMumpsInfog(28))
-        self.negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
+        self.n_null_pivots = int(self._factor.getMumpsInfog(28))
+        self.n_negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
     def _factorise(self, solver: str) -> None:
         """Factor the matrix with one of PETSc's solver packages (collective)."""

@@ -703,7 +703,7 @@ def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
     return matrix
 
 
-def read_whole_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
+def make_whole_csr_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
     """Return a vector or matrix whole on every rank, as a matrix (n, m).
 
     ``data`` is an array, a PETSc object, which is gathered from all ranks (collective), or the path
@@ -759,14 +759,14 @@ def check_parts(
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
     with Factor(mass) as factor:
-        n_negative, n_zero = factor.negative_pivots, factor.null_pivots
+        n_negative, n_zero = factor.n_negative_pivots, factor.n_null_pivots
     if n_negative or n_zero:
         problem = f"{n_negative} negative and {n_zero} zero eigenvalues"
         raise InputError("mass", problem, "positive definite")
     _check_semidefinite("stiffness", stiffness, mass)
 
     normal, tangential = gaps
-    gap = sparse.csr_matrix((n, 0)) if normal is None else read_whole_matrix("gap", normal, n)
+    gap = sparse.csr_matrix((n, 0)) if normal is None else make_whole_csr_matrix("gap", normal, n)
     if len(empty_columns := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
         problem = f"zero in column {empty_columns[0] + 1} of {gap.shape[1]}"
         requirement = "a pair in each: a gap that depends on no displacement never opens or closes"
@@ -779,7 +779,7 @@ def check_parts(
         "clearance": expand_to_pairs("clearance", clearance, gap.shape[1]),
     }
     if tangential is not None:
-        tangential = read_whole_matrix("tangential", tangential, n)
+        tangential = make_whole_csr_matrix("tangential", tangential, n)
         if tangential.shape[1] not in (gap.shape[1], 2 * gap.shape[1]):
             requirement = f"of shape {gap.shape}, as gap is, or with twice the columns"
             raise InputError("tangential", tangential.shape, requirement)
@@ -808,7 +808,7 @@ def _read_load_columns(name: str, data: Any, n: int, max_columns: int = 1) -> np
 
     None gives one row of zeros. InputError: the shape is another one.
     """
-    columns = sparse.csr_matrix((n, 1)) if data is None else read_whole_matrix(name, data, n)
+    columns = sparse.csr_matrix((n, 1)) if data is None else make_whole_csr_matrix(name, data, n)
     if not 1 <= columns.shape[1] <= max_columns:
         requirement = f"of shape ({n},)" + f", or of up to {max_columns} columns" * (
             max_columns > 1
@@ -904,12 +904,12 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     sizes = quotients.copy()
     sizes.abs()
     with factored_sum(matrix, MATRIX_TOLERANCE * sizes.max()[1], mass) as factor:
-        n_negative = factor.negative_pivots
+        n_negative = factor.n_negative_pivots
     if n_negative:
         raise InputError(name, counted(n_negative, "negative eigenvalue"), "positive semidefinite")
 
 
-def read_only_rows(matrix: Any) -> sparse.csr_matrix:
+def read_only_csr_matrix(matrix: Any) -> sparse.csr_matrix:
     """Return a read-only copy of a sparse matrix in CSR format.
 
     A read-only CSR matrix is returned itself.

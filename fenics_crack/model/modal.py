@@ -39,7 +39,7 @@ MAX_DENSE_SIZE = 600
 
 Dense matrices of this size take a part of a second.
 """
-CACHE_BLOCK_SIZE = 2**16
+MODAL_COORDINATES_IN_CACHE = 2**16
 """Number of modal coordinates that are computed together: they fit in a cache."""
 
 
@@ -78,9 +78,9 @@ class AllModes:
     pairs: np.ndarray
     is_unconstrained: bool
     residual: np.ndarray | None = None
-    static_pairs: np.ndarray | None = None
+    massless_pair_responses: np.ndarray | None = None
     """(n_dofs, n_pairs): displacement of the massless coordinates by unit forces on pairs."""
-    static_loads: np.ndarray | None = None
+    massless_flexibility: np.ndarray | None = None
     """(n_dofs, n_dofs): displacement of the massless coordinates by forces on dofs."""
     inverse_shapes: np.ndarray | None = None
     """Phi^T M, if it is at hand."""
@@ -146,7 +146,7 @@ class AllModes:
             )
         return 1.0 / impedance
 
-    def static_part(self, min_frequency: float = np.inf) -> np.ndarray:
+    def static_pair_compliance(self, min_frequency: float = np.inf) -> np.ndarray:
         """Return the quasi-static compliance of the contact pairs.
 
         It consists of the residual flexibility R_inf and of modes above a frequency.
@@ -172,13 +172,13 @@ class AllModes:
         """
         return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
 
-    def static_displacement(self, min_frequency: float) -> np.ndarray:
+    def static_pair_responses(self, min_frequency: float) -> np.ndarray:
         """Return the quasi-static displacement by unit forces on the pairs [m/N].
 
         Parameters
         ----------
         min_frequency : float [rad/s]
-            As of :meth:`static_part`.
+            As of :meth:`static_pair_compliance`.
 
         Returns
         -------
@@ -188,7 +188,11 @@ class AllModes:
         displacement: np.ndarray = (self.shapes[:, is_fast] / self.squares[is_fast]) @ self.pairs[
             is_fast
         ]
-        return displacement if self.static_pairs is None else displacement + self.static_pairs
+        return (
+            displacement
+            if self.massless_pair_responses is None
+            else displacement + self.massless_pair_responses
+        )
 
     def with_static_modes(self, min_frequency: float | None) -> AllModes:
         """Move modes above a frequency [rad/s] to the quasi-static part, without inertia.
@@ -202,8 +206,8 @@ class AllModes:
             return self
         squares, mode_shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
         static_loads = (mode_shapes / squares) @ mode_shapes.T
-        if self.static_loads is not None:
-            static_loads = static_loads + self.static_loads
+        if self.massless_flexibility is not None:
+            static_loads = static_loads + self.massless_flexibility
         damping = (
             self.damping[is_slow]
             if self.damping.ndim == 1
@@ -215,8 +219,8 @@ class AllModes:
             damping,
             self.pairs[is_slow],
             self.is_unconstrained,
-            self.static_part(min_frequency),
-            self.static_displacement(min_frequency),
+            self.static_pair_compliance(min_frequency),
+            self.static_pair_responses(min_frequency),
             static_loads,
             self.inverse[is_slow],
         )
@@ -239,7 +243,7 @@ class AllModes:
     def respond(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
         """Return the modal response H f to modal forces f: (..., n).
 
-        H is the result of :meth:`receptance`.
+        H is the result of :meth:`modal_receptances`.
         """
         if self.damping.ndim == 1:
             return receptance * modal_force
@@ -248,8 +252,8 @@ class AllModes:
     def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
         """Return the compliance B^T Phi H Phi^T B of the pairs: (..., n_pairs, n_pairs) [m/N].
 
-        H is the result of :meth:`receptance`. An entry is the gap change of a pair by a unit force
-        on another.
+        H is the result of :meth:`modal_receptances`. An entry is the gap change of a pair by a unit
+        force on another.
         """
         if self.damping.ndim == 1:
             return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)

@@ -144,7 +144,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     """
     check_choice("lips", lips, LIP_STATES)
     is_bonded = lips == "tied" and structure.n_pairs > 0
-    known_modes = structure.known_modes(is_bonded=is_bonded)
+    known_modes = structure.known_frequencies_and_shapes(is_bonded=is_bonded)
     ties = find_independent_ties(structure) if is_bonded and known_modes is None else None
     limit_name = "n_dofs" if known_modes is None else "n_modes"
     if is_bonded:
@@ -166,7 +166,7 @@ def count_bonded_modes(structure: Structure) -> int:
     """Return the number of modes with a bonded crack (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
-    known_modes = structure.known_modes(is_bonded=True)
+    known_modes = structure.known_frequencies_and_shapes(is_bonded=True)
     return (
         len(known_modes[0])
         if known_modes is not None
@@ -206,7 +206,7 @@ def _count_modes(structure: Structure, ties: Any) -> int:
 class Inverse(Protocol):
     """Interface of solvers K x = r, such as a :class:`Factor`."""
 
-    null_pivots: int
+    n_null_pivots: int
     """Dimension of the stiffness's null space."""
 
     def apply(self, rhs: Any, solution: Any) -> None:
@@ -222,10 +222,10 @@ class BondedInverse:
     """
 
     def __init__(self, factor: Any, structure: Structure, ties: Any) -> None:
-        self.null_pivots = factor.null_pivots
+        self.n_null_pivots = factor.n_null_pivots
         self._factor, self._ties = factor, ties.T
         self._sum_over_ranks = structure.sum_over_ranks
-        if not self.null_pivots:
+        if not self.n_null_pivots:
             self._tie_responses = factor.solve(self._ties)
             flexibility = self._sum_over_ranks(self._ties @ self._tie_responses.T)
             self._compliance = scipy.linalg.cho_factor(flexibility)
@@ -295,7 +295,7 @@ def find_known_modes(structure: Structure, count: int) -> Modes | None:
     They were computed before, or the structure's coordinates are modes.
     """
     if structure.whole is not structure:  # small and dense
-        if (known_modes := structure.known_modes(is_bonded=False)) is not None:
+        if (known_modes := structure.known_frequencies_and_shapes(is_bonded=False)) is not None:
             return Modes(known_modes[0][:count], known_modes[1][:, :count], structure)
     cache = structure.compute_once(_lowest_modes_cache, from_matrices=True)
     if not cache or len(cache[0]) < count:
@@ -352,7 +352,7 @@ def _solve_near_zero(
     (n_local, count)
         Shapes.
     """
-    if not factor.null_pivots:
+    if not factor.n_null_pivots:
         squares, shapes = _solve_near_shift(factor, structure, count, 0.0)
         if squares[0] > MATRIX_TOLERANCE * scale:  # a singular K may give values below 0
             return squares, shapes
@@ -422,7 +422,7 @@ def count_below(structure: Structure, square: float, ties: Any = None) -> int:
     These are the negative pivots of K - square M (Sylvester).
     """
     with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
-        return int(factor.negative_pivots)
+        return int(factor.n_negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:
@@ -561,13 +561,13 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 def _compute_damped_modes(structure: Structure) -> DampedModes:
     """Compute the modes that carry the modal damping (collective)."""
-    modes = solve_modes(structure, check_damped_modes(structure))
+    modes = solve_modes(structure, count_damped_modes(structure))
     mass_shapes = multiply(structure.mass, modes.shapes)
     modal_damping = structure.damping.rate(modes.omega**2)
     return DampedModes(modes.omega, modal_damping, modes.shapes, mass_shapes)
 
 
-def check_damped_modes(structure: Structure) -> int:
+def count_damped_modes(structure: Structure) -> int:
     """Return the number of damped modes; InputError as :func:`damped_modes`."""
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
@@ -579,7 +579,7 @@ def check_damped_modes(structure: Structure) -> int:
     return count
 
 
-def damped_range(structure: Structure) -> tuple[int, float] | None:
+def damped_count_and_frequency(structure: Structure) -> tuple[int, float] | None:
     """Return how many modes are damped, and up to which frequency (collective).
 
     If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
@@ -665,7 +665,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
 
 # --- with the crack open and bonded --------------------------------------------------------------
 
-FREQUENCY_KINDS = ("open", "tied", "bilinear")
+FREQUENCY_KIND_NAMES = ("open", "tied", "bilinear")
 """Kinds of natural frequencies."""
 
 
@@ -724,7 +724,7 @@ class BilinearFrequencies(Tabular):
         mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)
         n_modes = omega_bilinear.shape[-1]
         description: dict[str, np.ndarray] = {"mode": mode_index + 1}
-        for name in FREQUENCY_KINDS:
+        for name in FREQUENCY_KIND_NAMES:
             omega_natural = np.broadcast_to(
                 getattr(self, f"omega_{name}"), (*mode_index.shape, n_modes)
             )
@@ -737,7 +737,7 @@ class BilinearFrequencies(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Return columns with a row for every mode."""
         columns: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
-        column_names = [f"omega_{kind}" for kind in FREQUENCY_KINDS]
+        column_names = [f"omega_{kind}" for kind in FREQUENCY_KIND_NAMES]
         return columns | {name: getattr(self, name).tolist() for name in column_names}
 
     def _title(self) -> str:
@@ -780,7 +780,7 @@ def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     count = min(FEW_MODES, structure.n_modes)
     open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)
     return BilinearFrequencies(
-        open_modes.omega, bonded_modes.omega[match_bonded_modes(open_modes, bonded_modes)]
+        open_modes.omega, bonded_modes.omega[find_bonded_mode_indices(open_modes, bonded_modes)]
     )
 
 
@@ -798,7 +798,7 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
     """
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if n_available := min(count, count_bonded_modes(structure)):
-        if factor is None or structure.known_modes(is_bonded=True) is not None:
+        if factor is None or structure.known_frequencies_and_shapes(is_bonded=True) is not None:
             modes = solve_modes(structure, n_available, lips="tied")
         else:
             modes = solve_modes_with_factor(
@@ -808,7 +808,7 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
     return Modes(omega, shapes, structure)
 
 
-def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
+def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     """Find the bonded mode with the shape of each open mode (collective).
 
     Each bonded mode is taken once. As many pairs as possible have an overlap (phi_open^T M

@@ -123,8 +123,8 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         load.
     """
     structure = structure.original
-    cache = structure.compute_once(receptance_cache)
-    shared_cache = structure.compute_once(shared_receptance_cache, from_matrices=True)
+    cache = structure.compute_once(make_receptance_list)
+    shared_cache = structure.compute_once(make_shared_receptance_list, from_matrices=True)
     if not cache and shared_cache:
         cache += filter(None, [_with_load(structure, shared_cache[0])])
     if not cache or cache[0].n_modes < n_modes:
@@ -135,7 +135,7 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
     return cache[0]
 
 
-def receptance_cache(structure: Structure) -> list[Receptance]:
+def make_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache for the receptance with the most modes so far.
 
     The cache does not hold the structure, which would keep it alive.
@@ -143,7 +143,7 @@ def receptance_cache(structure: Structure) -> list[Receptance]:
     return []
 
 
-def shared_receptance_cache(structure: Structure) -> list[Receptance]:
+def make_shared_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache for structures with the same matrices and any load.
 
     It keeps the last receptance of any such structure.

@@ -210,7 +210,9 @@ class QuasiStaticReduction(ReducedStructure):
         mode_range = range(self.n_modes)
         return np.asarray(damping.getValues(mode_range, mode_range))
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_frequencies_and_shapes(
+        self, *, is_bonded: bool
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies omega and ``shapes`` for an open crack; None for a bonded crack."""
         return None if is_bonded else (self.omega, self.shapes)
 
@@ -303,7 +305,9 @@ class MasslessStructure(QuasiStaticReduction):
         """Root L in the coordinates: ``root`` for the massless ones, zero for the modes."""
         return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_frequencies_and_shapes(
+        self, *, is_bonded: bool
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies and shapes of all modes, with an open or a bonded crack.
 
         With an open crack the shapes are unit vectors. The bonded modes follow from
@@ -315,7 +319,7 @@ class MasslessStructure(QuasiStaticReduction):
         holds b^T q = 0. Linearly dependent pairs are one bond.
         """
         if not is_bonded:
-            return super().known_modes(is_bonded=False)
+            return super().known_frequencies_and_shapes(is_bonded=False)
         b, residual = self.gap[: self.n_modes].toarray(), self.residual
         scaled_b = b / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
         ties = _factor_of_inverse(scaled_b.T @ scaled_b + residual)

@@ -42,7 +42,7 @@ from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
-    check_damped_modes,
+    count_damped_modes,
     damped_modes,
     damping_on_modes,
     independent_part,
@@ -57,7 +57,7 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 METHODS = ("massless", "free_interface")
 MIN_REFERENCE_SHARE = 0.1
 """Minimum share of a reference; a smaller one shows nothing of the truncated part."""
-DEFAULT_LARGE_MODES = 50
+DEFAULT_MODES_OF_LARGE_STRUCTURE = 50
 """Default number of modes for a large structure whose modes are all damped."""
 
 
@@ -110,11 +110,15 @@ def reduce_structure(
     check_mass(structure, "reduce the whole one")
     rule = _uniform_damping_rule(structure)
     is_modally_damped = rule is None and isinstance(structure.damping, ModalDamping)
-    n_damped = check_damped_modes(structure) if is_modally_damped else None
+    n_damped = count_damped_modes(structure) if is_modally_damped else None
     if modes is None:
         modes = min(20, structure.n_dofs) if n_damped is None else n_damped
         if rule is not None:
-            modes = DEFAULT_LARGE_MODES if structure.n_dofs > MAX_DENSE_SIZE else structure.n_dofs
+            modes = (
+                DEFAULT_MODES_OF_LARGE_STRUCTURE
+                if structure.n_dofs > MAX_DENSE_SIZE
+                else structure.n_dofs
+            )
     is_integer = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (is_integer and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")

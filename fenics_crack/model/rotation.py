@@ -37,14 +37,14 @@ from fenics_crack.basics.tables import RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
-from fenics_crack.model.matrices import read_only_array, read_only_rows
+from fenics_crack.model.matrices import read_only_array, read_only_csr_matrix
 from fenics_crack.model.modes import ZERO_TOLERANCE, Modes, independent_part, multiply, solve_modes
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import QuasiStaticReduction, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, shared_property
 
-N_SPEEDS = 3
+N_BASIS_SPEEDS = 3
 """Number of speeds in a range whose bases are put together."""
 
 
@@ -56,9 +56,9 @@ class Rotation:
     ----------
     at_rest : Structure
         The structure without rotation: K and its own load.
-    stiffness : PETSc.Mat
+    rotation_stiffness : PETSc.Mat
         K_1 = K_g - M_y, stress stiffening less spin softening at 1 rad/s: (n, n) [kg].
-    displaced_stiffness : tuple of PETSc.Mat
+    displaced_stiffnesses : tuple of PETSc.Mat
         K_2 [kg] and K_3 [kg s^2], due to the displaced shape.
     force : (n_local,) [kg m]
         Centrifugal load f_c at 1 rad/s.
@@ -67,8 +67,8 @@ class Rotation:
     """
 
     at_rest: Structure
-    stiffness: Any
-    displaced_stiffness: tuple[Any, Any]
+    rotation_stiffness: Any
+    displaced_stiffnesses: tuple[Any, Any]
     force: np.ndarray
     speed: float
 
@@ -86,7 +86,7 @@ class Rotation:
             return self.at_rest
         static_stiffness, stiffness = self.stiffnesses(speed)
         with Factor(stiffness) as factor:
-            if factor.negative_pivots or factor.null_pivots:
+            if factor.n_negative_pivots or factor.n_null_pivots:
                 raise InputError(
                     "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
                 )
@@ -110,8 +110,10 @@ class Rotation:
         PETSc.Mat
             K(W), for motion about the displaced shape.
         """
-        speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffness
-        static_stiffness = weighted_sum(self.at_rest.stiffness, speed_squared, self.stiffness)
+        speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffnesses
+        static_stiffness = weighted_sum(
+            self.at_rest.stiffness, speed_squared, self.rotation_stiffness
+        )
         shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
         stiffness = weighted_sum(static_stiffness, speed_squared, shape_stiffness)
         shape_stiffness.destroy()
@@ -231,13 +233,13 @@ class Ritz:
         Structure that was projected, at its own speed.
     basis : (structure.n_local, n)
         V, of modes and static responses at several speeds.
-    at_rest, stiffness : (n, n), (3, n, n)
+    rest_stiffness, rotation_stiffnesses : (n, n), (3, n, n)
         V^T K V at rest, and V^T K_i V of the terms K_1, K_2, K_3 of :class:`Rotation`.
-    squares_inverse : (n,)
+    mass_diagonal : (n,)
         Diagonal of the mass matrix V^T M V.
     force : (2K+1, n)
         Load V^T f at rest.
-    centrifugal : (n,)
+    centrifugal_load : (n,)
         Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
         The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
@@ -247,11 +249,11 @@ class Ritz:
 
     structure: Structure
     basis: np.ndarray
-    at_rest: np.ndarray
-    stiffness: np.ndarray
-    squares_inverse: np.ndarray
+    rest_stiffness: np.ndarray
+    rotation_stiffnesses: np.ndarray
+    mass_diagonal: np.ndarray
     force: np.ndarray
-    centrifugal: np.ndarray
+    centrifugal_load: np.ndarray
     mass: Any
     gap: sparse.csr_matrix
     tangential: np.ndarray | None
@@ -274,7 +276,7 @@ class Ritz:
         """
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
-        for speed in np.unique(np.linspace(start, stop, N_SPEEDS)):
+        for speed in np.unique(np.linspace(start, stop, N_BASIS_SPEEDS)):
             is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
             structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
             reduced_structure = reduce_structure(
@@ -302,7 +304,7 @@ class Ritz:
         squares_inverse, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
         basis = basis @ eigenvectors
         speed_squared = rotation.speed**2
-        matrices = rotation.stiffness, *rotation.displaced_stiffness
+        matrices = rotation.rotation_stiffness, *rotation.displaced_stiffnesses
         rotation_stiffness = np.array([project_matrix(matrix) for matrix in matrices])
         at_rest = np.eye(len(squares_inverse)) - speed_squared * (
             rotation_stiffness[0] + rotation_stiffness[1] + speed_squared * rotation_stiffness[2]
@@ -321,7 +323,7 @@ class Ritz:
             structure.sum_over_ranks(rotation.at_rest.force @ basis),
             structure.sum_over_ranks(rotation.force @ basis),
             distribute_rows(sparse.diags(squares_inverse), MPI.COMM_SELF),
-            read_only_rows(structure.apply_bt(basis.T)),
+            read_only_csr_matrix(structure.apply_bt(basis.T)),
             structure.apply_tangential(basis.T),
             modes,
         )
@@ -336,14 +338,16 @@ class Ritz:
         (2K+1, n) [N]
             V^T f, with the mean load due to rotation.
         """
-        term_1, term_2, term_3 = speed**2 * self.stiffness
-        stiffness = self.at_rest + term_1 + term_2 + speed**2 * term_3
-        rotation_displacement = np.linalg.solve(self.at_rest + term_1, speed**2 * self.centrifugal)
+        term_1, term_2, term_3 = speed**2 * self.rotation_stiffnesses
+        stiffness = self.rest_stiffness + term_1 + term_2 + speed**2 * term_3
+        rotation_displacement = np.linalg.solve(
+            self.rest_stiffness + term_1, speed**2 * self.centrifugal_load
+        )
         load_coefficients = self.force.copy()
         load_coefficients[0] += stiffness @ rotation_displacement
         return stiffness, load_coefficients
 
-    def at_speed(self, speed: float) -> Structure:
+    def structure_at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
         stiffness, load_coefficients = self.stiffness_and_load(speed)
         matrix = distribute_rows(stiffness, MPI.COMM_SELF)
@@ -394,7 +398,7 @@ class RunUpStructure(QuasiStaticReduction):
             ) from None
         # Rounding hardly changes the largest eigenvalues, 1 / omega^2.
         squares_inverse, eigenvectors = np.linalg.eigh(
-            (inverse_factor * ritz.squares_inverse) @ inverse_factor.T
+            (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
         squares_inverse = squares_inverse[: -ritz.modes - 1 : -1]
         columns = inverse_factor.T @ eigenvectors[:, ::-1]
@@ -445,7 +449,7 @@ class RunUpStructure(QuasiStaticReduction):
         omega : float [rad/s]
             The nearest natural frequency is taken.
         """
-        term_1, term_2, term_3 = self.speed**2 * self.body.ritz.stiffness
+        term_1, term_2, term_3 = self.speed**2 * self.body.ritz.rotation_stiffnesses
         mode_index = int(np.abs(self.omega - omega).argmin())
         shape = self.shapes[:, mode_index]
         stiffness_slope = 2.0 * (term_1 + term_2 + 2.0 * self.speed**2 * term_3)

@@ -405,7 +405,9 @@ class Structure(Coordinates):
         gap[0] -= self.clearance
         return gap
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_frequencies_and_shapes(
+        self, *, is_bonded: bool
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of a reduced structure that need no solver, here None.
 
         Parameters
@@ -445,15 +447,15 @@ class Structure(Coordinates):
         """Return the sector's number, from 1, and its dof for a dof of the structure."""
         return 1, dof
 
-    def in_few_coordinates(self) -> Structure:
+    def structure_in_few_coordinates(self) -> Structure:
         """Return a wheel in the coordinates in which it is solved, or itself (collective)."""
         return self
 
-    def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+    def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the displacement of each sector, from coordinates (m, n_local)."""
         yield displacement
 
-    def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
+    def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return rows of the load on the watched sector.
 
         Parameters

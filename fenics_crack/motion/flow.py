@@ -106,7 +106,7 @@ def _exact_flow_error(structure: Structure, contact: ContactLaw) -> InputError |
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_part()
+    static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_pair_compliance()
     if not is_regular(static_flexibility + np.diag(softness)):
         allowed = "one whose faces have no mass: reduce_structure(structure, method='massless')"
         return InputError("structure", repr(structure), allowed)
@@ -151,13 +151,15 @@ class Flow:
         self.modes = modes = all_modes(contact_structure)
         self.n_modes = len(modes.squares)
         self.size = 2 * self.n_modes + (structure.n_pairs if self.friction else 0)
-        self.residual_flexibility = modes.static_part()
+        self.residual_flexibility = modes.static_pair_compliance()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
         self.modal_load = np.ascontiguousarray(structure.force @ modes.shapes)
         self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
-        if modes.static_loads is not None:
-            self.load_gap += contact_structure.apply_bt(structure.force @ modes.static_loads)
+        if modes.massless_flexibility is not None:
+            self.load_gap += contact_structure.apply_bt(
+                structure.force @ modes.massless_flexibility
+            )
         self.load_gap[0] -= self.clearance
 
     def state(
@@ -229,9 +231,11 @@ class Flow:
             return motions[dofs] if rows is None else rows @ motions
 
         displacement: np.ndarray = modal_displacement @ select(modes.shapes).T
-        if modes.static_loads is not None and modes.static_pairs is not None:
-            displacement += load_basis @ select((self.structure.force @ modes.static_loads).T).T
-            displacement -= force @ select(modes.static_pairs).T
+        if modes.massless_flexibility is not None and modes.massless_pair_responses is not None:
+            displacement += (
+                load_basis @ select((self.structure.force @ modes.massless_flexibility).T).T
+            )
+            displacement -= force @ select(modes.massless_pair_responses).T
         return displacement
 
 

@@ -35,9 +35,9 @@ from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
     displacement_rows,
+    make_receptance_list,
+    make_shared_receptance_list,
     receptance,
-    receptance_cache,
-    shared_receptance_cache,
     sources_of,
 )
 from fenics_crack.model.structure import DampingRule, Structure
@@ -146,7 +146,8 @@ class PreparedStructure:
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(replace(known_receptance, force=np.zeros(0)) for source in sources
-                       for known_receptance in source.compute_once(receptance_cache)), **datasets,
+                       for known_receptance in source.compute_once(make_receptance_list)),
+            **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -189,8 +190,10 @@ class PreparedStructure:
                 candidate for candidate in sources if sources_of(candidate).shape[1] == n_sources
             )
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.compute_once(receptance_cache)[:] = [loaded_receptance]
-            made.compute_once(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
+            source.compute_once(make_receptance_list)[:] = [loaded_receptance]
+            made.compute_once(make_shared_receptance_list, from_matrices=True)[:] = [
+                loaded_receptance
+            ]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)

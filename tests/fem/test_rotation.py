@@ -111,9 +111,9 @@ def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
             moved = np.zeros((structure.n_dofs, 1))
             free = nodes.dofs[:, component] >= 0
             moved[nodes.dofs[free, component], 0] = nodes.points[free, 1]
-            vector, product = rotation.stiffness.createVecs()
+            vector, product = rotation.rotation_stiffness.createVecs()
             vector.array[:] = moved[:, 0]
-            rotation.stiffness.mult(vector, product)
+            rotation.rotation_stiffness.mult(vector, product)
             found = moved[:, 0] @ product.array_r
             assert found == pytest.approx(DENSITY * area * expected, rel=1e-6, abs=1e-9)
         moved = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
