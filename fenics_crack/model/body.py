@@ -94,9 +94,10 @@ class Setting:
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )
-        weights, factor = np.dot(later_setting.weights, self.weights), later_setting.damping_factor
+        weights = np.dot(later_setting.weights, self.weights)
+        damping_factor = later_setting.damping_factor * self.damping_factor
         clearance = later_setting.clearance + self.clearance
-        return Setting(weights, factor * self.damping_factor, clearance, watched_dof)
+        return Setting(weights, damping_factor, clearance, watched_dof)
 
 
 DEFAULT_SETTING = Setting()
