@@ -84,15 +84,15 @@ class Rotation:
         check_number("speed", speed, 0.0)
         if speed == 0.0:
             return self.at_rest
-        static_stiffness, stiffness = self.stiffnesses(speed)
+        static_shape_stiffness, stiffness = self.stiffnesses(speed)
         with Factor(stiffness) as factor:
             if factor.n_negative_pivots or factor.n_null_pivots:
                 raise InputError(
                     "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
                 )
-        with Factor(static_stiffness, definite=True) as factor:
+        with Factor(static_shape_stiffness, definite=True) as factor:
             rotation_displacement = factor.solve(speed**2 * self.force[None]).T
-        static_stiffness.destroy()
+        static_shape_stiffness.destroy()
         load_coefficients = self.at_rest.force.copy()
         load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
@@ -111,13 +111,13 @@ class Rotation:
             K(W), for motion about the displaced shape.
         """
         speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffnesses
-        static_stiffness = weighted_sum(
+        static_shape_stiffness = weighted_sum(
             self.at_rest.stiffness, speed_squared, self.rotation_stiffness
         )
-        shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
-        stiffness = weighted_sum(static_stiffness, speed_squared, shape_stiffness)
-        shape_stiffness.destroy()
-        return static_stiffness, stiffness
+        displaced_shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
+        stiffness = weighted_sum(static_shape_stiffness, speed_squared, displaced_shape_stiffness)
+        displaced_shape_stiffness.destroy()
+        return static_shape_stiffness, stiffness
 
     def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """Return these terms of rotation about a changed structure at rest."""
@@ -156,11 +156,15 @@ def static_state(
     contact_forces = np.zeros(structure.n_pairs)
     with Factor(structure.stiffness, definite=True) as factor:
         displacement = factor.solve(constant_load[None])[0]
-        gap = structure.apply_bt(displacement[None])[0] - clearance
-        if np.any(gap > ZERO_TOLERANCE * np.abs(gap).max(initial=0.0)):
+        gap_without_contact = structure.apply_bt(displacement[None])[0] - clearance
+        if np.any(
+            gap_without_contact > ZERO_TOLERANCE * np.abs(gap_without_contact).max(initial=0.0)
+        ):
             pair_responses = factor.solve(structure.gap.T.toarray())
             compliance = structure.apply_bt(pair_responses)
-            contact_forces = solve_complementarity(0.5 * (compliance + compliance.T), gap)
+            contact_forces = solve_complementarity(
+                0.5 * (compliance + compliance.T), gap_without_contact
+            )
             contact_forces = np.asarray(structure.comm.bcast(contact_forces))
             displacement = displacement - contact_forces @ pair_responses
     return displacement, contact_forces
@@ -174,9 +178,11 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     """
     subject, problem = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:
-        extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        problem += f"; it measures {' x '.join(f'{extent:.3g}' for extent in extents)} m"
-        if len(extents) == 3:
+        mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
+        problem += (
+            f"; it measures {' x '.join(f'{mesh_extent:.3g}' for mesh_extent in mesh_extents)} m"
+        )
+        if len(mesh_extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"
 
@@ -209,15 +215,15 @@ def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
     if nodes is None or nodes.points.shape[1] != 3:
         return np.zeros(n_modes)
     node_dofs = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
-    coriolis_shapes = np.zeros_like(modes.shapes)
-    coriolis_shapes[node_dofs] = np.cross(
+    shape_cross_products = np.zeros_like(modes.shapes)
+    shape_cross_products[node_dofs] = np.cross(
         rotation_vector, modes.shapes[node_dofs], axisb=1, axisc=1
     )
     gyroscopic = 2.0 * structure.sum_over_ranks(
-        modes.shapes.T @ multiply(structure.mass, coriolis_shapes)
+        modes.shapes.T @ multiply(structure.mass, shape_cross_products)
     )
-    root_of_squares, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
-    matrix = np.block([[zero, root_of_squares], [-root_of_squares, -gyroscopic]])
+    omega_matrix, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
+    matrix = np.block([[zero, omega_matrix], [-omega_matrix, -gyroscopic]])
     return np.asarray(np.linalg.eigvalsh(1j * matrix)[n_modes:] / modes.omega - 1.0)
 
 
@@ -274,11 +280,11 @@ class Ritz:
         n_bonded : int
             Number of modes with a bonded crack at each of these speeds.
         """
-        rotation = structure.rotation
+        rotation_terms = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
         for speed in np.unique(np.linspace(start, stop, N_BASIS_SPEEDS)):
-            is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
-            structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
+            is_own_speed = np.isclose(speed, rotation_terms.speed, rtol=1e-12, atol=0.0)
+            structure_at_speed = structure if is_own_speed else rotation_terms.at(float(speed))
             reduced_structure = reduce_structure(
                 structure_at_speed, modes=modes, method="free_interface", reference=False
             )
@@ -297,32 +303,34 @@ class Ritz:
             del structure_at_speed, reduced_structure, shapes, new_columns
             collect_garbage(structure.comm)
 
-        def project_matrix(matrix: object) -> np.ndarray:
-            projection = structure.sum_over_ranks(basis.T @ multiply(matrix, basis))
+        def project_matrix(petsc_matrix: object) -> np.ndarray:
+            projection = structure.sum_over_ranks(basis.T @ multiply(petsc_matrix, basis))
             return np.asarray(0.5 * (projection + projection.T))
 
-        squares_inverse, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
+        mass_diagonal, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
         basis = basis @ eigenvectors
-        speed_squared = rotation.speed**2
-        matrices = rotation.rotation_stiffness, *rotation.displaced_stiffnesses
-        rotation_stiffness = np.array([project_matrix(matrix) for matrix in matrices])
-        at_rest = np.eye(len(squares_inverse)) - speed_squared * (
-            rotation_stiffness[0] + rotation_stiffness[1] + speed_squared * rotation_stiffness[2]
+        speed_squared = rotation_terms.speed**2
+        stiffness_terms = rotation_terms.rotation_stiffness, *rotation_terms.displaced_stiffnesses
+        projected_terms = np.array(
+            [project_matrix(petsc_matrix) for petsc_matrix in stiffness_terms]
+        )
+        rest_stiffness = np.eye(len(mass_diagonal)) - speed_squared * (
+            projected_terms[0] + projected_terms[1] + speed_squared * projected_terms[2]
         )
         try:
-            np.linalg.cholesky(at_rest)
+            np.linalg.cholesky(rest_stiffness)
         except np.linalg.LinAlgError:  # K is only rounding of the terms of rotation
-            requirement = describe_unstable_speed(structure, rotation.speed)
-            raise InputError("rotation.speed", rotation.speed, requirement) from None
+            requirement = describe_unstable_speed(structure, rotation_terms.speed)
+            raise InputError("rotation.speed", rotation_terms.speed, requirement) from None
         return cls(
             structure,
             read_only_array(basis),  # shared by all speeds
-            at_rest,
-            rotation_stiffness,
-            squares_inverse,
-            structure.sum_over_ranks(rotation.at_rest.force @ basis),
-            structure.sum_over_ranks(rotation.force @ basis),
-            distribute_rows(sparse.diags(squares_inverse), MPI.COMM_SELF),
+            rest_stiffness,
+            projected_terms,
+            mass_diagonal,
+            structure.sum_over_ranks(rotation_terms.at_rest.force @ basis),
+            structure.sum_over_ranks(rotation_terms.force @ basis),
+            distribute_rows(sparse.diags(mass_diagonal), MPI.COMM_SELF),
             read_only_csr_matrix(structure.apply_bt(basis.T)),
             structure.apply_tangential(basis.T),
             modes,
@@ -350,9 +358,9 @@ class Ritz:
     def structure_at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
         stiffness, load_coefficients = self.stiffness_and_load(speed)
-        matrix = distribute_rows(stiffness, MPI.COMM_SELF)
+        petsc_stiffness = distribute_rows(stiffness, MPI.COMM_SELF)
         return Structure(
-            Body(self.mass, matrix, self.gap, load_coefficients, self.structure.clearance)
+            Body(self.mass, petsc_stiffness, self.gap, load_coefficients, self.structure.clearance)
         )
 
 
@@ -397,13 +405,13 @@ class RunUpStructure(QuasiStaticReduction):
                 "speed", speed, describe_unstable_speed(ritz.structure, speed)
             ) from None
         # Rounding hardly changes the largest eigenvalues, 1 / omega^2.
-        squares_inverse, eigenvectors = np.linalg.eigh(
+        inverse_squares, eigenvectors = np.linalg.eigh(
             (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
-        squares_inverse = squares_inverse[: -ritz.modes - 1 : -1]
+        inverse_squares = inverse_squares[: -ritz.modes - 1 : -1]
         columns = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
-        omega = 1.0 / np.sqrt(squares_inverse)
+        omega = 1.0 / np.sqrt(inverse_squares)
         body = RunUpBody(
             ritz.mass, None, ritz.gap, load_coefficients, ritz.structure.clearance,
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
@@ -451,9 +459,11 @@ class RunUpStructure(QuasiStaticReduction):
         """
         term_1, term_2, term_3 = self.speed**2 * self.body.ritz.rotation_stiffnesses
         mode_index = int(np.abs(self.omega - omega).argmin())
-        shape = self.shapes[:, mode_index]
+        mode_shape = self.shapes[:, mode_index]
         stiffness_slope = 2.0 * (term_1 + term_2 + 2.0 * self.speed**2 * term_3)
-        return float(shape @ stiffness_slope @ shape / (2.0 * self.omega[mode_index] ** 2))
+        return float(
+            mode_shape @ stiffness_slope @ mode_shape / (2.0 * self.omega[mode_index] ** 2)
+        )
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Raise InputError: the damping comes from the structure before the run-up."""
