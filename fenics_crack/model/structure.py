@@ -102,11 +102,11 @@ class ModalDamping:
         return np.asarray(2.0 * np.asarray(self.ratio) * np.sqrt(np.maximum(squares, 0.0)))
 
     def __str__(self) -> str:
-        percent = 100.0 * np.asarray(self.ratio)
-        minimum, maximum = f"{percent.min():.3g}", f"{percent.max():.3g}"
-        span = minimum if minimum == maximum else f"{minimum} to {maximum}"
-        modes = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {span} %{modes}"
+        ratio_percents = 100.0 * np.asarray(self.ratio)
+        min_text, max_text = f"{ratio_percents.min():.3g}", f"{ratio_percents.max():.3g}"
+        range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
+        modes_text = "" if self.modes is None else f" of {self.modes} modes"
+        return f"modal damping {range_text} %{modes_text}"
 
 
 @dataclass(frozen=True)
@@ -165,19 +165,26 @@ class RayleighDamping:
         -----
         Source: Clough and Penzien, Dynamics of Structures, 2nd edition, McGraw-Hill, New York 1993.
         """
-        xi, omega = numbers(ratios), numbers(omegas)
-        if xi.shape != (2,) or not np.all(np.isfinite(xi)) or xi.min() < 0.0:
+        ratio_array, omega_array = numbers(ratios), numbers(omegas)
+        if (
+            ratio_array.shape != (2,)
+            or not np.all(np.isfinite(ratio_array))
+            or ratio_array.min() < 0.0
+        ):
             raise InputError("damping ratios", ratios, "two finite numbers >= 0")
-        is_valid = omega.shape == (2,) and np.all(np.isfinite(omega))
-        if not is_valid or omega.min() <= 0.0 or omega[0] == omega[1]:
+        is_valid = omega_array.shape == (2,) and np.all(np.isfinite(omega_array))
+        if not is_valid or omega_array.min() <= 0.0 or omega_array[0] == omega_array[1]:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
-        xi_list, omega_list = [float(x) for x in xi], [float(w) for w in omega]
+        xi_list = [float(ratio) for ratio in ratio_array]
+        omega_list = [float(w) for w in omega_array]
         check_two_ratios("damping ratios", xi_list, omega_list)
         (w_1, xi_1), (w_2, xi_2) = sorted(zip(omega_list, xi_list, strict=True))
-        s = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
+        ratio_shift = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
         mean_omega = 0.5 * (w_1 + w_2)
-        a, b = w_1 / mean_omega * w_2 * (xi_1 - s), (xi_2 + s) / mean_omega
-        return cls(max(a, 0.0), max(b, 0.0))  # rounding may make them negative
+        mass_coefficient = w_1 / mean_omega * w_2 * (xi_1 - ratio_shift)
+        stiffness_coefficient = (xi_2 + ratio_shift) / mean_omega
+        # Rounding may make them negative.
+        return cls(max(mass_coefficient, 0.0), max(stiffness_coefficient, 0.0))
 
     def scaled(self, factor: float) -> RayleighDamping:
         """Return this damping with both coefficients multiplied by a factor."""
@@ -266,11 +273,11 @@ class Structure(Coordinates):
         vars(self).update(body=body, setting=DEFAULT_SETTING)
 
     def __repr__(self) -> str:
-        pairs, damping = counted(self.n_pairs, "pair"), self.body.damping
-        damping_words = "no damping" if damping is None else "damping matrix"
-        if isinstance(damping, DampingRule):
-            damping_words = str(damping.scaled(self.damping_factor))
-        return f"{type(self).__name__}({self._size_description}, {pairs}, {damping_words})"
+        pairs_text, body_damping = counted(self.n_pairs, "pair"), self.body.damping
+        damping_text = "no damping" if body_damping is None else "damping matrix"
+        if isinstance(body_damping, DampingRule):
+            damping_text = str(body_damping.scaled(self.damping_factor))
+        return f"{type(self).__name__}({self._size_description}, {pairs_text}, {damping_text})"
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
@@ -512,16 +519,16 @@ class Structure(Coordinates):
         InputError
             The stiffness is not one finite number >= 0, or one for each pair.
         """
-        springs = expand_to_pairs("stiffness", stiffness, self.n_pairs)
-        if np.any(springs < 0.0):
+        spring_stiffnesses = expand_to_pairs("stiffness", stiffness, self.n_pairs)
+        if np.any(spring_stiffnesses < 0.0):
             raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
-        gap = sparse.csr_matrix((self.n_local, 0))
+        empty_gap = sparse.csr_matrix((self.n_local, 0))
 
         def bond_pairs(structure: Structure) -> Structure:
-            bonded_stiffness = add_springs(structure.stiffness, structure.gap, springs)
+            bonded_stiffness = add_springs(structure.stiffness, structure.gap, spring_stiffnesses)
             return structure._with_changes(
                 stiffness=bonded_stiffness,
-                gap=gap,
+                gap=empty_gap,
                 tangential=None,
                 clearance=np.zeros(0),
                 pairs=Pairs(),
@@ -592,11 +599,11 @@ class Structure(Coordinates):
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
             raise InputError("direction of friction", direction, requirement)
-        cache = self.compute_once(_tangential_pair_cache)
-        if not cache or not np.array_equal(cache[0][0], direction):
+        cached_pairs = self.compute_once(_make_tangential_pair_list)
+        if not cached_pairs or not np.array_equal(cached_pairs[0][0], direction):
             original = self.original
-            cache[:] = [(direction, _add_tangential_pairs(original, direction))]
-        return cache[0][1]._in_setting(self.setting)
+            cached_pairs[:] = [(direction, _add_tangential_pairs(original, direction))]
+        return cached_pairs[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with positions and other mesh data of its nodes and pairs."""
@@ -649,11 +656,13 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        load_weights, n_rows = numbers(load), len(self.force)
-        if load_weights.shape not in ((), (n_rows, n_rows)) or not np.all(
+        load_weights, n_load_rows = numbers(load), len(self.force)
+        if load_weights.shape not in ((), (n_load_rows, n_load_rows)) or not np.all(
             np.isfinite(load_weights)
         ):
-            requirement = f"a finite number, or a finite matrix of shape ({n_rows}, {n_rows})"
+            requirement = (
+                f"a finite number, or a finite matrix of shape ({n_load_rows}, {n_load_rows})"
+            )
             raise InputError("load", load, requirement)
         if self.whole.rotation is not None and not _is_mean_kept(load_weights):
             requirement = "1 for a structure that rotates: part of its mean load is centrifugal"
@@ -666,10 +675,10 @@ class Structure(Coordinates):
 
     def _with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with changed fields of the body."""
-        names = [
+        copied_names = [
             body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
         ]
-        return Structure(Body(**({name: getattr(self, name) for name in names} | changes)))
+        return Structure(Body(**({name: getattr(self, name) for name in copied_names} | changes)))
 
     @classmethod
     @alone()
@@ -744,7 +753,7 @@ def _add_tangents(structure: Structure) -> Structure:
     )
 
 
-def _tangential_pair_cache(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
+def _make_tangential_pair_list(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
     """Return an empty cache of :meth:`Structure.with_tangential_pairs`: direction and result."""
     return []
 
@@ -756,10 +765,11 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
     """
     tangents: Any = structure.tangential
     if direction is not None:
-        direction_factors = (
-            sparse.diags(component) for component in (np.cos(direction), np.sin(direction))
+        direction_matrices = (
+            sparse.diags(direction_cosines)
+            for direction_cosines in (np.cos(direction), np.sin(direction))
         )
-        tangents = tangents @ sparse.vstack([*direction_factors])
+        tangents = tangents @ sparse.vstack([*direction_matrices])
     all_gaps = sparse.hstack([structure.gap, tangents])
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
     return structure._in_setting(
