@@ -253,9 +253,7 @@ class Wheel(Structure):
     def _size_description(self) -> str:
         return f"{self.sector.count} sectors, {self.n_dofs} dofs"
 
-    def known_frequencies_and_shapes(
-        self, *, is_bonded: bool
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of the few coordinates, ``families`` for each sector."""
         wheel_structure = self.structure_in_few_coordinates()
         count = min(
@@ -450,9 +448,7 @@ class WheelStructure(Structure):
         """The whole wheel, in the same setting."""
         return self._apply_setting(self.body.wheel)
 
-    def known_frequencies_and_shapes(
-        self, *, is_bonded: bool
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return all modes, from small dense matrices.
 
         Modes of equal sectors come in pairs, which Krylov's method would mix with its own error.

@@ -74,7 +74,7 @@ class Setting:
 
     Attributes
     ----------
-    weights : float or (2K+1, 2K+1)
+    load_weights : float or (2K+1, 2K+1)
         Factor of the load, or matrix that maps the load's rows (mean, cosine and sine parts).
     damping_factor : float
         Factor of the damping.
@@ -84,7 +84,7 @@ class Setting:
         Dof of the whole structure for requested results. None: the body's.
     """
 
-    weights: float | np.ndarray = 1.0
+    load_weights: float | np.ndarray = 1.0
     damping_factor: float = 1.0
     clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
@@ -94,10 +94,10 @@ class Setting:
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )
-        weights = np.dot(later_setting.weights, self.weights)
+        load_weights = np.dot(later_setting.load_weights, self.load_weights)
         damping_factor = later_setting.damping_factor * self.damping_factor
         clearance = later_setting.clearance + self.clearance
-        return Setting(weights, damping_factor, clearance, watched_dof)
+        return Setting(load_weights, damping_factor, clearance, watched_dof)
 
 
 DEFAULT_SETTING = Setting()

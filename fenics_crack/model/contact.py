@@ -410,14 +410,14 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     ]
     increments, expected_increment = np.diff(forces, axis=0), gap_step * law.tangent(gap)
     increment_size = np.maximum(np.abs(increments).max(axis=0), np.abs(expected_increment))
-    excess = np.maximum(
+    slope_excess = np.maximum(
         increments[1:3].min(axis=0) - expected_increment,
         expected_increment - increments[1:3].max(axis=0),
     )
     # The outer increments differ from the inner ones by rounding, or if the slope bends within a
     # step. Differences leave some digits; half of these may be wrong.
     uncertainty = float(np.abs(increments[[0, 3]] - increments[[1, 2]]).max(initial=0.0))
-    if np.any(excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
+    if np.any(slope_excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
         requirement = "a law whose tangent(gap) is the slope of its force(gap)"
         raise InputError("contact", type(law).__name__, requirement)
 
@@ -592,8 +592,8 @@ class ActiveSetSolver:
             Closed pairs.
         """
         gap = require_shape(gap, len(gap), len(self.compliance))
-        guess = gap > 0.0 if is_closed is None else np.array(is_closed)
-        is_closed = require_shape(guess, *gap.shape, kind=bool)
+        guessed_set = gap > 0.0 if is_closed is None else np.array(is_closed)
+        is_closed = require_shape(guessed_set, *gap.shape, kind=bool)
         force, is_failed_instant = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.solve_instants(
             self.handle,
@@ -633,9 +633,9 @@ def solve_complementarity(
     ConvergenceError
         There is no solution, or none was found.
     """
-    guess = None if is_closed is None else np.array(is_closed)[None]
+    guessed_set = None if is_closed is None else np.array(is_closed)[None]
     return np.asarray(
-        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0]
+        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], guessed_set)[0][0]
     )
 
 
@@ -753,12 +753,12 @@ def solve_forces(
     identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(all_forces, gap)
     for _ in range(MAX_NEWTON_SMOOTH):
         force, unfinished_gap = all_forces[unfinished_instants], gap[unfinished_instants]
-        excess = force - law_force
-        if not np.any(excess):
+        force_excess = force - law_force
+        if not np.any(force_excess):
             return all_forces
         try:
             newton_change = -np.linalg.solve(
-                identity + tangent[:, :, None] * matrix, excess[:, :, None]
+                identity + tangent[:, :, None] * matrix, force_excess[:, :, None]
             )
         except np.linalg.LinAlgError:
             break
@@ -773,7 +773,7 @@ def solve_forces(
         unfinished_instants = unfinished_instants[is_still_unfinished]
         force, unfinished_gap = force[is_still_unfinished], unfinished_gap[is_still_unfinished]
         gap_change = gap_change[is_still_unfinished]
-        slope_tolerance = -0.1 * np.sum(gap_change * excess[is_still_unfinished], axis=1)
+        slope_tolerance = -0.1 * np.sum(gap_change * force_excess[is_still_unfinished], axis=1)
         reached_gap, law_force, tangent = evaluate(all_forces[unfinished_instants], unfinished_gap)
         step_slopes = np.sum(gap_change * (all_forces[unfinished_instants] - law_force), axis=1)
         is_too_far = (slope_tolerance > 0.0) & (step_slopes > slope_tolerance)

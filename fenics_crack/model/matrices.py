@@ -902,8 +902,8 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> 
     (n_pairs,) [N/m].
     """
     comm = stiffness.comm.tompi4py()
-    gap_of_ranks = sparse.vstack(comm.allgather(gap), format="csr")
-    spring_matrix = distribute_rows(gap @ sparse.diags(springs) @ gap_of_ranks.T, comm)
+    gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
+    spring_matrix = distribute_rows(gap @ sparse.diags(springs) @ gap_everywhere.T, comm)
     total = weighted_sum(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
     return total

@@ -298,9 +298,9 @@ class AllModes:
                 e[:, 1, 0] * velocity_scale,
                 e[:, 1, 1],
             )
-            force_displacement = (e[:, 0, 2] / velocity_scale)[:, None] * self.pairs
-            force_velocity = e[:, 1, 2][:, None] * self.pairs
-            return np.array(blocks), np.vstack([force_displacement, force_velocity])
+            displacement_by_forces = (e[:, 0, 2] / velocity_scale)[:, None] * self.pairs
+            velocity_by_forces = e[:, 1, 2][:, None] * self.pairs
+            return np.array(blocks), np.vstack([displacement_by_forces, velocity_by_forces])
         system = np.zeros((2 * n_modes + n_pairs,) * 2)
         system[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
         system[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)

@@ -144,7 +144,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     """
     check_choice("lips", lips, LIP_STATES)
     is_bonded = lips == "tied" and structure.n_pairs > 0
-    omega_and_shapes = structure.known_frequencies_and_shapes(is_bonded=is_bonded)
+    omega_and_shapes = structure.known_omega_and_shapes(is_bonded=is_bonded)
     ties = find_independent_ties(structure) if is_bonded and omega_and_shapes is None else None
     limit_name = "n_dofs" if omega_and_shapes is None else "n_modes"
     if is_bonded:
@@ -168,7 +168,7 @@ def count_bonded_modes(structure: Structure) -> int:
     """Return the number of modes with a bonded crack (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
-    omega_and_shapes = structure.known_frequencies_and_shapes(is_bonded=True)
+    omega_and_shapes = structure.known_omega_and_shapes(is_bonded=True)
     return (
         len(omega_and_shapes[0])
         if omega_and_shapes is not None
@@ -291,7 +291,7 @@ def solve_modes_with_factor(
     omega = np.sqrt(squares)
     shapes *= _choose_signs(structure, shapes)
     if ties is None:
-        structure.compute_once(_make_lowest_modes_list, from_matrices=True)[:] = omega, shapes
+        structure.compute_once(_make_empty_modes_list, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
@@ -301,17 +301,17 @@ def find_known_modes(structure: Structure, count: int) -> Modes | None:
     They were computed before, or the structure's coordinates are modes.
     """
     if structure.whole is not structure:  # small and dense
-        if (
-            omega_and_shapes := structure.known_frequencies_and_shapes(is_bonded=False)
-        ) is not None:
+        if (omega_and_shapes := structure.known_omega_and_shapes(is_bonded=False)) is not None:
             return Modes(omega_and_shapes[0][:count], omega_and_shapes[1][:, :count], structure)
-    cached_arrays = structure.compute_once(_make_lowest_modes_list, from_matrices=True)
-    if not cached_arrays or len(cached_arrays[0]) < count:
+    cached_omega_and_shapes = structure.compute_once(_make_empty_modes_list, from_matrices=True)
+    if not cached_omega_and_shapes or len(cached_omega_and_shapes[0]) < count:
         return None
-    return Modes(cached_arrays[0][:count], cached_arrays[1][:, :count], structure)
+    return Modes(
+        cached_omega_and_shapes[0][:count], cached_omega_and_shapes[1][:, :count], structure
+    )
 
 
-def _make_lowest_modes_list(structure: Structure) -> list[np.ndarray]:
+def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
     """Return an empty cache for frequencies and shapes with an open crack.
 
     It keeps the largest number of modes requested so far. It does not refer to the structure, which
@@ -331,7 +331,7 @@ def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int
     return solver
 
 
-def _run_solver(solver: Any, count: int) -> None:
+def _run_solver_to_convergence(solver: Any, count: int) -> None:
     """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
     solver.setFromOptions()
     try:
@@ -409,19 +409,19 @@ def _solve_near_shift(
     preconditioner.setPythonContext(
         SimpleNamespace(apply=lambda _, rhs, solution: factor.apply(rhs, solution))
     )
-    _run_solver(solver, count)
+    _run_solver_to_convergence(solver, count)
     vector, mass_vector = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
-    order = np.argsort(squares)
+    ascending_order = np.argsort(squares)
     shapes = np.empty((count, structure.n_local))
-    for row, index in zip(shapes, order, strict=True):
+    for row, index in zip(shapes, ascending_order, strict=True):
         solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, mass_vector)
         row[:] = vector.array_r / np.sqrt(max(vector.dot(mass_vector), 1e-300))
     # Python would keep the context, and with it K, until PETSc frees its garbage.
     for petsc_object in (vector, mass_vector, solver, spectral_transform, preconditioner):
         petsc_object.destroy()
-    return squares[order], shapes.T
+    return squares[ascending_order], shapes.T
 
 
 def count_below(structure: Structure, square: float, ties: Any = None) -> int:
@@ -441,7 +441,7 @@ def largest_frequency(structure: Structure) -> float:
     preconditioner = solver.getST().getKSP().getPC()
     preconditioner.setType("cholesky")
     preconditioner.setFactorSolverType("mumps")
-    _run_solver(solver, 1)
+    _run_solver_to_convergence(solver, 1)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))
@@ -526,9 +526,9 @@ def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     peaks = np.max(gather_rows(structure.comm, own_peaks[None]), axis=0)
     signs = np.empty(shapes.shape[1])
     for mode_index, peak in enumerate(peaks):
-        large_rows = np.flatnonzero(np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * peak)
+        large_row_indices = np.flatnonzero(np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * peak)
         keys_and_signs = np.column_stack(
-            [sort_keys[large_rows].round(12), np.sign(shapes[large_rows, mode_index])]
+            [sort_keys[large_row_indices].round(12), np.sign(shapes[large_row_indices, mode_index])]
         )
         all_keys_and_signs = gather_rows(structure.comm, keys_and_signs)
         signs[mode_index] = all_keys_and_signs[np.lexsort(all_keys_and_signs[:, -2::-1].T)[0], -1]
@@ -595,7 +595,7 @@ def count_damped_modes(structure: Structure) -> int:
     return count
 
 
-def damped_count_and_frequency(structure: Structure) -> tuple[int, float] | None:
+def damped_count_and_max_omega(structure: Structure) -> tuple[int, float] | None:
     """Return how many modes are damped, and up to which frequency (collective).
 
     If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
@@ -752,9 +752,9 @@ class BilinearFrequencies(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns with a row for every mode."""
-        columns: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
+        columns_by_name: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
         column_names = [f"omega_{kind}" for kind in FREQUENCY_KIND_NAMES]
-        return columns | {name: getattr(self, name).tolist() for name in column_names}
+        return columns_by_name | {name: getattr(self, name).tolist() for name in column_names}
 
     def _title(self) -> str:
         first_mode_text = (
@@ -816,7 +816,7 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
     """
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if n_available := min(count, count_bonded_modes(structure)):
-        if factor is None or structure.known_frequencies_and_shapes(is_bonded=True) is not None:
+        if factor is None or structure.known_omega_and_shapes(is_bonded=True) is not None:
             modes = solve_modes(structure, n_available, lips="tied")
         else:
             modes = solve_modes_with_factor(

@@ -78,7 +78,7 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     slope = np.divide(
         value_steps, phase_steps, out=np.zeros_like(value_steps), where=phase_steps > 0.0
     )
-    complex_rows = [mean.astype(complex)]
+    complex_coefficient_rows = [mean.astype(complex)]
     for harmonic_order in range(1, harmonics + 1):
         exponentials = np.exp(1j * harmonic_order * phase)[:, None]
         # int f e = [f e / (i k)] + slope [e] / k^2 over each interval
@@ -86,11 +86,11 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
             1j * harmonic_order
         )
         boundary_term = np.where(phase_steps > 0.0, boundary_term, 0.0)
-        integral = np.sum(
+        fourier_integral = np.sum(
             boundary_term + slope * np.diff(exponentials, axis=0) / harmonic_order**2, axis=0
         )
-        complex_rows.append(np.conj(integral) / np.pi)
-    coefficients = from_complex(np.array(complex_rows))
+        complex_coefficient_rows.append(np.conj(fourier_integral) / np.pi)
+    coefficients = from_complex(np.array(complex_coefficient_rows))
     variance = float(np.sum(mean_square - mean**2))
     kept_variance = 0.5 * float(np.sum(coefficients[1:] ** 2))
     truncation_error = (

@@ -123,10 +123,14 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         load.
     """
     structure = structure.original
-    known_receptances = structure.compute_once(make_receptance_list)
-    shared_receptances = structure.compute_once(make_shared_receptance_list, from_matrices=True)
+    known_receptances = structure.compute_once(make_empty_receptance_list)
+    shared_receptances = structure.compute_once(
+        make_empty_shared_receptance_list, from_matrices=True
+    )
     if not known_receptances and shared_receptances:
-        known_receptances += filter(None, [_convert_to_load(structure, shared_receptances[0])])
+        known_receptances += filter(
+            None, [_convert_receptance_to_load(structure, shared_receptances[0])]
+        )
     if not known_receptances or known_receptances[0].n_modes < n_modes:
         check_matrices(structure, f"{n_modes} modes")
         known_receptances[:] = shared_receptances[:] = [
@@ -137,7 +141,7 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
     return known_receptances[0]
 
 
-def make_receptance_list(structure: Structure) -> list[Receptance]:
+def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache for the receptance with the most modes so far.
 
     The cache does not hold the structure, which would keep it alive.
@@ -145,7 +149,7 @@ def make_receptance_list(structure: Structure) -> list[Receptance]:
     return []
 
 
-def make_shared_receptance_list(structure: Structure) -> list[Receptance]:
+def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache for structures with the same matrices and any load.
 
     It keeps the last receptance of any such structure.
@@ -153,13 +157,20 @@ def make_shared_receptance_list(structure: Structure) -> list[Receptance]:
     return []
 
 
-def _convert_to_load(structure: Structure, known_receptance: Receptance) -> Receptance | None:
+def _convert_receptance_to_load(
+    structure: Structure, known_receptance: Receptance
+) -> Receptance | None:
     """Convert a receptance with another load to the structure's load (collective).
 
     None: the structure's load is no linear combination of the other load's parts.
     """
-    load_parts, known_load = structure.force[find_loaded_rows(structure)], known_receptance.force
-    all_load_parts = np.vstack([known_load[find_loaded_rows(structure, known_load)], load_parts])
+    load_parts, known_load = (
+        structure.force[find_loaded_row_mask(structure)],
+        known_receptance.force,
+    )
+    all_load_parts = np.vstack(
+        [known_load[find_loaded_row_mask(structure, known_load)], load_parts]
+    )
     n_known_parts = len(all_load_parts) - len(load_parts)
     if len(known_receptance.modal) - n_known_parts != sources_of(structure).shape[1] - len(
         load_parts
@@ -207,12 +218,12 @@ def sources_of(structure: Structure) -> sparse.csr_matrix:
 
     The shape is (n_local, n_sources). f has the nonzero parts of the load.
     """
-    load_parts = structure.force[find_loaded_rows(structure)]
+    load_parts = structure.force[find_loaded_row_mask(structure)]
     pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
     return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
 
 
-def find_loaded_rows(
+def find_loaded_row_mask(
     structure: Structure, load_coefficients: np.ndarray | None = None
 ) -> np.ndarray:
     """Return True for nonzero parts of a load, by default the structure's (collective).
@@ -253,7 +264,7 @@ def _extend_receptance(
                 structure.force,
                 inertia[: structure.n_pairs],
             )
-            _add_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
+            _store_dof_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
             return new_receptance
     new_mode_range = slice(known_receptance.n_modes, None)
     modal_flexibility = flexibility.modal_sources[:, new_mode_range] / squares[new_mode_range]
@@ -306,12 +317,14 @@ def displacement_rows(
         flexibility = ResidualFlexibility(
             structure, shapes, known_receptance.squares, sources_of(structure)
         )
-        _add_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
-    shapes, residual_parts = (
+        _store_dof_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
+    shape_rows, residual_rows = (
         np.array(rows)
         for rows in zip(*(known_receptance.rows[dof] for dof in requested_dofs), strict=True)
     )
-    return shapes[:, :n_modes], known_receptance.residual_response(n_modes, residual_parts, shapes)
+    return shape_rows[:, :n_modes], known_receptance.residual_response(
+        n_modes, residual_rows, shape_rows
+    )
 
 
 def expand_residual_response(
@@ -344,7 +357,7 @@ def expand_residual_response(
     return displacements
 
 
-def _add_rows(
+def _store_dof_rows(
     known_receptance: Receptance,
     structure: Structure,
     dofs: np.ndarray,
@@ -352,15 +365,13 @@ def _add_rows(
     factor: Factor | None = None,
 ) -> None:
     """Store displacements of some dofs under unit loads in ``rows`` (collective)."""
-    dofs_from_first = dofs - structure.first_dof
-    owned_entry_indices = np.flatnonzero(
-        (dofs_from_first >= 0) & (dofs_from_first < structure.n_local)
-    )
+    dof_offsets = dofs - structure.first_dof
+    owned_entry_indices = np.flatnonzero((dof_offsets >= 0) & (dof_offsets < structure.n_local))
     forces_shape = structure.n_local, len(dofs)
     unit_forces = sparse.csr_matrix(
         (
             np.ones(len(owned_entry_indices)),
-            (dofs_from_first[owned_entry_indices], owned_entry_indices),
+            (dof_offsets[owned_entry_indices], owned_entry_indices),
         ),
         forces_shape,
     )

@@ -165,9 +165,9 @@ class ReducedStructure(Structure):
         """
         return displacement @ self._source.values_at(self.basis.T, dofs)
 
-    def _with_changes(self, **changes: Any) -> Structure:
+    def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with the coordinates as dofs, without node positions."""
-        return super()._with_changes(**({"nodes": None} | changes))
+        return super()._plain_structure_with_changes(**({"nodes": None} | changes))
 
 
 class QuasiStaticReduction(ReducedStructure):
@@ -212,9 +212,7 @@ class QuasiStaticReduction(ReducedStructure):
         mode_range = range(self.n_modes)
         return np.asarray(damping.getValues(mode_range, mode_range))
 
-    def known_frequencies_and_shapes(
-        self, *, is_bonded: bool
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies omega and ``shapes`` for an open crack; None for a bonded crack."""
         return None if is_bonded else (self.omega, self.shapes)
 
@@ -307,9 +305,7 @@ class MasslessStructure(QuasiStaticReduction):
         """Root L in the coordinates: ``root`` for the massless ones, zero for the modes."""
         return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
-    def known_frequencies_and_shapes(
-        self, *, is_bonded: bool
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies and shapes of all modes, with an open or a bonded crack.
 
         With an open crack the shapes are unit vectors. The bonded modes follow from
@@ -321,7 +317,7 @@ class MasslessStructure(QuasiStaticReduction):
         holds b^T q = 0. Linearly dependent pairs are one bond.
         """
         if not is_bonded:
-            return super().known_frequencies_and_shapes(is_bonded=False)
+            return super().known_omega_and_shapes(is_bonded=False)
         modal_gaps, residual_compliance = self.gap[: self.n_modes].toarray(), self.residual
         scaled_modal_gaps = (
             modal_gaps / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]

@@ -50,7 +50,7 @@ from fenics_crack.model.modes import (
     solve_modes,
     solve_modes_with_factor,
 )
-from fenics_crack.model.receptance import ResidualFlexibility, find_loaded_rows, receptance
+from fenics_crack.model.receptance import ResidualFlexibility, find_loaded_row_mask, receptance
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
@@ -108,7 +108,7 @@ def reduce_structure(
     """
     check_choice("method", method, METHODS)
     check_mass(structure, "reduce the whole one")
-    uniform_rule = _uniform_damping_rule(structure)
+    uniform_rule = _uniform_damping_rule_or_none(structure)
     is_modally_damped = uniform_rule is None and isinstance(structure.damping, ModalDamping)
     n_damped = count_damped_modes(structure) if is_modally_damped else None
     if modes is None:
@@ -134,7 +134,7 @@ def reduce_structure(
         mode_shapes, squares = computed_modes.shapes[:, :modes], computed_modes.omega[:modes] ** 2
         with _factor_regular(stiffness_factor, structure, is_held=bool(squares[0] > 0.0)) as factor:
             # Static responses to pair forces and load, without the part of the modes.
-            load_parts = structure.force[find_loaded_rows(structure)]
+            load_parts = structure.force[find_loaded_row_mask(structure)]
             unit_force_rows = np.vstack([structure.gap.T.toarray(), load_parts])
             flexibility = ResidualFlexibility(structure, mode_shapes, squares, unit_force_rows.T)
             static_shapes = flexibility.solve(factor, unit_force_rows).T
@@ -200,7 +200,7 @@ def _reduce_massless(
         if np.any(reference_compliance > compliance - reference_compliance):
             mode_counts = (original.n_dofs, modes)
             largest_receptance = receptance(original, original.n_dofs)
-    is_loaded_row, modal_sources = find_loaded_rows(original), largest_receptance.modal.T
+    is_loaded_row, modal_sources = find_loaded_row_mask(original), largest_receptance.modal.T
     n_load_rows = len(is_loaded_row)
     n_gaps = len(largest_receptance.modal) - np.count_nonzero(is_loaded_row)
     # The amplitudes of the load's parts are unknowns, and S maps them to their forces.
@@ -257,7 +257,7 @@ def _is_rounding(
     return np.asarray(compliance_diagonal <= ZERO_TOLERANCE * modal_compliance)
 
 
-def _uniform_damping_rule(structure: Structure) -> DampingRule | None:
+def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
     """Return one damping rule for all modes, or None.
 
     It is one ratio, or Rayleigh's coefficients, and holds for the modes of the reduced structure,
@@ -331,7 +331,7 @@ def _reduce_damping(
     """
     if structure.damping is None:
         return None
-    if (rule := _uniform_damping_rule(structure)) is not None:
+    if (rule := _uniform_damping_rule_or_none(structure)) is not None:
         return rule
     rate, omega = damping_on_modes(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
     if rate.ndim == 2:

@@ -96,7 +96,7 @@ class Rotation:
         load_coefficients = self.at_rest.force.copy()
         load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
-        return self.at_rest._with_changes(
+        return self.at_rest._plain_structure_with_changes(
             stiffness=stiffness, force=load_coefficients, rotation=rotation
         )
 
@@ -309,13 +309,15 @@ class Ritz:
 
         mass_diagonal, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
         basis = basis @ eigenvectors
-        speed_squared = rotation_terms.speed**2
+        own_speed_squared = rotation_terms.speed**2
         stiffness_terms = rotation_terms.rotation_stiffness, *rotation_terms.displaced_stiffnesses
-        projected_terms = np.array(
+        projected_stiffness_terms = np.array(
             [project_matrix(petsc_matrix) for petsc_matrix in stiffness_terms]
         )
-        rest_stiffness = np.eye(len(mass_diagonal)) - speed_squared * (
-            projected_terms[0] + projected_terms[1] + speed_squared * projected_terms[2]
+        rest_stiffness = np.eye(len(mass_diagonal)) - own_speed_squared * (
+            projected_stiffness_terms[0]
+            + projected_stiffness_terms[1]
+            + own_speed_squared * projected_stiffness_terms[2]
         )
         try:
             np.linalg.cholesky(rest_stiffness)
@@ -326,7 +328,7 @@ class Ritz:
             structure,
             read_only_array(basis),  # shared by all speeds
             rest_stiffness,
-            projected_terms,
+            projected_stiffness_terms,
             mass_diagonal,
             structure.sum_over_ranks(rotation_terms.at_rest.force @ basis),
             structure.sum_over_ranks(rotation_terms.force @ basis),
@@ -346,10 +348,10 @@ class Ritz:
         (2K+1, n) [N]
             V^T f, with the mean load due to rotation.
         """
-        term_1, term_2, term_3 = speed**2 * self.rotation_stiffnesses
-        stiffness = self.rest_stiffness + term_1 + term_2 + speed**2 * term_3
+        K_1_term, K_2_term, K_3_term = speed**2 * self.rotation_stiffnesses
+        stiffness = self.rest_stiffness + K_1_term + K_2_term + speed**2 * K_3_term
         rotation_displacement = np.linalg.solve(
-            self.rest_stiffness + term_1, speed**2 * self.centrifugal_load
+            self.rest_stiffness + K_1_term, speed**2 * self.centrifugal_load
         )
         load_coefficients = self.force.copy()
         load_coefficients[0] += stiffness @ rotation_displacement
@@ -457,10 +459,10 @@ class RunUpStructure(QuasiStaticReduction):
         omega : float [rad/s]
             The nearest natural frequency is taken.
         """
-        term_1, term_2, term_3 = self.speed**2 * self.body.ritz.rotation_stiffnesses
+        K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.rotation_stiffnesses
         mode_index = int(np.abs(self.omega - omega).argmin())
         mode_shape = self.shapes[:, mode_index]
-        stiffness_slope = 2.0 * (term_1 + term_2 + 2.0 * self.speed**2 * term_3)
+        stiffness_slope = 2.0 * (K_1_term + K_2_term + 2.0 * self.speed**2 * K_3_term)
         return float(
             mode_shape @ stiffness_slope @ mode_shape / (2.0 * self.omega[mode_index] ** 2)
         )

@@ -289,7 +289,7 @@ class Structure(Coordinates):
         return (
             body_force
             if self.setting is DEFAULT_SETTING
-            else read_only_array(np.dot(self.setting.weights, body_force))
+            else read_only_array(np.dot(self.setting.load_weights, body_force))
         )
 
     @cached_property
@@ -327,7 +327,7 @@ class Structure(Coordinates):
     @cached_property
     def clamp(self) -> Clamp | None:
         """Clamp that gives the reaction to the load; None without a clamped mesh."""
-        return self.body.clamp and self.body.clamp.with_weights(self.setting.weights)
+        return self.body.clamp and self.body.clamp.with_weights(self.setting.load_weights)
 
     @cached_property
     def rotation(self) -> Any:
@@ -412,9 +412,7 @@ class Structure(Coordinates):
         gap[0] -= self.clearance
         return gap
 
-    def known_frequencies_and_shapes(
-        self, *, is_bonded: bool
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of a reduced structure that need no solver, here None.
 
         Parameters
@@ -500,7 +498,10 @@ class Structure(Coordinates):
             A row sum is not positive, as for six-node triangles.
         """
         return _change_with_rotation(
-            self, lambda structure: structure._with_changes(mass=lump_mass(structure.mass))
+            self,
+            lambda structure: structure._plain_structure_with_changes(
+                mass=lump_mass(structure.mass)
+            ),
         )
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
@@ -526,7 +527,7 @@ class Structure(Coordinates):
 
         def bond_pairs(structure: Structure) -> Structure:
             bonded_stiffness = add_springs(structure.stiffness, structure.gap, spring_stiffnesses)
-            return structure._with_changes(
+            return structure._plain_structure_with_changes(
                 stiffness=bonded_stiffness,
                 gap=empty_gap,
                 tangential=None,
@@ -556,7 +557,7 @@ class Structure(Coordinates):
             raise InputError("structure", repr(self), "one that is not reduced")
         load_coefficients = add_harmonics(self.force, harmonics, self.mass)
         return self._in_setting(
-            replace(self.setting, weights=1.0), force=load_coefficients, clamp=None
+            replace(self.setting, load_weights=1.0), force=load_coefficients, clamp=None
         )
 
     def with_tangents(self) -> Structure:
@@ -599,15 +600,19 @@ class Structure(Coordinates):
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
             raise InputError("direction of friction", direction, requirement)
-        cached_pairs = self.compute_once(_make_tangential_pair_list)
-        if not cached_pairs or not np.array_equal(cached_pairs[0][0], direction):
+        cached_direction_and_structure = self.compute_once(_make_empty_pair_list)
+        if not cached_direction_and_structure or not np.array_equal(
+            cached_direction_and_structure[0][0], direction
+        ):
             original = self.original
-            cached_pairs[:] = [(direction, _add_tangential_pairs(original, direction))]
-        return cached_pairs[0][1]._in_setting(self.setting)
+            cached_direction_and_structure[:] = [
+                (direction, _add_tangential_pairs(original, direction))
+            ]
+        return cached_direction_and_structure[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with positions and other mesh data of its nodes and pairs."""
-        return self._with_changes(nodes=nodes, pairs=pairs)
+        return self._plain_structure_with_changes(nodes=nodes, pairs=pairs)
 
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none.
@@ -673,7 +678,7 @@ class Structure(Coordinates):
             self.setting.combine_with(Setting(load_weights, damping, added_clearance))
         )
 
-    def _with_changes(self, **changes: Any) -> Structure:
+    def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with changed fields of the body."""
         copied_names = [
             body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
@@ -753,7 +758,7 @@ def _add_tangents(structure: Structure) -> Structure:
     )
 
 
-def _make_tangential_pair_list(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
+def _make_empty_pair_list(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
     """Return an empty cache of :meth:`Structure.with_tangential_pairs`: direction and result."""
     return []
 
@@ -763,17 +768,17 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
 
     ``direction`` is that of :meth:`Structure.with_tangential_pairs`.
     """
-    tangents: Any = structure.tangential
+    tangential_gap_matrix: Any = structure.tangential
     if direction is not None:
         direction_matrices = (
             sparse.diags(direction_cosines)
             for direction_cosines in (np.cos(direction), np.sin(direction))
         )
-        tangents = tangents @ sparse.vstack([*direction_matrices])
-    all_gaps = sparse.hstack([structure.gap, tangents])
+        tangential_gap_matrix = tangential_gap_matrix @ sparse.vstack([*direction_matrices])
+    joint_gap_matrix = sparse.hstack([structure.gap, tangential_gap_matrix])
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
     return structure._in_setting(
-        structure.setting, gap=all_gaps, tangential=None, clearance=clearance
+        structure.setting, gap=joint_gap_matrix, tangential=None, clearance=clearance
     )
 
 

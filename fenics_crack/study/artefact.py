@@ -35,8 +35,8 @@ from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
     displacement_rows,
-    make_receptance_list,
-    make_shared_receptance_list,
+    make_empty_receptance_list,
+    make_empty_shared_receptance_list,
     receptance,
     sources_of,
 )
@@ -146,7 +146,7 @@ class PreparedStructure:
             pairs=replace(pairs, shares=None, tangents=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(replace(known_receptance, force=np.zeros(0)) for source in sources
-                       for known_receptance in source.compute_once(make_receptance_list)),
+                       for known_receptance in source.compute_once(make_empty_receptance_list)),
             **datasets,
         )  # fmt: skip
 
@@ -190,8 +190,8 @@ class PreparedStructure:
                 candidate for candidate in sources if sources_of(candidate).shape[1] == n_sources
             )
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.compute_once(make_receptance_list)[:] = [loaded_receptance]
-            made.compute_once(make_shared_receptance_list, from_matrices=True)[:] = [
+            source.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
+            made.compute_once(make_empty_shared_receptance_list, from_matrices=True)[:] = [
                 loaded_receptance
             ]
         if not np.array_equal(weights, np.eye(len(made.force))):

@@ -122,7 +122,7 @@ def inertia_rows(structure: Structure) -> np.ndarray:
     if structure is whole:
         return inertia
     # with mass, where not all coordinates have it
-    known = structure.known_frequencies_and_shapes(is_bonded=False)
+    known = structure.known_omega_and_shapes(is_bonded=False)
     shapes = np.eye(structure.n_dofs) if known is None else known[1]
     rows = whole.sum_over_ranks(structure.expand(shapes.T) @ inertia.T).T @ shapes.T
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))

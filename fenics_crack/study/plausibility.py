@@ -130,7 +130,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
     scene, whole, law = study.scene, study.structure.structure_in_few_coordinates(), study.contact
-    known = whole.known_frequencies_and_shapes(is_bonded=False)
+    known = whole.known_omega_and_shapes(is_bonded=False)
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
