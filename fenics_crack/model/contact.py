@@ -239,10 +239,10 @@ class CoulombFriction:
         mu = _check_positive("friction coefficient", self.coefficient, allows_array=True)
         object.__setattr__(self, "coefficient", mu)
         if not np.array_equal(self.tangential_stiffness, np.inf):
-            stiffness = _check_positive(
+            tangential_stiffness = _check_positive(
                 "tangential stiffness", self.tangential_stiffness, allows_array=True
             )
-            object.__setattr__(self, "tangential_stiffness", stiffness)
+            object.__setattr__(self, "tangential_stiffness", tangential_stiffness)
 
     @property
     def stiffness(self) -> float | np.ndarray:
@@ -259,8 +259,10 @@ class CoulombFriction:
 
     def scaled(self, factor: float) -> CoulombFriction:
         """Return this law with factor * k and factor * k_t."""
-        stiffness = np.multiply(factor, self.tangential_stiffness)
-        return replace(self, law=self.law.scaled(factor), tangential_stiffness=stiffness)
+        scaled_tangential_stiffness = np.multiply(factor, self.tangential_stiffness)
+        return replace(
+            self, law=self.law.scaled(factor), tangential_stiffness=scaled_tangential_stiffness
+        )
 
 
 def friction_of(contact: object) -> CoulombFriction | None:
@@ -425,8 +427,10 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
 def _check_positive(key: str, number: object, *, allows_array: bool = False) -> float | np.ndarray:
     """Return a number > 0, or an array of them; else raise InputError."""
     number_array = numbers(number)
-    is_positive = number_array.size > 0 and np.all(np.isfinite(number_array) & (number_array > 0.0))
-    if isinstance(number, str | bool) or number_array.ndim > allows_array or not is_positive:
+    is_all_positive = number_array.size > 0 and np.all(
+        np.isfinite(number_array) & (number_array > 0.0)
+    )
+    if isinstance(number, str | bool) or number_array.ndim > allows_array or not is_all_positive:
         requirement = "a finite number > 0" + (", or one per pair" if allows_array else "")
         raise InputError(key, number, requirement)
     return number_array.copy() if number_array.ndim else float(number_array)
@@ -592,8 +596,8 @@ class ActiveSetSolver:
             Closed pairs.
         """
         gap = require_shape(gap, len(gap), len(self.compliance))
-        guessed_set = gap > 0.0 if is_closed is None else np.array(is_closed)
-        is_closed = require_shape(guessed_set, *gap.shape, kind=bool)
+        closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
+        is_closed = require_shape(closed_guess, *gap.shape, kind=bool)
         force, is_failed_instant = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.solve_instants(
             self.handle,
@@ -633,9 +637,9 @@ def solve_complementarity(
     ConvergenceError
         There is no solution, or none was found.
     """
-    guessed_set = None if is_closed is None else np.array(is_closed)[None]
+    closed_guess = None if is_closed is None else np.array(is_closed)[None]
     return np.asarray(
-        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], guessed_set)[0][0]
+        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], closed_guess)[0][0]
     )
 
 

@@ -293,9 +293,11 @@ def _is_abaqus_file(path: Path) -> bool:
 
 def _read_abaqus(path: Path) -> LabelledMatrix:
     """Read an Abaqus matrix without the clamped dofs."""
-    entries = read_number_rows(path, 5, "*", ",")
+    entry_table = read_number_rows(path, 5, "*", ",")
     labelled_matrix = _build_labelled_matrix(
-        entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], has_both_triangles=False
+        entry_table[:, :4].astype(np.int64).reshape(-1, 2, 2),
+        entry_table[:, 4],
+        has_both_triangles=False,
     )
     assert labelled_matrix.labels is not None
     # 1e36 on the diagonal marks a dof that Abaqus holds.
@@ -440,14 +442,14 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         The file cannot be read, or contradicts itself.
     """
     with opened_text(path) as (text_file, allowed_bytes):
-        lines = iter(text_file)
-        (layout, symmetry), sizes, n_entries = _read_header_and_sizes(lines, allowed_bytes)
+        text_lines = iter(text_file)
+        (layout, symmetry), sizes, n_entries = _read_header_and_sizes(text_lines, allowed_bytes)
         shape = sizes[0], sizes[1]
         if n_rows is not None and shape[0] != n_rows:
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
         if symmetry != "general" and shape[0] != shape[1]:
             raise ValueError(f"{symmetry}, but of shape {shape}")
-        table = rows_in(lines, "%", most=n_entries + 1)
+        table = rows_in(text_lines, "%", most=n_entries + 1)
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
         # Reading stops after one too many.

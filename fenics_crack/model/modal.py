@@ -169,8 +169,10 @@ class AllModes:
             Gap change by unit forces on the pairs.
         """
         is_fast = self._is_fast(min_frequency)
-        flexibility = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
-        return flexibility if self.residual is None else flexibility + self.residual
+        fast_pair_compliance = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
+        return (
+            fast_pair_compliance if self.residual is None else fast_pair_compliance + self.residual
+        )
 
     def _is_fast(self, min_frequency: float) -> np.ndarray:
         """Return True for modes above a frequency [rad/s]: (n,) bool.

@@ -267,8 +267,8 @@ def solve_modes_with_factor(
     while True:
         squares, shapes = _solve_near_zero(inverse, structure, n_requested, square_scale, ties)
         if squares[0] < -1e-8 * square_scale:
-            problem = f"{squares[0]:.3g} = omega^2 of a mode"
-            raise InputError("stiffness", problem, "positive semidefinite")
+            negative_square_text = f"{squares[0]:.3g} = omega^2 of a mode"
+            raise InputError("stiffness", negative_square_text, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.
         square_bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * square_scale)
@@ -845,8 +845,8 @@ def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarr
     (n,) int
         Index of the bonded mode for each open mode.
     """
-    mass_shapes = multiply(open_modes.structure.mass, bonded_modes.shapes)
-    overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ mass_shapes) ** 2
+    bonded_mass_shapes = multiply(open_modes.structure.mass, bonded_modes.shapes)
+    overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ bonded_mass_shapes) ** 2
     is_same_open, is_same_bonded = (
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
         for omega in (open_modes.omega, bonded_modes.omega)

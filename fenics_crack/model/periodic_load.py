@@ -68,10 +68,10 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
         raise InputError(
             "values", np.shape(values), f"finite, ({len(instants)},) or ({len(instants)}, m)"
         )
-    columns = samples.reshape(len(instants), -1)
+    sample_columns = samples.reshape(len(instants), -1)
     phase = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
-    phase_steps, value_steps = np.diff(phase)[:, None], np.diff(columns, axis=0)
-    start_values, end_values = columns[:-1], columns[1:]
+    phase_steps, value_steps = np.diff(phase)[:, None], np.diff(sample_columns, axis=0)
+    start_values, end_values = sample_columns[:-1], sample_columns[1:]
     mean = np.sum(phase_steps * (start_values + end_values), axis=0) / (4.0 * np.pi)
     interval_square_sums = start_values**2 + start_values * end_values + end_values**2
     mean_square = np.sum(phase_steps * interval_square_sums, axis=0) / (6.0 * np.pi)

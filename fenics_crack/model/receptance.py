@@ -105,10 +105,10 @@ class Receptance:
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the diagonal of B^T G M G B beyond the first modes: (n_pairs,)."""
-        weighted_modes = (
+        modal_flexibility = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
         )
-        return np.asarray(self.inertia + np.sum(weighted_modes**2, axis=1))
+        return np.asarray(self.inertia + np.sum(modal_flexibility**2, axis=1))
 
 
 def receptance(structure: Structure, n_modes: int) -> Receptance:
@@ -164,30 +164,31 @@ def _convert_receptance_to_load(
 
     None: the structure's load is no linear combination of the other load's parts.
     """
-    load_parts, known_load = (
-        structure.force[find_loaded_row_mask(structure)],
-        known_receptance.force,
+    known_load_coefficients = known_receptance.force
+    new_load_rows = structure.force[find_loaded_row_mask(structure)]
+    all_load_rows = np.vstack(
+        [
+            known_load_coefficients[find_loaded_row_mask(structure, known_load_coefficients)],
+            new_load_rows,
+        ]
     )
-    all_load_parts = np.vstack(
-        [known_load[find_loaded_row_mask(structure, known_load)], load_parts]
-    )
-    n_known_parts = len(all_load_parts) - len(load_parts)
-    if len(known_receptance.modal) - n_known_parts != sources_of(structure).shape[1] - len(
-        load_parts
+    n_known_rows = len(all_load_rows) - len(new_load_rows)
+    if len(known_receptance.modal) - n_known_rows != sources_of(structure).shape[1] - len(
+        new_load_rows
     ):
         return None  # only one of the two has tangents
-    gram = structure.sum_over_ranks(all_load_parts @ all_load_parts.T)
+    gram = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
     load_weights = (
-        np.linalg.pinv(gram[:n_known_parts, :n_known_parts], hermitian=True)
-        @ gram[:n_known_parts, n_known_parts:]
+        np.linalg.pinv(gram[:n_known_rows, :n_known_rows], hermitian=True)
+        @ gram[:n_known_rows, n_known_rows:]
     )
     residual_norms_squared = structure.sum_over_ranks(
-        ((load_parts - load_weights.T @ all_load_parts[:n_known_parts]) ** 2).sum(axis=1)
+        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_rows]) ** 2).sum(axis=1)
     )
-    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_parts:]):
+    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_rows:]):
         return None
     source_transformation = scipy.linalg.block_diag(
-        np.eye(len(known_receptance.modal) - n_known_parts), load_weights
+        np.eye(len(known_receptance.modal) - n_known_rows), load_weights
     )
     rows_by_dof = {
         dof: (shape_row, residual_row @ source_transformation)
@@ -218,9 +219,9 @@ def sources_of(structure: Structure) -> sparse.csr_matrix:
 
     The shape is (n_local, n_sources). f has the nonzero parts of the load.
     """
-    load_parts = structure.force[find_loaded_row_mask(structure)]
+    nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
     pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
-    return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
+    return sparse.hstack([*pair_forces, nonzero_load_rows.T]).tocsr()
 
 
 def find_loaded_row_mask(
@@ -251,7 +252,7 @@ def _extend_receptance(
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
             sources_shape = flexibility.modal_sources.shape[:1]
             zero_compliance_and_inertia = np.zeros(sources_shape * 2), np.zeros(sources_shape)
-            compliance, inertia = (
+            compliance, inertia_diagonal = (
                 zero_compliance_and_inertia
                 if has_all_modes
                 else flexibility.compliance_and_inertia(factor)
@@ -262,7 +263,7 @@ def _extend_receptance(
                 compliance,
                 {},
                 structure.force,
-                inertia[: structure.n_pairs],
+                inertia_diagonal[: structure.n_pairs],
             )
             _store_dof_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
             return new_receptance
@@ -272,16 +273,18 @@ def _extend_receptance(
         known_receptance.compliance
         - modal_flexibility @ flexibility.modal_sources[:, new_mode_range].T
     )
-    inertia = known_receptance.inertia - np.sum(modal_flexibility[: structure.n_pairs] ** 2, axis=1)
+    inertia_diagonal = known_receptance.inertia - np.sum(
+        modal_flexibility[: structure.n_pairs] ** 2, axis=1
+    )
     dofs = [*known_receptance.rows]
     shape_rows = structure.values_at(modes.shapes.T, dofs).T
-    residual_parts = (
+    residual_rows = (
         np.array([residual_row for _, residual_row in known_receptance.rows.values()])
         - shape_rows[:, new_mode_range] @ modal_flexibility.T
     )
     residual_multiplier = 0.0 if has_all_modes else 1.0
     rows_by_dof = dict(
-        zip(dofs, zip(shape_rows, residual_multiplier * residual_parts, strict=True), strict=True)
+        zip(dofs, zip(shape_rows, residual_multiplier * residual_rows, strict=True), strict=True)
     )
     return Receptance(
         squares,
@@ -289,7 +292,7 @@ def _extend_receptance(
         residual_multiplier * compliance,
         rows_by_dof,
         structure.force,
-        residual_multiplier * inertia,
+        residual_multiplier * inertia_diagonal,
     )
 
 
@@ -375,14 +378,14 @@ def _store_dof_rows(
         ),
         forces_shape,
     )
-    residual_parts = np.zeros((len(dofs), len(known_receptance.modal)))
+    residual_rows = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
         stiffness_factor = factor or Factor(structure.stiffness, definite=True)
         with nullcontext(stiffness_factor) if factor else stiffness_factor as usable_factor:
-            residual_parts = flexibility.project_with_inertia(usable_factor, unit_forces)[0]
+            residual_rows = flexibility.project_with_inertia(usable_factor, unit_forces)[0]
     shape_rows = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
-        zip(map(int, dofs), zip(shape_rows, residual_parts, strict=True), strict=True)
+        zip(map(int, dofs), zip(shape_rows, residual_rows, strict=True), strict=True)
     )
 
 
@@ -492,5 +495,5 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X, the change of S's diagonal by w^2.
         """
-        products, inertia_diagonal = self.project_with_inertia(factor, self.sources)
-        return 0.5 * (products + products.T), inertia_diagonal
+        unsymmetric_compliance, inertia_diagonal = self.project_with_inertia(factor, self.sources)
+        return 0.5 * (unsymmetric_compliance + unsymmetric_compliance.T), inertia_diagonal

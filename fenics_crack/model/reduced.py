@@ -325,21 +325,23 @@ class MasslessStructure(QuasiStaticReduction):
         ties = _factor_of_inverse(scaled_modal_gaps.T @ scaled_modal_gaps + residual_compliance)
         tie_flexibilities, tie_eigenvectors = np.linalg.eigh(ties.T @ residual_compliance @ ties)
         ties, is_soft_tie = ties @ tie_eigenvectors, tie_flexibilities > NEGLIGIBLE
-        rigid_ties = modal_gaps @ ties[:, ~is_soft_tie]
+        rigid_tie_gaps = modal_gaps @ ties[:, ~is_soft_tie]
         allowed_motions = (
-            scipy.linalg.null_space(rigid_ties.T) if rigid_ties.size else np.eye(self.n_modes)
+            scipy.linalg.null_space(rigid_tie_gaps.T)
+            if rigid_tie_gaps.size
+            else np.eye(self.n_modes)
         )
-        tie_stiffness = (ties[:, is_soft_tie] / tie_flexibilities[is_soft_tie]) @ (
+        modal_pair_forces = (ties[:, is_soft_tie] / tie_flexibilities[is_soft_tie]) @ (
             modal_gaps @ ties[:, is_soft_tie]
         ).T
         squares, eigenvectors = np.linalg.eigh(
             allowed_motions.T
-            @ (np.diag(self.omega**2) + modal_gaps @ tie_stiffness)
+            @ (np.diag(self.omega**2) + modal_gaps @ modal_pair_forces)
             @ allowed_motions
         )
         modal_shapes = allowed_motions @ eigenvectors
         static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
-        static_amplitudes[: self.n_pairs] = -tie_stiffness @ modal_shapes
+        static_amplitudes[: self.n_pairs] = -modal_pair_forces @ modal_shapes
         return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
 
     @property

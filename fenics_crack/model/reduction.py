@@ -134,8 +134,8 @@ def reduce_structure(
         mode_shapes, squares = computed_modes.shapes[:, :modes], computed_modes.omega[:modes] ** 2
         with _factor_regular(stiffness_factor, structure, is_held=bool(squares[0] > 0.0)) as factor:
             # Static responses to pair forces and load, without the part of the modes.
-            load_parts = structure.force[find_loaded_row_mask(structure)]
-            unit_force_rows = np.vstack([structure.gap.T.toarray(), load_parts])
+            nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
+            unit_force_rows = np.vstack([structure.gap.T.toarray(), nonzero_load_rows])
             flexibility = ResidualFlexibility(structure, mode_shapes, squares, unit_force_rows.T)
             static_shapes = flexibility.solve(factor, unit_force_rows).T
             own_compliances = structure.sum_over_ranks(
@@ -173,24 +173,20 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled, allowed_reference_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
-    n_reference = (
-        min(n_doubled, allowed_reference_modes)
-        if allowed_reference_modes > modes
-        else original.n_dofs
-    )
-    if has_chosen_reference := reference_choice is not True and reference_choice > modes:
+    n_doubled, allowed_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
+    n_reference = min(n_doubled, allowed_modes) if allowed_modes > modes else original.n_dofs
+    if has_given_reference := reference_choice is not True and reference_choice > modes:
         n_reference = int(reference_choice)
     mode_counts = (n_reference, modes) if reference_choice else (modes,)
     largest_receptance = receptance(original, max(mode_counts))
-    if n_rigid := np.count_nonzero(largest_receptance.squares[modes:] == 0.0):
-        requirement = f"at least {modes + n_rigid}: all motions as a rigid body"
+    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[modes:] == 0.0):
+        requirement = f"at least {modes + n_missing_rigid_modes}: all motions as a rigid body"
         raise InputError("modes", modes, requirement)
     if (
         reference_choice
-        and not has_chosen_reference
+        and not has_given_reference
         and n_reference < n_doubled
-        and n_reference == allowed_reference_modes
+        and n_reference == allowed_modes
     ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
@@ -204,16 +200,14 @@ def _reduce_massless(
     n_load_rows = len(is_loaded_row)
     n_gaps = len(largest_receptance.modal) - np.count_nonzero(is_loaded_row)
     # The amplitudes of the load's parts are unknowns, and S maps them to their forces.
-    load_patterns = np.hstack(
+    load_selection_matrix = np.hstack(
         [np.zeros((n_load_rows, n_gaps)), np.eye(n_load_rows)[:, is_loaded_row]]
     )
     inertia_sums = [float(largest_receptance.inertia_beyond(count).sum()) for count in mode_counts]
-    removed_error_share = max(
+    error_share = max(
         1.0 - inertia_sums[0] / max(inertia_sums[-1], 1e-300), MIN_REFERENCE_ERROR_SHARE
     )
-    removed_error_share = min(
-        removed_error_share, 1.0 if mode_counts[0] == original.n_dofs else 0.5
-    )
+    error_share = min(error_share, 1.0 if mode_counts[0] == original.n_dofs else 0.5)
     damping_rule, massless_structure = original.damping, None
     damping: Any = damping_rule
     for count in mode_counts:
@@ -229,10 +223,10 @@ def _reduce_massless(
             squares,
             damping,
             modal_sources[:count, :n_gaps],
-            load_patterns @ np.hstack([largest_receptance.modal[:, :count], compliance]),
+            load_selection_matrix @ np.hstack([largest_receptance.modal[:, :count], compliance]),
             compliance,
             reference=massless_structure,
-            share=removed_error_share if count == mode_counts[-1] else 0.5,
+            share=error_share if count == mode_counts[-1] else 0.5,
         )
     assert massless_structure is not None
     return massless_structure._in_setting(structure.setting)
@@ -331,12 +325,17 @@ def _reduce_damping(
     """
     if structure.damping is None:
         return None
-    if (rule := _uniform_damping_rule_or_none(structure)) is not None:
-        return rule
-    rate, omega = damping_on_modes(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
-    if rate.ndim == 2:
-        return rate
-    if np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
-        return np.diag(rate)
-    damping_ratios = np.divide(rate, 2.0 * omega, out=np.zeros_like(rate), where=omega > 0.0)
+    if (uniform_rule := _uniform_damping_rule_or_none(structure)) is not None:
+        return uniform_rule
+    modal_damping, omega = (
+        damping_on_modes(structure, basis, squares),
+        np.sqrt(np.maximum(squares, 0.0)),
+    )
+    if modal_damping.ndim == 2:
+        return modal_damping
+    if np.any(modal_damping[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
+        return np.diag(modal_damping)
+    damping_ratios = np.divide(
+        modal_damping, 2.0 * omega, out=np.zeros_like(modal_damping), where=omega > 0.0
+    )
     return ModalDamping(tuple(np.maximum(damping_ratios, 0.0)))

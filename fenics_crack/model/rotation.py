@@ -460,11 +460,14 @@ class RunUpStructure(QuasiStaticReduction):
             The nearest natural frequency is taken.
         """
         K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.rotation_stiffnesses
-        mode_index = int(np.abs(self.omega - omega).argmin())
-        mode_shape = self.shapes[:, mode_index]
-        stiffness_slope = 2.0 * (K_1_term + K_2_term + 2.0 * self.speed**2 * K_3_term)
+        nearest_mode_index = int(np.abs(self.omega - omega).argmin())
+        mode_shape = self.shapes[:, nearest_mode_index]
+        log_speed_stiffness_slope = 2.0 * (K_1_term + K_2_term + 2.0 * self.speed**2 * K_3_term)
         return float(
-            mode_shape @ stiffness_slope @ mode_shape / (2.0 * self.omega[mode_index] ** 2)
+            mode_shape
+            @ log_speed_stiffness_slope
+            @ mode_shape
+            / (2.0 * self.omega[nearest_mode_index] ** 2)
         )
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:

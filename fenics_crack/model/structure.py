@@ -378,10 +378,10 @@ class Structure(Coordinates):
             return self
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
-            caches: dict[str, Any] = {"result_cache": {}}
+            new_caches: dict[str, Any] = {"result_cache": {}}
             if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
-                caches["matrix_cache"] = {}
-            body = replace(body, **caches | changes)
+                new_caches["matrix_cache"] = {}
+            body = replace(body, **new_caches | changes)
         Structure.__init__(new_structure, body)
         vars(new_structure)["setting"] = setting
         return new_structure
