@@ -150,9 +150,9 @@ class Pairs(ReadOnlyArrays):
         crack 1", "the middle of crack 2".
     nodes : (n, d) [m] or None
         Corners of the facets of a solid's crack faces; those on fronts come last.
-    shares : (n, n_pairs) scipy.sparse.csr_matrix or None
+    pressure_matrix : (n, n_pairs) scipy.sparse.csr_matrix or None
         Value of each pair's pressure function at ``nodes``.
-    tangents : (n_local, 2 n_pairs) or None
+    tangential_gap_matrix : (n_local, 2 n_pairs) scipy.sparse.csr_matrix or None
         Tangential gaps of a solid's pairs, from the dofs of the whole structure: all pairs along
         their first directions, then all along their second ones.
     """
@@ -163,8 +163,8 @@ class Pairs(ReadOnlyArrays):
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
     nodes: np.ndarray | None = None
-    shares: sparse.csr_matrix | None = None
-    tangents: sparse.csr_matrix | None = None
+    pressure_matrix: sparse.csr_matrix | None = None
+    tangential_gap_matrix: sparse.csr_matrix | None = None
 
 
 def body_property(name: str) -> Any:

@@ -48,15 +48,16 @@ MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_expo
 class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
-    ``source`` is the structure that was reduced; :class:`ReducedStructure` explains all other
-    fields.
+    ``source`` is the structure that was reduced, and ``removed_error_share`` its attribute
+    ``share``; :class:`ReducedStructure` explains all other fields.
     """
 
     source: Structure
     basis: np.ndarray | None = None
     omega: np.ndarray
     reference: ReducedStructure | None = None
-    share: float = 0.75  # the reference with the next static shapes lacks a quarter or less
+    # The reference with the next static shapes lacks a quarter or less.
+    removed_error_share: float = 0.75
 
 
 def _make_body_fields(
@@ -106,7 +107,7 @@ class ReducedStructure(Structure):
     body: ReducedBody
     basis: np.ndarray = body_property("basis")
     omega: np.ndarray = body_property("omega")
-    share: float = body_property("share")
+    share: float = body_property("removed_error_share")
     frequency = hertz_of()
 
     def __init__(
@@ -219,9 +220,12 @@ class QuasiStaticReduction(ReducedStructure):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MasslessBody(ReducedBody):
-    """Constant data of a :class:`MasslessStructure`; ``root`` is explained there."""
+    """Constant data of a :class:`MasslessStructure`.
 
-    root: np.ndarray
+    ``inverse_compliance_root`` is the attribute ``root`` explained there.
+    """
+
+    inverse_compliance_root: np.ndarray
 
 
 class MasslessStructure(QuasiStaticReduction):
@@ -241,7 +245,7 @@ class MasslessStructure(QuasiStaticReduction):
     """
 
     body: MasslessBody
-    root: np.ndarray = body_property("root")
+    root: np.ndarray = body_property("inverse_compliance_root")
 
     def __init__(
         self,
@@ -278,7 +282,8 @@ class MasslessStructure(QuasiStaticReduction):
         gap, tangential_columns = np.split(pair_columns, [source.n_pairs], axis=1)
         tangential_gap = None if source.tangential is None else tangential_columns
         fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        fields |= {"root": _factor_of_inverse(compliance), "share": share}
+        fields["inverse_compliance_root"] = _factor_of_inverse(compliance)
+        fields["removed_error_share"] = share
         Structure.__init__(self, MasslessBody(**fields, reference=reference))
 
     @property

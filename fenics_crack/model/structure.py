@@ -571,7 +571,7 @@ class Structure(Coordinates):
         InputError
             It was reduced without tangents.
         """
-        if self.tangential is not None or self.pairs.tangents is None:
+        if self.tangential is not None or self.pairs.tangential_gap_matrix is None:
             return self
         if self is not self.whole:
             requirement = "a whole one: reduce structure.whole.with_tangents()"
@@ -754,7 +754,9 @@ def _add_tangents(structure: Structure) -> Structure:
     """Return a structure with the mesh's tangential gaps, also at rest."""
     return _change_with_rotation(
         structure,
-        lambda source: source._in_setting(source.setting, tangential=source.pairs.tangents),
+        lambda source: source._in_setting(
+            source.setting, tangential=source.pairs.tangential_gap_matrix
+        ),
     )
 
 

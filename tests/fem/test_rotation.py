@@ -172,7 +172,7 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
     softening = rotation.at_rest.mass.copy()
     softening.scale(-1.0)
     with pytest.raises(InputError, match=r"rotation.speed.*lower"):
-        replace(rotation, stiffness=softening).at(4.0 * UNIT)
+        replace(rotation, rotation_stiffness=softening).at(4.0 * UNIT)
     plate = fc.prepare(cracked(100.0))
     for structure in (plate.structure, plate.structure.whole):
         with pytest.raises(InputError, match="load"):
