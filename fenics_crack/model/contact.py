@@ -408,7 +408,8 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     """
     gap_step = CENTRAL_DIFFERENCE_STEP * float(np.abs(gap).max(initial=0.0))
     forces = [
-        np.asarray(law.force(gap + n_steps * gap_step)) for n_steps in (-2.0, -1.0, 0.0, 1.0, 2.0)
+        np.asarray(law.force(gap + step_multiple * gap_step))
+        for step_multiple in (-2.0, -1.0, 0.0, 1.0, 2.0)
     ]
     increments, expected_increment = np.diff(forces, axis=0), gap_step * law.tangent(gap)
     increment_size = np.maximum(np.abs(increments).max(axis=0), np.abs(expected_increment))

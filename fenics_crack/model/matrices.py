@@ -612,13 +612,13 @@ def read_number_rows(
     """
     try:
         with opened_text(path) as (text_file, _):
-            number_rows = rows_in(text_file, comment, delimiter)
+            rows_of_numbers = rows_in(text_file, comment, delimiter)
         if (
-            number_rows.shape[1] == n_columns
-            and len(number_rows)
-            and np.all(np.isfinite(number_rows))
+            rows_of_numbers.shape[1] == n_columns
+            and len(rows_of_numbers)
+            and np.all(np.isfinite(rows_of_numbers))
         ):
-            return number_rows
+            return rows_of_numbers
     except ValueError:  # NumPy's message counts lines in another way than an editor
         pass
     for number, line in numbered_lines(path, comment):
@@ -897,15 +897,15 @@ def lump_mass(mass: Any) -> Any:
     )
 
 
-def add_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> Any:
+def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.ndarray) -> Any:
     """Return the stiffness with springs, K + B diag(k) B^T (collective).
 
-    The springs connect the contact pairs. B is ``gap`` (n_local, n_pairs), and k is ``springs``
-    (n_pairs,) [N/m].
+    The springs connect the contact pairs. B is ``gap`` (n_local, n_pairs), and k is
+    ``spring_stiffnesses`` (n_pairs,) [N/m].
     """
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
-    spring_matrix = distribute_rows(gap @ sparse.diags(springs) @ gap_everywhere.T, comm)
+    spring_matrix = distribute_rows(gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm)
     total = weighted_sum(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
     return total

@@ -479,15 +479,15 @@ class Clamp:
     inertia: np.ndarray
     load: np.ndarray
 
-    def with_weights(self, weights: float | np.ndarray) -> Clamp:
+    def with_weights(self, load_weights: float | np.ndarray) -> Clamp:
         """Return the clamp under another load: the present one, weighted.
 
         Parameters
         ----------
-        weights : float or (2K+1, 2K+1)
+        load_weights : float or (2K+1, 2K+1)
             Factor of the load, or matrix that maps its rows (mean, cosine and sine parts).
         """
-        return replace(self, load=np.dot(weights, self.load))
+        return replace(self, load=np.dot(load_weights, self.load))
 
     def reaction_of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray

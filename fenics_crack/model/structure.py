@@ -523,13 +523,13 @@ class Structure(Coordinates):
         spring_stiffnesses = expand_to_pairs("stiffness", stiffness, self.n_pairs)
         if np.any(spring_stiffnesses < 0.0):
             raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
-        empty_gap = sparse.csr_matrix((self.n_local, 0))
+        empty_gap_matrix = sparse.csr_matrix((self.n_local, 0))
 
         def bond_pairs(structure: Structure) -> Structure:
             bonded_stiffness = add_springs(structure.stiffness, structure.gap, spring_stiffnesses)
             return structure._plain_structure_with_changes(
                 stiffness=bonded_stiffness,
-                gap=empty_gap,
+                gap=empty_gap_matrix,
                 tangential=None,
                 clearance=np.zeros(0),
                 pairs=Pairs(),
