@@ -43,7 +43,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
 from fenics_crack.model.modal import all_modes
-from fenics_crack.model.modes import check_damped_modes, damped_modes
+from fenics_crack.model.modes import count_damped_modes, damped_modes
 from fenics_crack.model.structure import ModalDamping
 from fenics_crack.numerics.equations import COARSE_TOLERANCE, residual_rounding
 from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
@@ -101,7 +101,7 @@ class BlockSystem(Snes):
         )
         self._constant_gap = structure.gap_of(np.zeros(linear.shape))
         if problem.residual is not None:
-            static_response = all_modes(structure).static_displacement(problem.cutoff)
+            static_response = all_modes(structure).static_pair_responses(problem.cutoff)
             force_rows = linear_part.tocsr()[: linear.size] * (self.force_unit / self.length_unit)
             self._slow_gap_map -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ force_rows
@@ -300,7 +300,7 @@ class BlockSolver(Solver):
             raise InputError("form", "block", f"'condensed' {condition}")
         damping = structure.original.damping
         n_unknowns = structure.n_dofs * (2 * problem.harmonics + 1)
-        n_modes = check_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
+        n_modes = count_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
         is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
         n_bytes = 4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_modes

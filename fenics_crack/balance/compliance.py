@@ -102,7 +102,7 @@ class DynamicStiffness:
             if is_near.any():
                 border = sparse.csr_matrix(self._modes.mass_shapes[:, is_near])
         self._factor = Factor(system_matrix, symmetric=self._damping is None, border=border)
-        if self._factor.null_pivots:
+        if self._factor.n_null_pivots:
             self.destroy()
             cause = "it can move as a rigid body" if omega == 0.0 else "an undamped resonance"
             raise ConvergenceError(
@@ -202,8 +202,8 @@ class ModalCompliance:
         self._unit_load = to_complex(load @ self._modes.shapes)
         self.shape: tuple[int, ...] = len(load), structure.n_pairs
         self._unit_static, self._static_gap = None, np.zeros(self.shape)
-        if self._modes.static_loads is not None:
-            self._unit_static = load @ self._modes.static_loads
+        if self._modes.massless_flexibility is not None:
+            self._unit_static = load @ self._modes.massless_flexibility
             self._static_gap = structure.apply_bt(self._unit_static)
         self._set_parameters(base_omega, 1.0, 1.0, 0.0)
 
@@ -287,8 +287,12 @@ class ModalCompliance:
         displacement = from_complex(response @ modes.shapes.T)
         if self._unit_static is None:
             return displacement
-        assert modes.static_pairs is not None
-        return displacement + self._load * self._unit_static[:, None] - force @ modes.static_pairs.T
+        assert modes.massless_pair_responses is not None
+        return (
+            displacement
+            + self._load * self._unit_static[:, None]
+            - force @ modes.massless_pair_responses.T
+        )
 
     def selected_displacement(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Return rows (m, n_local) times the displacement under contact forces: (2H+1, m)."""
@@ -301,8 +305,8 @@ class ModalCompliance:
 
     def _static_displacement(self, force: np.ndarray) -> np.ndarray:
         """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
-        assert self._modes.static_pairs is not None and self._unit_static is not None
-        return self._load * self._unit_static - force @ self._modes.static_pairs.T
+        assert self._modes.massless_pair_responses is not None and self._unit_static is not None
+        return self._load * self._unit_static - force @ self._modes.massless_pair_responses.T
 
     def modal_part(
         self,

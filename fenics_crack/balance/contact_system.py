@@ -380,7 +380,7 @@ class Wave:
         """
         if self.static_above is None:
             return None
-        return all_modes(self.structure_with_row_pairs).static_part(self.static_above)
+        return all_modes(self.structure_with_row_pairs).static_pair_compliance(self.static_above)
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
@@ -510,7 +510,7 @@ class Wave:
         displacement = basis @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
-            static_response = all_modes(self.structure_with_row_pairs).static_displacement(
+            static_response = all_modes(self.structure_with_row_pairs).static_pair_responses(
                 self.static_above
             )
             displacement -= (force - basis @ self.force_rows) @ static_response.T

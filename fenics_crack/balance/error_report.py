@@ -309,7 +309,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
     if point.system.integrals.has_coupled_pairs:
         assert residual is not None
         if is_rigid(problem.contact) and not is_regular(
-            all_modes(reference_problem.structure_with_row_pairs).static_part(cutoff)
+            all_modes(reference_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
             max_stiffness = len(residual) / (REGULAR_EIGENVALUE_RATIO * np.trace(residual))

@@ -186,7 +186,7 @@ def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> n
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))[0]
     response = modes.respond(receptance, load @ modes.shapes)
-    return response @ modes.shapes.T + load @ modes.static_loads
+    return response @ modes.shapes.T + load @ modes.massless_flexibility
 
 
 def solve_harmonic_balance(

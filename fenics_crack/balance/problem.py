@@ -241,7 +241,7 @@ class Problem:
         may_project = is_rigid(contact) and contact.weight is not None and not has_light_faces
         if may_project or not is_small(structure):
             return None
-        residual = all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
+        residual = all_modes(self.structure_with_row_pairs).static_pair_compliance(self.cutoff)
         if not has_light_faces and not has_rigid_law:
             is_requested = self.static_above is not None and np.any(residual)
             # A penalty k is stiff from k R_inf = 100 on.
@@ -265,7 +265,7 @@ class Problem:
         has_few_dofs = is_small(self.structure)
         springs = spring_compliances(self.contact, self.structure.n_pairs)
         residual = (
-            all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
+            all_modes(self.structure_with_row_pairs).static_pair_compliance(self.cutoff)
             if has_few_dofs
             else None
         )

@@ -187,7 +187,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         """
         friction, static_response = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            static_response = rows @ all_modes(self.structure_with_row_pairs).static_displacement(
+            static_response = rows @ all_modes(self.structure_with_row_pairs).static_pair_responses(
                 self.static_above
             )
         waves = self.structure.sum_over_ranks(self._coefficients_mean_if_still @ rows.T)

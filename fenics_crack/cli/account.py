@@ -14,7 +14,7 @@ from fenics_crack.basics.observables import QUANTITIES, Where, names_of
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import Table, percent, quantity
 from fenics_crack.model.contact import friction_of
-from fenics_crack.model.modes import damped_range
+from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
@@ -142,7 +142,7 @@ def of_stability(
         text = f"the stability of the orbit is undecided{because}{seen}"
         hints += search
         table = scene.damping  # None: a matrix, which damps all modes or not
-        if table and not (table.of_all_modes or damped_range(run.structure) is None):
+        if table and not (table.of_all_modes or damped_count_and_max_omega(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
 

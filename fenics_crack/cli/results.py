@@ -37,7 +37,7 @@ from fenics_crack.curves.peak import Top
 from fenics_crack.curves.stability import attractors
 from fenics_crack.errors.numbers import largest_left_out, natural_name
 from fenics_crack.model.modes import (
-    FREQUENCY_KINDS,
+    FREQUENCY_KIND_NAMES,
     BilinearFrequencies,
     Modes,
     bilinear_frequencies,
@@ -265,7 +265,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
     which is named."""
     assert run.stated is not None
     kind = name.rpartition("_")[2]
-    if kind in FREQUENCY_KINDS:
+    if kind in FREQUENCY_KIND_NAMES:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)

@@ -18,7 +18,7 @@ from fenics_crack.cli.given import Console, Inputs
 from fenics_crack.errors.stated import errors_of_natural
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.modes import damped_range
+from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.scene.words import faces_in_words
@@ -270,7 +270,7 @@ def _impossible(scene: Scene) -> str:
 def remark_on(structure: Structure, highest: float) -> str:
     """Return a remark on harmonics up to a frequency [rad/s]; empty where all of them are damped,
     and without contact, which excites them (collective)."""
-    damped = damped_range(structure) if structure.n_pairs else None
+    damped = damped_count_and_max_omega(structure) if structure.n_pairs else None
     if damped is None or highest <= damped[1]:
         return ""
     count, end = damped

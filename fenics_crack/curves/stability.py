@@ -50,7 +50,7 @@ from fenics_crack.model.contact import (
     is_unilateral,
     smooth_forces_and_slopes,
 )
-from fenics_crack.model.modal import CACHE_BLOCK_SIZE, AllModes, all_modes, is_small
+from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.attractors import Attractor, find_attractor
 from fenics_crack.motion.flow import exact_flow_or_error
@@ -149,7 +149,9 @@ def _multiply_steps(
     else:
         kicks = h * smooth_forces_and_slopes(contact, modes.residual, gap_samples)[1]
     n_stretches = 1
-    while n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < CACHE_BLOCK_SIZE:
+    while (
+        n_stretches**2 < n_steps and n_stretches * (2 * n_modes) ** 2 < MODAL_COORDINATES_IN_CACHE
+    ):
         n_stretches *= 2
     kicks_of_stretches = kicks.reshape(n_stretches, n_steps // n_stretches, *kicks.shape[1:])
     transition = modes.transition(h)[0]

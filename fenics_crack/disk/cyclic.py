@@ -291,7 +291,7 @@ class NodalDiameter:
     cross_stiffness: np.ndarray
     phase_factor: complex
 
-    null_pivots = 0
+    n_null_pivots = 0
 
     def at_diameter(self, diameter: int) -> NodalDiameter:
         """Return another nodal diameter."""

@@ -46,7 +46,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         # K(W) u_s, with the full stiffness of the displaced shape.
         force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation.force
         stiffened_sector = replace(
-            sector, structure=structure._with_changes(stiffness=static_stiffness)
+            sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)
         )
         with stiffened_sector.factor_stiffness() as solver:
             displacement = solver.static_response(centrifugal_load[:, None])
@@ -54,7 +54,9 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
             centrifugal_load
             + (multiply(stiffness, displacement) - multiply(static_stiffness, displacement))[:, 0]
         )
-        rotating_structure = structure._with_changes(stiffness=stiffness, force=force)
+        rotating_structure = structure._plain_structure_with_changes(
+            stiffness=stiffness, force=force
+        )
         sector = replace(sector, structure=rotating_structure)
     return Wheel(
         sector, cracked=[number - 1 for number in disk.cracked], mistuning=disk.deviations,

@@ -215,12 +215,12 @@ class Wheel(Structure):
         )
         raise InputError("structure", repr(self), requirement)
 
-    def in_few_coordinates(self) -> WheelStructure:
+    def structure_in_few_coordinates(self) -> WheelStructure:
         """Return the wheel in the coordinates in which it is solved (collective)."""
         return WheelStructure(self, count_basis_families(self.families))
 
-    def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return rows of the load on the watched blade, as :meth:`Structure.load_on_sector`."""
+    def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
+        """Return load rows on the watched blade, as :meth:`Structure.watched_sector_load`."""
         own_members = ~self.sector.dofs.is_next_sector
         blade_dofs = np.unique(self.numbers[self.watched_sector, own_members])
         dofs = blade_dofs[np.any(self.force[rows, blade_dofs], axis=0)]
@@ -253,9 +253,9 @@ class Wheel(Structure):
     def _size_description(self) -> str:
         return f"{self.sector.count} sectors, {self.n_dofs} dofs"
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of the few coordinates, ``families`` for each sector."""
-        wheel_structure = self.in_few_coordinates()
+        wheel_structure = self.structure_in_few_coordinates()
         count = min(
             self.families * self.sector.count, wheel_structure.n_dofs - wheel_structure.n_pairs
         )
@@ -448,7 +448,7 @@ class WheelStructure(Structure):
         """The whole wheel, in the same setting."""
         return self._apply_setting(self.body.wheel)
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return all modes, from small dense matrices.
 
         Modes of equal sectors come in pairs, which Krylov's method would mix with its own error.
@@ -499,7 +499,7 @@ class WheelStructure(Structure):
     def _size_description(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole._size_description}"
 
-    def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+    def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the displacement (m, n_sector) of each sector, from coordinates (m, n_dofs)."""
         sector_indices = range(self.whole.sector.count)
         return (
@@ -512,7 +512,7 @@ class WheelStructure(Structure):
         wheel_displacement = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
             for numbers, sector_displacement in zip(
-                wheel.numbers, self.sector_displacements(displacement), strict=True
+                wheel.numbers, self.iterate_sector_displacements(displacement), strict=True
             ):
                 wheel_displacement[:, numbers] = sector_displacement
         return wheel_displacement[:, : wheel.n_local]
@@ -618,4 +618,4 @@ def reduce_wheel(
     reduced_structure = reduce_structure(
         structure, modes=count, method="massless", reference=n_reference
     )
-    return reduced_structure._in_setting(wheel.setting, share=share)
+    return reduced_structure._in_setting(wheel.setting, removed_error_share=share)

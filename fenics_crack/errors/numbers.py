@@ -31,7 +31,7 @@ from fenics_crack.basics.errors import MOST_HARMONICS
 from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
-from fenics_crack.model.modes import FREQUENCY_KINDS, NEGLIGIBLE, bilinear_frequencies
+from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Faces, Harmonics, ObservedMotion, Record, rows_of
 from fenics_crack.motion.orbit import INSTANTS_PER_PERIOD, PeriodicOrbit
@@ -109,7 +109,7 @@ def _add_frequencies(
     modes_by_kind = {"open": sorted({1, 2, 3, mode})}
     if has_pairs:
         modes_by_kind |= {"tied": [mode], "bilinear": [mode]}
-    for kind in FREQUENCY_KINDS:
+    for kind in FREQUENCY_KIND_NAMES:
         for number in modes_by_kind.get(kind, []):
             if number <= len(frequencies.omega_open):
                 name = natural_name(scene, kind, number)

@@ -137,7 +137,7 @@ def pair_crack_faces(
         areas[pair_nodes] = shares.T @ areas
         nodal_force_shares.data /= np.repeat(areas[pair_nodes], np.diff(nodal_force_shares.indptr))
         gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-        fields = {"nodes": points, "shares": shares} if dimension == 3 else {}
+        fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
     if max_patches is None:
         kept_pairs = np.arange(n_inside)
         if mouth_only:
@@ -148,13 +148,15 @@ def pair_crack_faces(
                     ).values()
                 ]
             )
-            fields = {"nodes": points, "shares": shares[:, kept_pairs]} if fields else {}
+            fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_nodes, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
     points, areas, crack_index, distances_on_crack = (
         rows[pair_nodes] for rows in (points, areas, crack_index, distances_on_crack)
     )
     if dimension == 3:
-        fields["tangents"] = _free_rows(_tangential_gaps(gap, lower_gap, dofs.comm), dofs)
+        fields["tangential_gap_matrix"] = _free_rows(
+            _tangential_gaps(gap, lower_gap, dofs.comm), dofs
+        )
     pairs = Pairs(
         points,
         areas,

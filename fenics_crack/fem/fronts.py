@@ -571,10 +571,10 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return a front's stations, with positions, directions and touching pairs."""
     pairs, is_in_hats = structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
-    if pairs.nodes is not None and pairs.shares is not None:
+    if pairs.nodes is not None and pairs.pressure_matrix is not None:
         nearest_nodes = cKDTree(pairs.nodes).query(front.nodes)[1]
         adjacent_pairs = [
-            np.unique(pairs.shares[nearest_nodes[is_in_hat]].nonzero()[1])
+            np.unique(pairs.pressure_matrix[nearest_nodes[is_in_hat]].nonzero()[1])
             for is_in_hat in is_in_hats.T
         ]
     fine_parameters = np.linspace(
@@ -1040,7 +1040,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     force acts as a pressure shaped as the pair's pressure function.
     """
     pairs = structure.pairs
-    assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
+    assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None
     crack: CrackSurface = structure.nodes.mesh_dofs.plate.cracks[front.crack]  # type: ignore[union-attr]
     node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.nodes)
     front_distances, nearest_nodes = front_tree.query(crack.triangles)
@@ -1090,4 +1090,4 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         node_numbers = node_tree.query(corners[order])[1]
         factors[:, node_numbers] += front.hats_and_slopes(t)[0].T @ (kernel[:, None] * shape_values)
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
-    return np.asarray((pairs.shares.T @ factors.T).T / pairs.areas)
+    return np.asarray((pairs.pressure_matrix.T @ factors.T).T / pairs.areas)

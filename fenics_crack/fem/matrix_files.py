@@ -46,11 +46,11 @@ from fenics_crack.model.factor import distribute_rows, local_rows
 from fenics_crack.model.matrices import (
     LabelledMatrix,
     format_matrix_market,
+    make_whole_csr_matrix,
     read_matrix,
     read_matrix_market_shape,
-    read_whole_matrix,
 )
-from fenics_crack.model.modes import check_damped_modes
+from fenics_crack.model.modes import count_damped_modes
 from fenics_crack.model.nodes import Nodes, Pairs, format_point
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
@@ -184,7 +184,10 @@ def _read_files(
     n_rows = stiffness.matrix.shape[0]
     return (
         matrices,
-        {name: read_whole_matrix(name, Path(path), n_rows) for name, path in column_files.items()},
+        {
+            name: make_whole_csr_matrix(name, Path(path), n_rows)
+            for name, path in column_files.items()
+        },
         model,
     )
 
@@ -264,7 +267,7 @@ def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
     """Return a number, or a file's numbers (n_pairs,) for the pairs."""
     if not isinstance(setting, str):
         return setting
-    return read_whole_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
+    return make_whole_csr_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
 
 
 def count_pairs(table: StructureTable) -> int:
@@ -341,7 +344,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
             squares, mode_shapes = eigh(
                 full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
             )
-            n_damped = check_damped_modes(structure)
+            n_damped = count_damped_modes(structure)
             modal_damping = structure.damping.rate(squares[:n_damped])
             damping_factors = (
                 full_matrices["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)

@@ -104,8 +104,10 @@ class NodalMesh:
         )
         patch_centres, shares = np.zeros((2, len(points), self.structure.n_pairs))
         patch_centres[corners[distance <= tolerance], pair[distance <= tolerance]] = 1.0
-        if pairs.nodes is not None and pairs.shares is not None:
-            shares[corners] = pairs.shares[cKDTree(pairs.nodes).query(corner_points)[1]].toarray()
+        if pairs.nodes is not None and pairs.pressure_matrix is not None:
+            shares[corners] = pairs.pressure_matrix[
+                cKDTree(pairs.nodes).query(corner_points)[1]
+            ].toarray()
         else:
             shares[corners[has_twin], pair[has_twin]] = 1.0
         edge_ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)

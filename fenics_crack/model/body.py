@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.model.matrices import ReadOnlyArrays, read_only_rows
+from fenics_crack.model.matrices import ReadOnlyArrays, read_only_csr_matrix
 from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 
 
@@ -52,7 +52,7 @@ class Body(ReadOnlyArrays):
             object.__setattr__(self, "comm", self.mass.comm.tompi4py())
         for name in ("gap", "tangential"):
             if (sparse_rows := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only_rows(sparse_rows))
+                object.__setattr__(self, name, read_only_csr_matrix(sparse_rows))
         super().__post_init__()
 
 
@@ -74,7 +74,7 @@ class Setting:
 
     Attributes
     ----------
-    weights : float or (2K+1, 2K+1)
+    load_weights : float or (2K+1, 2K+1)
         Factor of the load, or matrix that maps the load's rows (mean, cosine and sine parts).
     damping_factor : float
         Factor of the damping.
@@ -84,7 +84,7 @@ class Setting:
         Dof of the whole structure for requested results. None: the body's.
     """
 
-    weights: float | np.ndarray = 1.0
+    load_weights: float | np.ndarray = 1.0
     damping_factor: float = 1.0
     clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
@@ -94,9 +94,10 @@ class Setting:
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )
-        weights, factor = np.dot(later_setting.weights, self.weights), later_setting.damping_factor
+        load_weights = np.dot(later_setting.load_weights, self.load_weights)
+        damping_factor = later_setting.damping_factor * self.damping_factor
         clearance = later_setting.clearance + self.clearance
-        return Setting(weights, factor * self.damping_factor, clearance, watched_dof)
+        return Setting(load_weights, damping_factor, clearance, watched_dof)
 
 
 DEFAULT_SETTING = Setting()

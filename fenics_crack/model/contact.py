@@ -239,10 +239,10 @@ class CoulombFriction:
         mu = _check_positive("friction coefficient", self.coefficient, allows_array=True)
         object.__setattr__(self, "coefficient", mu)
         if not np.array_equal(self.tangential_stiffness, np.inf):
-            stiffness = _check_positive(
+            tangential_stiffness = _check_positive(
                 "tangential stiffness", self.tangential_stiffness, allows_array=True
             )
-            object.__setattr__(self, "tangential_stiffness", stiffness)
+            object.__setattr__(self, "tangential_stiffness", tangential_stiffness)
 
     @property
     def stiffness(self) -> float | np.ndarray:
@@ -259,8 +259,10 @@ class CoulombFriction:
 
     def scaled(self, factor: float) -> CoulombFriction:
         """Return this law with factor * k and factor * k_t."""
-        stiffness = np.multiply(factor, self.tangential_stiffness)
-        return replace(self, law=self.law.scaled(factor), tangential_stiffness=stiffness)
+        scaled_tangential_stiffness = np.multiply(factor, self.tangential_stiffness)
+        return replace(
+            self, law=self.law.scaled(factor), tangential_stiffness=scaled_tangential_stiffness
+        )
 
 
 def friction_of(contact: object) -> CoulombFriction | None:
@@ -302,12 +304,12 @@ def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
     (n_pairs,) or (2 n_pairs,) [m/N]
         1/k; with friction followed by 1/k_t of the tangential springs.
     """
-    friction, unit_vector = friction_of(contact), np.ones(n_pairs)
-    normal_compliances = unit_vector / np.asarray(contact.stiffness, dtype=float)
+    friction, ones_per_pair = friction_of(contact), np.ones(n_pairs)
+    normal_compliances = ones_per_pair / np.asarray(contact.stiffness, dtype=float)
     if friction is None:
         return normal_compliances
     return np.concatenate(
-        [normal_compliances, unit_vector / np.asarray(friction.tangential_stiffness, dtype=float)]
+        [normal_compliances, ones_per_pair / np.asarray(friction.tangential_stiffness, dtype=float)]
     )
 
 
@@ -355,8 +357,12 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
     is_class = isinstance(contact, type)
     absent_members = [name for name in members if is_class or not hasattr(contact, name)]
     if absent_members or (is_rigid(contact) and not rigid):
-        lacks = f", with {', '.join(absent_members)}, which it lacks" if absent_members else ""
-        raise InputError("contact", contact, f"a contact law such as UnilateralPenalty(1e9){lacks}")
+        absent_text = (
+            f", with {', '.join(absent_members)}, which it lacks" if absent_members else ""
+        )
+        raise InputError(
+            "contact", contact, f"a contact law such as UnilateralPenalty(1e9){absent_text}"
+        )
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):
         requirement = f"one number or {structure.n_pairs}, one per pair"
@@ -373,15 +379,15 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
         np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(n_pairs)),
         type(law).__name__,
     )
-    for name in ("force", "tangent"):
+    for method_name in ("force", "tangent"):
         try:
-            outputs = numbers(getattr(law, name)(gap))
+            output_values = numbers(getattr(law, method_name)(gap))
         except (ArithmeticError, TypeError, ValueError, IndexError):
-            outputs = np.asarray(np.nan)
-        if outputs.shape != gap.shape or not np.all(np.isfinite(outputs)):
-            requirement = f"a law with a finite {name}(gap) for each gap, (n, n_pairs)"
+            output_values = np.asarray(np.nan)
+        if output_values.shape != gap.shape or not np.all(np.isfinite(output_values)):
+            requirement = f"a law with a finite {method_name}(gap) for each gap, (n, n_pairs)"
             raise InputError("contact", law_name, requirement)
-    if np.any(outputs < -MACHINE_EPSILON * np.abs(outputs).max(initial=0.0)):
+    if np.any(output_values < -MACHINE_EPSILON * np.abs(output_values).max(initial=0.0)):
         raise InputError("contact", law_name, "a law with tangent(gap) >= 0, a stiffness in N/m")
     try:
         half_law = law.scaled(0.5)
@@ -400,30 +406,35 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
 
     The slope is compared along gaps (n, n_pairs). At a kink, any slope between both sides is right.
     """
-    step = CENTRAL_DIFFERENCE_STEP * float(np.abs(gap).max(initial=0.0))
-    forces = [np.asarray(law.force(gap + offset * step)) for offset in (-2.0, -1.0, 0.0, 1.0, 2.0)]
-    increments, expected_increment = np.diff(forces, axis=0), step * law.tangent(gap)
+    gap_step = CENTRAL_DIFFERENCE_STEP * float(np.abs(gap).max(initial=0.0))
+    forces = [
+        np.asarray(law.force(gap + step_multiple * gap_step))
+        for step_multiple in (-2.0, -1.0, 0.0, 1.0, 2.0)
+    ]
+    increments, expected_increment = np.diff(forces, axis=0), gap_step * law.tangent(gap)
     increment_size = np.maximum(np.abs(increments).max(axis=0), np.abs(expected_increment))
-    excess = np.maximum(
+    slope_excess = np.maximum(
         increments[1:3].min(axis=0) - expected_increment,
         expected_increment - increments[1:3].max(axis=0),
     )
     # The outer increments differ from the inner ones by rounding, or if the slope bends within a
     # step. Differences leave some digits; half of these may be wrong.
     uncertainty = float(np.abs(increments[[0, 3]] - increments[[1, 2]]).max(initial=0.0))
-    if np.any(excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
+    if np.any(slope_excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
         requirement = "a law whose tangent(gap) is the slope of its force(gap)"
         raise InputError("contact", type(law).__name__, requirement)
 
 
 def _check_positive(key: str, number: object, *, allows_array: bool = False) -> float | np.ndarray:
     """Return a number > 0, or an array of them; else raise InputError."""
-    array = numbers(number)
-    is_positive = array.size > 0 and np.all(np.isfinite(array) & (array > 0.0))
-    if isinstance(number, str | bool) or array.ndim > allows_array or not is_positive:
+    number_array = numbers(number)
+    is_all_positive = number_array.size > 0 and np.all(
+        np.isfinite(number_array) & (number_array > 0.0)
+    )
+    if isinstance(number, str | bool) or number_array.ndim > allows_array or not is_all_positive:
         requirement = "a finite number > 0" + (", or one per pair" if allows_array else "")
         raise InputError(key, number, requirement)
-    return array.copy() if array.ndim else float(array)
+    return number_array.copy() if number_array.ndim else float(number_array)
 
 
 class FrictionSets:
@@ -445,10 +456,10 @@ class FrictionSets:
         # The kernel does not copy all of these.
         self._kernel_arrays = np.zeros((n_gaps, 1)), compliance, mu
         max_doubles = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
-        new_handle = kernel.new_closed_sets(
+        raw_handle = kernel.new_closed_sets(
             1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_doubles
         )
-        self.handle = attach_destructor(new_handle, kernel.free_closed_sets)
+        self.handle = attach_destructor(raw_handle, kernel.free_closed_sets)
         """The kernel's own object."""
 
     def solve(
@@ -475,7 +486,7 @@ class FrictionSets:
             0: open, 1: sticks, 2 and 3: slips with growing and with falling tangential gap.
         positions : (n, n_pairs) [m]
             Slider positions.
-        origins : (n_pairs,) int
+        last_unstuck_instants : (n_pairs,) int
             Last instant at which the pair did not stick, or 0.
 
         Raises
@@ -488,14 +499,21 @@ class FrictionSets:
         start_slider_positions = np.array(slider_positions, dtype=float)
         forces, sampled_slider_positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
         states = np.empty(sampled_slider_positions.shape, dtype=np.int8)
-        origins = np.empty(n_gaps // 2, dtype=np.intc)
-        arrays = map(
+        last_unstuck_instants = np.empty(n_gaps // 2, dtype=np.intc)
+        array_pointers = map(
             pointer,
-            (gap, start_slider_positions, forces, states, sampled_slider_positions, origins),
+            (
+                gap,
+                start_slider_positions,
+                forces,
+                states,
+                sampled_slider_positions,
+                last_unstuck_instants,
+            ),
         )
-        if kernel.march_friction(self.handle, n_instants, max_periods, *arrays):
+        if kernel.march_friction(self.handle, n_instants, max_periods, *array_pointers):
             raise ConvergenceError("contact: an instant has no forces, or more than one solution")
-        return forces, states, sampled_slider_positions, origins
+        return forces, states, sampled_slider_positions, last_unstuck_instants
 
 
 SETS_MEMORY_FRACTION = 1 / 32
@@ -579,18 +597,18 @@ class ActiveSetSolver:
             Closed pairs.
         """
         gap = require_shape(gap, len(gap), len(self.compliance))
-        guess = gap > 0.0 if is_closed is None else np.array(is_closed)
-        is_closed = require_shape(guess, *gap.shape, kind=bool)
-        force, has_failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
+        closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
+        is_closed = require_shape(closed_guess, *gap.shape, kind=bool)
+        force, is_failed_instant = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.solve_instants(
             self.handle,
             len(gap),
             pointer(gap),
             pointer(is_closed),
             pointer(force),
-            pointer(has_failed),
+            pointer(is_failed_instant),
         )
-        for instant in np.flatnonzero(has_failed):
+        for instant in np.flatnonzero(is_failed_instant):
             force[instant] = solve_by_least_squares(self.compliance, gap[instant])
             is_closed[instant] = force[instant] > 0.0
         return force, is_closed
@@ -620,9 +638,9 @@ def solve_complementarity(
     ConvergenceError
         There is no solution, or none was found.
     """
-    guess = None if is_closed is None else np.array(is_closed)[None]
+    closed_guess = None if is_closed is None else np.array(is_closed)[None]
     return np.asarray(
-        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], guess)[0][0]
+        ActiveSetSolver(matrix).solve(require_shape(gap, len(matrix))[None], closed_guess)[0][0]
     )
 
 
@@ -634,17 +652,22 @@ def solve_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     import scipy.optimize  # takes a while, and is rarely needed
 
     symmetric_part = 0.5 * (matrix + matrix.T)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric_part), np.finfo(float).tiny))
-    eigenvalues, eigenvectors = np.linalg.eigh(scale[:, None] * symmetric_part * scale)
+    unit_diagonal_scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric_part), np.finfo(float).tiny))
+    eigenvalues, eigenvectors = np.linalg.eigh(
+        unit_diagonal_scale[:, None] * symmetric_part * unit_diagonal_scale
+    )
     sqrt_eigenvalues = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
     tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
     for _ in range(MAX_NEWTON_SMOOTH):
-        target = (
-            eigenvectors.T @ (scale * (gap - (matrix - symmetric_part) @ force))
+        least_squares_target = (
+            eigenvectors.T @ (unit_diagonal_scale * (gap - (matrix - symmetric_part) @ force))
         ) / sqrt_eigenvalues
         try:
-            force = scale * scipy.optimize.nnls((eigenvectors * sqrt_eigenvalues).T, target)[0]
+            force = (
+                unit_diagonal_scale
+                * scipy.optimize.nnls((eigenvectors * sqrt_eigenvalues).T, least_squares_target)[0]
+            )
         except RuntimeError:
             break
         opening = matrix @ force - gap
@@ -688,9 +711,9 @@ def smooth_forces_and_slopes(
     spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
     guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
     force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
-    slope = law.tangent(gap - force @ compliance)
-    jacobian = np.eye(gap.shape[1]) + compliance * slope[:, None, :]
-    return force, slope[:, :, None] * np.linalg.inv(jacobian)
+    law_slope = law.tangent(gap - force @ compliance)
+    jacobian = np.eye(gap.shape[1]) + compliance * law_slope[:, None, :]
+    return force, law_slope[:, :, None] * np.linalg.inv(jacobian)
 
 
 def solve_forces(
@@ -731,45 +754,48 @@ def solve_forces(
         total_gap = slow_gap - force @ matrix
         return (total_gap, *response(total_gap))
 
-    solution, active_rows = np.array(guess), np.arange(len(gap))
-    identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(solution, gap)
+    all_forces, unfinished_instants = np.array(guess), np.arange(len(gap))
+    identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(all_forces, gap)
     for _ in range(MAX_NEWTON_SMOOTH):
-        force, active_gap = solution[active_rows], gap[active_rows]
-        excess = force - law_force
-        if not np.any(excess):
-            return solution
+        force, unfinished_gap = all_forces[unfinished_instants], gap[unfinished_instants]
+        force_excess = force - law_force
+        if not np.any(force_excess):
+            return all_forces
         try:
             newton_change = -np.linalg.solve(
-                identity + tangent[:, :, None] * matrix, excess[:, :, None]
+                identity + tangent[:, :, None] * matrix, force_excess[:, :, None]
             )
         except np.linalg.LinAlgError:
             break
-        gap_change, trial = newton_change[:, :, 0] @ matrix, force + newton_change[:, :, 0]
-        if not np.all(np.isfinite(trial)):
+        gap_change, trial_forces = newton_change[:, :, 0] @ matrix, force + newton_change[:, :, 0]
+        if not np.all(np.isfinite(trial_forces)):
             break
-        solution[active_rows] = trial
-        gap_size = (np.abs(active_gap) + np.abs(active_gap - reached_gap)).max(axis=1)
-        is_unfinished = np.abs(gap_change).max(axis=1) > ROUNDING * gap_size
-        if not np.any(is_unfinished):
-            return solution
-        active_rows, force = active_rows[is_unfinished], force[is_unfinished]
-        gap_change, active_gap = gap_change[is_unfinished], active_gap[is_unfinished]
-        slope_tolerance = -0.1 * np.sum(gap_change * excess[is_unfinished], axis=1)
-        reached_gap, law_force, tangent = evaluate(solution[active_rows], active_gap)
-        slope = np.sum(gap_change * (solution[active_rows] - law_force), axis=1)
-        is_too_far = (slope_tolerance > 0.0) & (slope > slope_tolerance)
+        all_forces[unfinished_instants] = trial_forces
+        gap_size = (np.abs(unfinished_gap) + np.abs(unfinished_gap - reached_gap)).max(axis=1)
+        is_still_unfinished = np.abs(gap_change).max(axis=1) > ROUNDING * gap_size
+        if not np.any(is_still_unfinished):
+            return all_forces
+        unfinished_instants = unfinished_instants[is_still_unfinished]
+        force, unfinished_gap = force[is_still_unfinished], unfinished_gap[is_still_unfinished]
+        gap_change = gap_change[is_still_unfinished]
+        slope_tolerance = -0.1 * np.sum(gap_change * force_excess[is_still_unfinished], axis=1)
+        reached_gap, law_force, tangent = evaluate(all_forces[unfinished_instants], unfinished_gap)
+        step_slopes = np.sum(gap_change * (all_forces[unfinished_instants] - law_force), axis=1)
+        is_too_far = (slope_tolerance > 0.0) & (step_slopes > slope_tolerance)
         if np.any(is_too_far):
-            long_rows, start_force = active_rows[is_too_far], force[is_too_far]
-            step = solution[long_rows] - start_force
-            fraction = _minimise_along_steps(
-                evaluate, start_force, step, active_gap[is_too_far], slope_tolerance[is_too_far]
+            long_step_instants, start_force = unfinished_instants[is_too_far], force[is_too_far]
+            step = all_forces[long_step_instants] - start_force
+            step_fractions = _find_step_fractions(
+                evaluate, start_force, step, unfinished_gap[is_too_far], slope_tolerance[is_too_far]
             )
-            solution[long_rows] = start_force + fraction[:, None] * step
-            reached_gap, law_force, tangent = evaluate(solution[active_rows], active_gap)
+            all_forces[long_step_instants] = start_force + step_fractions[:, None] * step
+            reached_gap, law_force, tangent = evaluate(
+                all_forces[unfinished_instants], unfinished_gap
+            )
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
 
 
-def _minimise_along_steps(
+def _find_step_fractions(
     evaluate: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
     force: np.ndarray,
     step: np.ndarray,
@@ -797,13 +823,13 @@ def _minimise_along_steps(
         Fractions from 0 to 1.
     """
     gap_change = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
-    fraction, half_width = np.full(len(force), 0.5), 0.5
+    fractions, half_width = np.full(len(force), 0.5), 0.5
     while half_width > MACHINE_EPSILON:
-        trial = force + fraction[:, None] * step
-        slope = np.sum(gap_change * (trial - evaluate(trial, gap)[1]), axis=1)
-        is_steep = np.abs(slope) > slope_tolerance
+        trial_forces = force + fractions[:, None] * step
+        slopes = np.sum(gap_change * (trial_forces - evaluate(trial_forces, gap)[1]), axis=1)
+        is_steep = np.abs(slopes) > slope_tolerance
         if not np.any(is_steep):
             break
         half_width *= 0.5
-        fraction -= np.where(is_steep, np.copysign(half_width, slope), 0.0)
-    return fraction
+        fractions -= np.where(is_steep, np.copysign(half_width, slopes), 0.0)
+    return fractions

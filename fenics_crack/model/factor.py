@@ -82,15 +82,15 @@ def distribute_rows(rows: Any, comm: MPI.Comm) -> Any:
     rows : (n_local, n)
         Rows of this rank, sparse or dense.
     """
-    entries = sparse.coo_matrix(rows)
-    n_local = entries.shape[0]
-    diagonal = np.arange(n_local)
+    coo_rows = sparse.coo_matrix(rows)
+    n_local = coo_rows.shape[0]
+    diagonal_indices = np.arange(n_local)
     rows_and_columns = (
-        np.append(entries.row, diagonal),
-        np.append(entries.col, (comm.exscan(n_local) or 0) + diagonal),
+        np.append(coo_rows.row, diagonal_indices),
+        np.append(coo_rows.col, (comm.exscan(n_local) or 0) + diagonal_indices),
     )
     completed_rows = sparse.csr_matrix(
-        (np.append(entries.data, 0.0 * diagonal), rows_and_columns), entries.shape
+        (np.append(coo_rows.data, 0.0 * diagonal_indices), rows_and_columns), coo_rows.shape
     )
     return square_matrix(completed_rows, comm)
 
@@ -141,9 +141,9 @@ class Factor:
 
     Attributes
     ----------
-    null_pivots : int
+    n_null_pivots : int
         Number of zero pivots, the dimension of the null space.
-    negative_pivots : int
+    n_negative_pivots : int
         Number of negative eigenvalues of a symmetric matrix on the space with B^T x = 0, by
         Sylvester's law of inertia.
 
@@ -153,7 +153,7 @@ class Factor:
     matrix together. PETSc options with the prefix ``crack_factor_`` reach the solver.
     """
 
-    null_pivots = negative_pivots = 0
+    n_null_pivots = n_negative_pivots = 0
 
     def __init__(
         self,
@@ -168,7 +168,7 @@ class Factor:
         self._matrix = matrix if border is None else _border_matrix(matrix, border)
         self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
         self._vectors = self._matrix.createVecs()
-        self._kind = "cholesky" if symmetric else "lu"
+        self._pc_type = "cholesky" if symmetric else "lu"
         if definite and border is None and matrix.comm.size == 1:
             try:
                 self._factorise("cholmod" if symmetric else "umfpack")
@@ -176,29 +176,31 @@ class Factor:
             except PETSc.Error:
                 self._destroy_factor()
         self._factorise("mumps")
-        self.null_pivots = int(self._factor.getMumpsInfog(28))
-        self.negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
+        self.n_null_pivots = int(self._factor.getMumpsInfog(28))
+        self.n_negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
     def _factorise(self, solver: str) -> None:
         """Factor the matrix with one of PETSc's solver packages (collective)."""
         self._pc, self._factor = PETSc.PC().create(self._matrix.comm), PETSc.Mat()
         self._pc.setOptionsPrefix(OPTIONS_PREFIX)
         self._pc.setOperators(self._matrix)
-        self._pc.setType(self._kind)
+        self._pc.setType(self._pc_type)
         self._pc.setFactorSolverType(solver)
         options, default_options = PETSc.Options(), {}
         if solver == "cholmod":  # no warning for each zero pivot; PETSc reads one of both options
             default_options = {PRINT_OPTION: 0, OPTIONS_PREFIX + PRINT_OPTION: 0}
         elif solver == "mumps":
-            entries = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-            if entries < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
+            n_nonzeros = self._matrix.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+            if n_nonzeros < MIN_SOLID_ROW_ENTRIES * self._matrix.size[0]:
                 # Minimum fill; setMumpsIcntl does not last.
                 default_options = {OPTIONS_PREFIX + ORDERING_OPTION: 2}
         default_options = {
-            name: number for name, number in default_options.items() if not options.hasName(name)
+            option_name: option_value
+            for option_name, option_value in default_options.items()
+            if not options.hasName(option_name)
         }
-        for name, number in default_options.items():
-            options[name] = number
+        for option_name, option_value in default_options.items():
+            options[option_name] = option_value
         try:
             self._pc.setFactorSetUpSolverType()
             self._factor = self._pc.getFactorMatrix()
@@ -208,8 +210,8 @@ class Factor:
             self._pc.setFromOptions()
             self._pc.setUp()
         finally:
-            for name in default_options:
-                options.delValue(name)
+            for option_name in default_options:
+                options.delValue(option_name)
 
     def apply(self, rhs: Any, solution: Any) -> None:
         """Solve A x = ``rhs`` for one PETSc vector, into ``solution`` (collective)."""
@@ -241,21 +243,21 @@ class Factor:
 
     def _solve_block(self, rhs: np.ndarray) -> np.ndarray:
         """Solve for at most MAX_BLOCK_COLUMNS right-hand sides, as :meth:`solve` (collective)."""
-        (n_columns, n_local), comm = rhs.shape, self._matrix.comm
+        (n_columns, n_local_dofs), comm = rhs.shape, self._matrix.comm
         n_own_rows, n_rows = self._matrix.sizes[0]
-        rhs_columns = np.zeros((n_own_rows, n_columns), order="F")
-        rhs_columns[:n_local] = rhs.T
+        rhs_array = np.zeros((n_own_rows, n_columns), order="F")
+        rhs_array[:n_local_dofs] = rhs.T
         rhs_matrix, solution_matrix = (
             PETSc.Mat().createDense(
-                ((n_own_rows, n_rows), (PETSc.DECIDE, n_columns)), array=array, comm=comm
+                ((n_own_rows, n_rows), (PETSc.DECIDE, n_columns)), array=column_array, comm=comm
             )
-            for array in (rhs_columns, None)
+            for column_array in (rhs_array, None)
         )
         for dense_matrix in (rhs_matrix, solution_matrix):
             dense_matrix.setUp()
             dense_matrix.assemble()
         self._factor.matSolve(rhs_matrix, solution_matrix)
-        solutions = np.array(solution_matrix.getDenseArray()[:n_local].T)
+        solutions = np.array(solution_matrix.getDenseArray()[:n_local_dofs].T)
         rhs_matrix.destroy()
         solution_matrix.destroy()
         return solutions
@@ -296,11 +298,14 @@ def _border_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     ``border`` is B, and s the size of A. The last rank owns the rows of B^T.
     """
     comm, n_border = matrix.comm.tompi4py(), border.shape[1]
-    scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
-    rows = sparse.hstack([local_rows(matrix), scale * border])
+    border_scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
+    bordered_rows = sparse.hstack([local_rows(matrix), border_scale * border])
     border_everywhere = sparse.vstack(comm.allgather(border), "csr")
     if comm.rank == comm.size - 1:
-        rows = sparse.vstack(
-            [rows, sparse.hstack([scale * border_everywhere.T, np.zeros((n_border, n_border))])]
+        bordered_rows = sparse.vstack(
+            [
+                bordered_rows,
+                sparse.hstack([border_scale * border_everywhere.T, np.zeros((n_border, n_border))]),
+            ]
         )
-    return distribute_rows(rows, comm)
+    return distribute_rows(bordered_rows, comm)

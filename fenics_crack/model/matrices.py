@@ -95,21 +95,26 @@ class LabelledMatrix:
         ValueError
             The stiffness lacks a row of this matrix.
         """
-        labels = stiffness.labels
-        if self.labels is None or labels is None or np.array_equal(self.labels, labels):
+        stiffness_labels = stiffness.labels
+        if (
+            self.labels is None
+            or stiffness_labels is None
+            or np.array_equal(self.labels, stiffness_labels)
+        ):
             return self.matrix
-        row_indices = {tuple(label): row for row, label in enumerate(labels.tolist())}
-        held_labels = [] if stiffness.held_labels is None else stiffness.held_labels.tolist()
-        row_indices |= dict.fromkeys(map(tuple, held_labels), -1)
-        rows = [row_indices.get(tuple(label)) for label in self.labels.tolist()]
+        row_by_label = {tuple(label): row for row, label in enumerate(stiffness_labels.tolist())}
+        held_label_list = [] if stiffness.held_labels is None else stiffness.held_labels.tolist()
+        row_by_label |= dict.fromkeys(map(tuple, held_label_list), -1)
+        rows = [row_by_label.get(tuple(label)) for label in self.labels.tolist()]
         if None in rows:
             node, direction = self.labels[rows.index(None)]
             raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
-        entries, new_rows = self.matrix.tocoo(), np.array(rows, dtype=int)
-        is_kept = (new_rows[entries.row] >= 0) & (new_rows[entries.col] >= 0)
-        rows_and_columns = new_rows[entries.row[is_kept]], new_rows[entries.col[is_kept]]
+        coo_matrix, new_rows = self.matrix.tocoo(), np.array(rows, dtype=int)
+        is_kept = (new_rows[coo_matrix.row] >= 0) & (new_rows[coo_matrix.col] >= 0)
+        rows_and_columns = new_rows[coo_matrix.row[is_kept]], new_rows[coo_matrix.col[is_kept]]
         return sparse.csr_matrix(
-            (entries.data[is_kept], rows_and_columns), (len(labels), len(labels))
+            (coo_matrix.data[is_kept], rows_and_columns),
+            (len(stiffness_labels), len(stiffness_labels)),
         )
 
 
@@ -167,23 +172,25 @@ def read_labels(path: Path) -> np.ndarray:
         As :func:`read_matrix`.
     """
     labels: list[tuple[int, int]] = []
-    rows: list[int] = []
+    row_numbers: list[int] = []
     for number, line in numbered_lines(path, "#"):
         match = _LABEL_PATTERN.fullmatch(line.rstrip())
         if match is not None and match[3] in DIRECTION_NUMBERS:
             labels.append((int(match[2]), DIRECTION_NUMBERS[match[3]]))
-            rows.append(int(match[1] or len(labels)))
+            row_numbers.append(int(match[1] or len(labels)))
         elif labels:
             raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
     if not labels or len(set(labels)) < len(labels):
         raise ValueError(f"{path.name}: {'a row twice' if labels else 'no dof of a node'}")
-    order = np.argsort(rows)
-    if np.any(np.diff(np.array(rows)[order]) != 1) or min(rows) > 1:
-        raise ValueError(f"{path.name}: its rows are not numbered from 1 to {len(rows)}, each once")
-    return np.array(labels, dtype=np.int64)[order]
+    label_order = np.argsort(row_numbers)
+    if np.any(np.diff(np.array(row_numbers)[label_order]) != 1) or min(row_numbers) > 1:
+        raise ValueError(
+            f"{path.name}: its rows are not numbered from 1 to {len(row_numbers)}, each once"
+        )
+    return np.array(labels, dtype=np.int64)[label_order]
 
 
-def _mirror_triangle(
+def _make_matrix_from_triangle(
     entries: np.ndarray, rows: np.ndarray, columns: np.ndarray, n: int, sign: int = 1
 ) -> sparse.csr_matrix:
     """Make a symmetric or skew-symmetric matrix from one triangle.
@@ -213,10 +220,11 @@ def _mirror_triangle(
         if has_twin.all():
             return sparse.csr_matrix((entries, (rows, columns)), (n, n))
         if has_twin.any():
-            row = rows[is_off_diagonal][has_twin][0] + 1
-            column = columns[is_off_diagonal][has_twin][0] + 1
+            row_number = rows[is_off_diagonal][has_twin][0] + 1
+            column_number = columns[is_off_diagonal][has_twin][0] + 1
             raise ValueError(
-                f"row {row}, column {column} is there on both sides of the diagonal, others on one"
+                f"row {row_number}, column {column_number} is there on both sides of the diagonal, "
+                "others on one"
             )
     rows_and_columns = (
         np.append(rows, columns[is_off_diagonal]),
@@ -241,36 +249,41 @@ def _build_labelled_matrix(
     has_both_triangles : bool
         True if the entries fill both triangles of the matrix.
     """
-    (node_numbers, node_indices), (directions, direction_indices) = (
+    (distinct_nodes, node_indices), (distinct_directions, direction_indices) = (
         np.unique(entry_labels[..., axis].ravel(), return_inverse=True) for axis in range(2)
     )
     # One key for each label: unique rows take longer.
-    entry_keys = node_indices * len(directions) + direction_indices
-    label_keys, entry_rows = np.unique(entry_keys, return_inverse=True)
+    entry_keys = node_indices * len(distinct_directions) + direction_indices
+    distinct_keys, label_indices = np.unique(entry_keys, return_inverse=True)
     labels = np.column_stack(
-        [node_numbers[label_keys // len(directions)], directions[label_keys % len(directions)]]
+        [
+            distinct_nodes[distinct_keys // len(distinct_directions)],
+            distinct_directions[distinct_keys % len(distinct_directions)],
+        ]
     )
-    rows, columns = entry_rows.reshape(-1, 2).T
+    rows, columns = label_indices.reshape(-1, 2).T
     n = len(labels)
     if has_both_triangles:
         return LabelledMatrix(sparse.csr_matrix((entries, (rows, columns)), (n, n)), labels)
-    return LabelledMatrix(_mirror_triangle(entries, rows, columns, n), labels)
+    return LabelledMatrix(_make_matrix_from_triangle(entries, rows, columns, n), labels)
 
 
 def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
     """Read a CalculiX matrix; every row must have a diagonal entry."""
     labels = read_labels(labels_path)
-    entries, n = read_number_rows(path, 3, "#"), len(labels)
-    indices = entries[:, :2]
+    entry_table, n = read_number_rows(path, 3, "#"), len(labels)
+    indices = entry_table[:, :2]
     is_invalid = np.any((indices < 1) | (indices > n) | (indices % 1 != 0), axis=1)
     if np.any(is_invalid):
-        line = int(np.argmax(is_invalid)) + 1
-        raise ValueError(f"line {line}: {indices[line - 1].tolist()} is outside of {n} rows")
+        line_number = int(np.argmax(is_invalid)) + 1
+        raise ValueError(
+            f"line {line_number}: {indices[line_number - 1].tolist()} is outside of {n} rows"
+        )
     rows, columns = (indices - 1).astype(int).T
     missing_rows = np.setdiff1d(np.arange(n), rows[rows == columns])
     if len(missing_rows):
         raise ValueError(f"it ends early: row {missing_rows[0] + 1} of {n} has no diagonal")
-    return LabelledMatrix(_mirror_triangle(entries[:, 2], rows, columns, n), labels)
+    return LabelledMatrix(_make_matrix_from_triangle(entry_table[:, 2], rows, columns, n), labels)
 
 
 def _is_abaqus_file(path: Path) -> bool:
@@ -280,17 +293,19 @@ def _is_abaqus_file(path: Path) -> bool:
 
 def _read_abaqus(path: Path) -> LabelledMatrix:
     """Read an Abaqus matrix without the clamped dofs."""
-    entries = read_number_rows(path, 5, "*", ",")
+    entry_table = read_number_rows(path, 5, "*", ",")
     labelled_matrix = _build_labelled_matrix(
-        entries[:, :4].astype(np.int64).reshape(-1, 2, 2), entries[:, 4], has_both_triangles=False
+        entry_table[:, :4].astype(np.int64).reshape(-1, 2, 2),
+        entry_table[:, 4],
+        has_both_triangles=False,
     )
     assert labelled_matrix.labels is not None
     # 1e36 on the diagonal marks a dof that Abaqus holds.
-    free_rows = np.flatnonzero(is_free := labelled_matrix.matrix.diagonal() < 1e36)
+    free_row_indices = np.flatnonzero(is_free := labelled_matrix.matrix.diagonal() < 1e36)
     held_labels = labelled_matrix.labels[~is_free]
     return LabelledMatrix(
-        labelled_matrix.matrix[free_rows][:, free_rows],
-        labelled_matrix.labels[free_rows],
+        labelled_matrix.matrix[free_row_indices][:, free_row_indices],
+        labelled_matrix.labels[free_row_indices],
         held_labels,
     )
 
@@ -373,7 +388,7 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                 raise ValueError
             words_per_number = 2 if type_code in (2, 4) else 1
             entries: list[float] = []
-            entry_indices: list[tuple[int, int]] = []
+            entry_positions: list[tuple[int, int]] = []
             while True:
                 column, first_row, n_words_left = read_integers(3)
                 while n_words_left > 0:
@@ -389,13 +404,13 @@ def _read_op4(path: Path, kind: str) -> sparse.csr_matrix:
                     n_words_left -= length + n_header_words
                     if is_wanted and column <= n_columns:
                         entries += numbers
-                        entry_indices += [
+                        entry_positions += [
                             (row - 1 + offset, column - 1) for offset in range(len(numbers))
                         ]
                 if column > n_columns:
                     break
             if is_wanted:
-                row_and_column = np.array(entry_indices, dtype=np.int64).reshape(-1, 2).T
+                row_and_column = np.array(entry_positions, dtype=np.int64).reshape(-1, 2).T
                 matrix = sparse.csr_matrix(
                     (entries, tuple(row_and_column)), (abs(n_rows), n_columns)
                 )
@@ -426,19 +441,20 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    with opened_text(path) as (text, max_bytes):
-        lines = iter(text)
-        (layout, symmetry), sizes, n_entries = _read_header_and_sizes(lines, max_bytes)
+    with opened_text(path) as (text_file, allowed_bytes):
+        text_lines = iter(text_file)
+        (layout, symmetry), sizes, n_entries = _read_header_and_sizes(text_lines, allowed_bytes)
         shape = sizes[0], sizes[1]
         if n_rows is not None and shape[0] != n_rows:
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
         if symmetry != "general" and shape[0] != shape[1]:
             raise ValueError(f"{symmetry}, but of shape {shape}")
-        table = rows_in(lines, "%", most=n_entries + 1)
+        table = rows_in(text_lines, "%", most=n_entries + 1)
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
-        count = "more" if n_found > n_entries else n_found  # reading stops after one too many
-        raise ValueError(f"it has {count} entries instead of {n_entries}")
+        # Reading stops after one too many.
+        shown_count = "more" if n_found > n_entries else n_found
+        raise ValueError(f"it has {shown_count} entries instead of {n_entries}")
     if layout == "array":
         entries, rows_and_columns = table.ravel(), _dense_rows_and_columns(shape, symmetry)
     elif max(shape) > max(len(table), n_rows or 1):
@@ -448,7 +464,9 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     if symmetry == "general":
         matrix = sparse.csr_matrix((entries, rows_and_columns), shape)
     else:
-        matrix = _mirror_triangle(entries, *rows_and_columns, shape[0], TRANSPOSE_SIGNS[symmetry])
+        matrix = _make_matrix_from_triangle(
+            entries, *rows_and_columns, shape[0], TRANSPOSE_SIGNS[symmetry]
+        )
     if layout == "array":
         matrix.eliminate_zeros()
     return matrix
@@ -459,14 +477,14 @@ def format_matrix_market(matrix: sparse.spmatrix) -> str:
 
     Every number is read back exactly. A symmetric matrix is written as one triangle.
     """
-    entries, symmetry = sparse.coo_matrix(matrix), "general"
-    if entries.shape[0] == entries.shape[1] and (entries != entries.T).nnz == 0:
-        entries, symmetry = sparse.tril(entries, format="coo"), "symmetric"
-    columns = entries.row + 1, entries.col + 1, entries.data
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    lines = [f"{row} {column} {number!r}\n" for row, column, number in rows]
-    sizes = f"{entries.shape[0]} {entries.shape[1]} {entries.nnz}"
-    return "".join([f"%%MatrixMarket matrix coordinate real {symmetry}\n{sizes}\n", *lines])
+    coo_matrix, symmetry = sparse.coo_matrix(matrix), "general"
+    if coo_matrix.shape[0] == coo_matrix.shape[1] and (coo_matrix != coo_matrix.T).nnz == 0:
+        coo_matrix, symmetry = sparse.tril(coo_matrix, format="coo"), "symmetric"
+    table_columns = coo_matrix.row + 1, coo_matrix.col + 1, coo_matrix.data
+    entry_tuples = zip(*(column.tolist() for column in table_columns), strict=True)
+    lines = [f"{row} {column} {value!r}\n" for row, column, value in entry_tuples]
+    sizes_line = f"{coo_matrix.shape[0]} {coo_matrix.shape[1]} {coo_matrix.nnz}"
+    return "".join([f"%%MatrixMarket matrix coordinate real {symmetry}\n{sizes_line}\n", *lines])
 
 
 def read_matrix_market_shape(path: Path) -> tuple[int, int]:
@@ -479,15 +497,15 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     OSError, ValueError
         As :func:`read_matrix_market`.
     """
-    with opened_text(path) as (lines, max_bytes):
-        _, sizes, _ = _read_header_and_sizes(iter(lines), max_bytes)
+    with opened_text(path) as (text_file, allowed_bytes):
+        _, sizes, _ = _read_header_and_sizes(iter(text_file), allowed_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
 
 
 def _read_header_and_sizes(
-    lines: Iterator[str], max_bytes: int
+    lines: Iterator[str], allowed_bytes: int
 ) -> tuple[tuple[str, str], list[int], int]:
     """Read the header of a Matrix Market file and its line with the sizes.
 
@@ -508,11 +526,11 @@ def _read_header_and_sizes(
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
-    elif sign := TRANSPOSE_SIGNS.get(header[1]):  # from the diagonal down
-        n_entries = n_rows * (n_rows + sign) // 2
+    elif transpose_sign := TRANSPOSE_SIGNS.get(header[1]):  # from the diagonal down
+        n_entries = n_rows * (n_rows + transpose_sign) // 2
     else:
         n_entries = n_rows * n_columns
-    if n_entries * MIN_ENTRY_BYTES[header[0]] > max_bytes:
+    if n_entries * MIN_ENTRY_BYTES[header[0]] > allowed_bytes:
         raise ValueError(f"it announces {n_entries} entries, more than it can hold")
     return header, sizes, n_entries
 
@@ -576,8 +594,8 @@ def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
 
     Empty lines are left out.
     """
-    with opened_text(path, "replace") as (lines, _):
-        for number, line in enumerate(lines, 1):
+    with opened_text(path, "replace") as (text_file, _):
+        for number, line in enumerate(text_file, 1):
             if text := line.partition(comment)[0].rstrip():
                 yield number, text
 
@@ -593,10 +611,14 @@ def read_number_rows(
         The file cannot be read, or a line has other than ``n_columns`` finite numbers.
     """
     try:
-        with opened_text(path) as (lines, _):
-            rows = rows_in(lines, comment, delimiter)
-        if rows.shape[1] == n_columns and len(rows) and np.all(np.isfinite(rows)):
-            return rows
+        with opened_text(path) as (text_file, _):
+            rows_of_numbers = rows_in(text_file, comment, delimiter)
+        if (
+            rows_of_numbers.shape[1] == n_columns
+            and len(rows_of_numbers)
+            and np.all(np.isfinite(rows_of_numbers))
+        ):
+            return rows_of_numbers
     except ValueError:  # NumPy's message counts lines in another way than an editor
         pass
     for number, line in numbered_lines(path, comment):
@@ -671,19 +693,19 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
     Shape and entries are checked.
     """
     is_petsc = isinstance(data, PETSc.Mat)
-    matrix = data if is_petsc else sparse.csr_matrix(_load_matrix(name, data, n))
-    n_rows, n_columns = matrix.size if is_petsc else matrix.shape
+    given_matrix = data if is_petsc else sparse.csr_matrix(_load_matrix(name, data, n))
+    n_rows, n_columns = given_matrix.size if is_petsc else given_matrix.shape
     if n_rows != n_columns or n_rows == 0 or n not in (None, n_rows):
         requirement = "of shape (n, n)" if n is None else f"of shape ({n}, {n})"
         raise InputError(name, (n_rows, n_columns), requirement)
     if not is_petsc:
-        _check_entries(name, matrix.data)
+        _check_entries(name, given_matrix.data)
         start, stop = (n_rows * comm.rank) // comm.size, (n_rows * (comm.rank + 1)) // comm.size
-        return distribute_rows(matrix[start:stop], comm)
+        return distribute_rows(given_matrix[start:stop], comm)
     comm = data.comm.tompi4py()
-    petsc_rows = local_rows(data.convert("aij", PETSc.Mat()))
-    on_each(comm, lambda: _check_entries(name, petsc_rows.data))
-    return distribute_rows(petsc_rows, comm)
+    own_rows = local_rows(data.convert("aij", PETSc.Mat()))
+    on_each(comm, lambda: _check_entries(name, own_rows.data))
+    return distribute_rows(own_rows, comm)
 
 
 def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
@@ -703,7 +725,7 @@ def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
     return matrix
 
 
-def read_whole_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
+def make_whole_csr_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
     """Return a vector or matrix whole on every rank, as a matrix (n, m).
 
     ``data`` is an array, a PETSc object, which is gathered from all ranks (collective), or the path
@@ -715,12 +737,12 @@ def read_whole_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
         first_row, end_row = data.owner_range
         own_rows = data.getValues(range(first_row, end_row), range(data.size[1]))
         data = gather_rows(data.comm.tompi4py(), np.atleast_2d(own_rows))
-    matrix = _load_matrix(name, data, n)
-    if matrix.ndim == 0 or matrix.shape[0] != n:
-        raise InputError(name, matrix.shape, f"with {n} rows")
-    matrix = sparse.csr_matrix(matrix.reshape(n, -1))
-    _check_entries(name, matrix.data)
-    return matrix
+    loaded_matrix = _load_matrix(name, data, n)
+    if loaded_matrix.ndim == 0 or loaded_matrix.shape[0] != n:
+        raise InputError(name, loaded_matrix.shape, f"with {n} rows")
+    loaded_matrix = sparse.csr_matrix(loaded_matrix.reshape(n, -1))
+    _check_entries(name, loaded_matrix.data)
+    return loaded_matrix
 
 
 def _check_entries(name: str, entries: np.ndarray) -> None:
@@ -728,15 +750,17 @@ def _check_entries(name: str, entries: np.ndarray) -> None:
 
     The largest entry must be 0, or so large or small that its powers neither overflow nor vanish.
     """
-    sizes = np.abs(entries)
-    if not np.all(np.isfinite(sizes)):
-        invalid_entries = entries[~np.isfinite(sizes)]
-        raise InputError(name, float(invalid_entries.ravel()[0]), "finite in every entry")
-    max_size = float(sizes.max(initial=0.0))
-    max_allowed_size = LARGEST**2  # the product of two numbers in a scene
-    if max_size and not 1.0 / max_allowed_size <= max_size <= max_allowed_size:
-        requirement = f"0 or from {1.0 / max_allowed_size:g} to {max_allowed_size:g} in size"
-        raise InputError(name, f"{max_size:g}, the largest entry", requirement)
+    magnitudes = np.abs(entries)
+    if not np.all(np.isfinite(magnitudes)):
+        invalid_values = entries[~np.isfinite(magnitudes)]
+        raise InputError(name, float(invalid_values.ravel()[0]), "finite in every entry")
+    max_magnitude = float(magnitudes.max(initial=0.0))
+    max_allowed_magnitude = LARGEST**2  # the product of two numbers in a scene
+    if max_magnitude and not 1.0 / max_allowed_magnitude <= max_magnitude <= max_allowed_magnitude:
+        requirement = (
+            f"0 or from {1.0 / max_allowed_magnitude:g} to {max_allowed_magnitude:g} in size"
+        )
+        raise InputError(name, f"{max_magnitude:g}, the largest entry", requirement)
 
 
 def check_parts(
@@ -746,7 +770,7 @@ def check_parts(
     """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
 
     The damping is checked elsewhere. ``gaps`` are the matrices B of the normal and B_t of the
-    tangential gaps, or None. ``forces`` are the load's parts by the names of their arguments.
+    tangential gaps, or None. ``load_parts`` are the load's parts by the names of their arguments.
 
     Returns
     -------
@@ -759,14 +783,18 @@ def check_parts(
     _check_symmetric("mass", mass)
     _check_symmetric("stiffness", stiffness)
     with Factor(mass) as factor:
-        n_negative, n_zero = factor.negative_pivots, factor.null_pivots
-    if n_negative or n_zero:
-        problem = f"{n_negative} negative and {n_zero} zero eigenvalues"
+        n_negative_pivots, n_zero_pivots = factor.n_negative_pivots, factor.n_null_pivots
+    if n_negative_pivots or n_zero_pivots:
+        problem = f"{n_negative_pivots} negative and {n_zero_pivots} zero eigenvalues"
         raise InputError("mass", problem, "positive definite")
     _check_semidefinite("stiffness", stiffness, mass)
 
-    normal, tangential = gaps
-    gap = sparse.csr_matrix((n, 0)) if normal is None else read_whole_matrix("gap", normal, n)
+    given_gap, tangential = gaps
+    gap = (
+        sparse.csr_matrix((n, 0))
+        if given_gap is None
+        else make_whole_csr_matrix("gap", given_gap, n)
+    )
     if len(empty_columns := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
         problem = f"zero in column {empty_columns[0] + 1} of {gap.shape[1]}"
         requirement = "a pair in each: a gap that depends on no displacement never opens or closes"
@@ -779,7 +807,7 @@ def check_parts(
         "clearance": expand_to_pairs("clearance", clearance, gap.shape[1]),
     }
     if tangential is not None:
-        tangential = read_whole_matrix("tangential", tangential, n)
+        tangential = make_whole_csr_matrix("tangential", tangential, n)
         if tangential.shape[1] not in (gap.shape[1], 2 * gap.shape[1]):
             requirement = f"of shape {gap.shape}, as gap is, or with twice the columns"
             raise InputError("tangential", tangential.shape, requirement)
@@ -792,26 +820,26 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
 
     Column k of a part is its k-th harmonic.
     """
-    max_columns = {"force_mean": 1}
-    parts = [
-        _read_load_columns(key, part, n, max_columns.get(key, MOST_HARMONICS))
+    allowed_columns_by_key = {"force_mean": 1}
+    rows_of_parts = [
+        _read_load_columns(key, part, n, allowed_columns_by_key.get(key, MOST_HARMONICS))
         for key, part in load_parts.items()
     ]
-    load_coefficients = np.zeros((2 * max(map(len, parts)) + 1, n))
-    for first_row, part in enumerate(parts):
-        load_coefficients[first_row::2][: len(part)] = part
+    load_coefficients = np.zeros((2 * max(map(len, rows_of_parts)) + 1, n))
+    for first_load_row, part_rows in enumerate(rows_of_parts):
+        load_coefficients[first_load_row::2][: len(part_rows)] = part_rows
     return load_coefficients
 
 
-def _read_load_columns(name: str, data: Any, n: int, max_columns: int = 1) -> np.ndarray:
-    """Read up to ``max_columns`` columns (n, m) as rows (m, n).
+def _read_load_columns(name: str, data: Any, n: int, allowed_columns: int = 1) -> np.ndarray:
+    """Read up to ``allowed_columns`` columns (n, m) as rows (m, n).
 
     None gives one row of zeros. InputError: the shape is another one.
     """
-    columns = sparse.csr_matrix((n, 1)) if data is None else read_whole_matrix(name, data, n)
-    if not 1 <= columns.shape[1] <= max_columns:
-        requirement = f"of shape ({n},)" + f", or of up to {max_columns} columns" * (
-            max_columns > 1
+    columns = sparse.csr_matrix((n, 1)) if data is None else make_whole_csr_matrix(name, data, n)
+    if not 1 <= columns.shape[1] <= allowed_columns:
+        requirement = f"of shape ({n},)" + f", or of up to {allowed_columns} columns" * (
+            allowed_columns > 1
         )
         raise InputError(name, columns.shape, requirement)
     return np.asarray(columns.toarray().T, dtype=float)
@@ -856,28 +884,28 @@ def lump_mass(mass: Any) -> Any:
 
     InputError: a row sum is not positive.
     """
-    unit_vector, row_sums = mass.createVecs()
-    unit_vector.set(1.0)
-    mass.mult(unit_vector, row_sums)
-    min_sum = row_sums.min()[1]
-    if min_sum <= MATRIX_TOLERANCE * row_sums.max()[1]:  # zero at a triangle's corners
+    ones_vector, row_sums = mass.createVecs()
+    ones_vector.set(1.0)
+    mass.mult(ones_vector, row_sums)
+    min_row_sum = row_sums.min()[1]
+    if min_row_sum <= MATRIX_TOLERANCE * row_sums.max()[1]:  # zero at a triangle's corners
         requirement = "lumped only where every row sum is positive"
-        raise InputError("mass", f"row sum {min_sum:.3g}", requirement)
-    shape = mass.local_size[0], mass.size[1]
+        raise InputError("mass", f"row sum {min_row_sum:.3g}", requirement)
+    local_shape = mass.local_size[0], mass.size[1]
     return distribute_rows(
-        sparse.diags(row_sums.array_r, mass.owner_range[0], shape), mass.comm.tompi4py()
+        sparse.diags(row_sums.array_r, mass.owner_range[0], local_shape), mass.comm.tompi4py()
     )
 
 
-def add_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> Any:
+def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.ndarray) -> Any:
     """Return the stiffness with springs, K + B diag(k) B^T (collective).
 
-    The springs connect the contact pairs. B is ``gap`` (n_local, n_pairs), and k is ``springs``
-    (n_pairs,) [N/m].
+    The springs connect the contact pairs. B is ``gap`` (n_local, n_pairs), and k is
+    ``spring_stiffnesses`` (n_pairs,) [N/m].
     """
     comm = stiffness.comm.tompi4py()
     gap_everywhere = sparse.vstack(comm.allgather(gap), format="csr")
-    spring_matrix = distribute_rows(gap @ sparse.diags(springs) @ gap_everywhere.T, comm)
+    spring_matrix = distribute_rows(gap @ sparse.diags(spring_stiffnesses) @ gap_everywhere.T, comm)
     total = weighted_sum(stiffness, 1.0, spring_matrix)
     spring_matrix.destroy()
     return total
@@ -885,13 +913,13 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> 
 
 def _check_symmetric(name: str, matrix: Any) -> None:
     """Raise InputError unless a matrix is symmetric to rounding (collective)."""
-    size = matrix.norm(PETSc.NormType.INFINITY)
+    matrix_norm = matrix.norm(PETSc.NormType.INFINITY)
     difference = matrix.transpose(PETSc.Mat())
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    asymmetry = difference.norm(PETSc.NormType.INFINITY)
+    asymmetry_norm = difference.norm(PETSc.NormType.INFINITY)
     difference.destroy()
-    if asymmetry > MATRIX_TOLERANCE * size:
-        raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
+    if asymmetry_norm > MATRIX_TOLERANCE * matrix_norm:
+        raise InputError(name, f"asymmetric by {asymmetry_norm / matrix_norm:.1e}", "symmetric")
 
 
 def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
@@ -899,17 +927,19 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
 
     Rigid-body motions have eigenvalues of zero, which pass.
     """
-    quotients = matrix.getDiagonal()
-    quotients.pointwiseDivide(quotients, mass.getDiagonal())
-    sizes = quotients.copy()
-    sizes.abs()
-    with factored_sum(matrix, MATRIX_TOLERANCE * sizes.max()[1], mass) as factor:
-        n_negative = factor.negative_pivots
-    if n_negative:
-        raise InputError(name, counted(n_negative, "negative eigenvalue"), "positive semidefinite")
+    diagonal_quotients = matrix.getDiagonal()
+    diagonal_quotients.pointwiseDivide(diagonal_quotients, mass.getDiagonal())
+    quotient_magnitudes = diagonal_quotients.copy()
+    quotient_magnitudes.abs()
+    with factored_sum(matrix, MATRIX_TOLERANCE * quotient_magnitudes.max()[1], mass) as factor:
+        n_negative_pivots = factor.n_negative_pivots
+    if n_negative_pivots:
+        raise InputError(
+            name, counted(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"
+        )
 
 
-def read_only_rows(matrix: Any) -> sparse.csr_matrix:
+def read_only_csr_matrix(matrix: Any) -> sparse.csr_matrix:
     """Return a read-only copy of a sparse matrix in CSR format.
 
     A read-only CSR matrix is returned itself.

@@ -39,7 +39,7 @@ MAX_DENSE_SIZE = 600
 
 Dense matrices of this size take a part of a second.
 """
-CACHE_BLOCK_SIZE = 2**16
+MODAL_COORDINATES_IN_CACHE = 2**16
 """Number of modal coordinates that are computed together: they fit in a cache."""
 
 
@@ -78,12 +78,12 @@ class AllModes:
     pairs: np.ndarray
     is_unconstrained: bool
     residual: np.ndarray | None = None
-    static_pairs: np.ndarray | None = None
+    massless_pair_responses: np.ndarray | None = None
     """(n_dofs, n_pairs): displacement of the massless coordinates by unit forces on pairs."""
-    static_loads: np.ndarray | None = None
+    massless_flexibility: np.ndarray | None = None
     """(n_dofs, n_dofs): displacement of the massless coordinates by forces on dofs."""
     inverse_shapes: np.ndarray | None = None
-    """Phi^T M, if it is at hand."""
+    """Phi^T M, the inverse of Phi, if it is at hand: (n, n_dofs)."""
 
     @property
     def is_ill_conditioned(self) -> bool:
@@ -91,7 +91,7 @@ class AllModes:
         return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
     def modal_receptances(
-        self, omega: np.ndarray, factor: float = 1.0, is_loaded: np.ndarray | None = None
+        self, omega: np.ndarray, damping_factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
         """Return the receptance H, the modal response to unit modal forces.
 
@@ -99,7 +99,7 @@ class AllModes:
         ----------
         omega : (m,) [rad/s]
             Frequencies.
-        factor : float
+        damping_factor : float
             Factor of the damping.
         is_loaded : (m, n) bool, optional
             Modes that the load drives. An undamped resonance of any other mode is moved away a
@@ -115,38 +115,45 @@ class AllModes:
         ConvergenceError
             The structure is singular at a frequency.
         """
-        square = (omega * omega)[:, None]
-        stiffness = self.squares - square
+        omega_squared = (omega * omega)[:, None]
+        dynamic_stiffness = self.squares - omega_squared
         is_singular = self.is_unconstrained & (omega == 0.0)
         if self.damping.ndim == 1:
-            impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
-            size = np.abs(self.squares) + square
+            impedance = dynamic_stiffness + (1j * damping_factor * omega)[:, None] * self.damping
+            impedance_scale = np.abs(self.squares) + omega_squared
             if is_loaded is not None:
-                nudge = math.sqrt(MACHINE_EPSILON) * size
-                is_near_resonance = (np.abs(impedance) <= nudge) & ~is_loaded & (square > 0.0)
-                impedance = np.where(is_near_resonance, nudge, impedance)
-            is_singular |= (np.abs(impedance) <= kernel.SINGULARITY_TOLERANCE * size).any(axis=1)
+                min_impedance = math.sqrt(MACHINE_EPSILON) * impedance_scale
+                is_near_resonance = (
+                    (np.abs(impedance) <= min_impedance) & ~is_loaded & (omega_squared > 0.0)
+                )
+                impedance = np.where(is_near_resonance, min_impedance, impedance)
+            is_singular |= (
+                np.abs(impedance) <= kernel.SINGULARITY_TOLERANCE * impedance_scale
+            ).any(axis=1)
         else:
-            impedance = 1j * factor * omega[:, None, None] * self.damping
-            mode_range = np.arange(len(self.squares))
-            impedance[:, mode_range, mode_range] += stiffness
+            impedance = 1j * damping_factor * omega[:, None, None] * self.damping
+            mode_indices = np.arange(len(self.squares))
+            impedance[:, mode_indices, mode_indices] += dynamic_stiffness
             # Only an undamped mode can make the impedance singular.
-            is_undamped = np.abs(self.damping).sum(axis=1) == 0.0
-            is_singular |= np.any(stiffness[:, is_undamped] == 0.0, axis=1)
+            is_undamped_mode = np.abs(self.damping).sum(axis=1) == 0.0
+            is_singular |= np.any(dynamic_stiffness[:, is_undamped_mode] == 0.0, axis=1)
             if not is_singular.any():
                 try:
                     return np.linalg.inv(impedance)
                 except np.linalg.LinAlgError:  # to rounding
                     is_singular[np.argmax(np.linalg.cond(impedance))] = True
         if is_singular.any():
-            frequency = omega[np.argmax(is_singular)]
-            cause = "it can move as a rigid body" if frequency == 0.0 else "an undamped resonance"
+            singular_omega = omega[np.argmax(is_singular)]
+            cause_text = (
+                "it can move as a rigid body" if singular_omega == 0.0 else "an undamped resonance"
+            )
             raise ConvergenceError(
-                f"dynamic compliance at {frequency:g} rad/s: the structure is singular ({cause})"
+                f"dynamic compliance at {singular_omega:g} rad/s: the structure is singular "
+                f"({cause_text})"
             )
         return 1.0 / impedance
 
-    def static_part(self, min_frequency: float = np.inf) -> np.ndarray:
+    def static_pair_compliance(self, min_frequency: float = np.inf) -> np.ndarray:
         """Return the quasi-static compliance of the contact pairs.
 
         It consists of the residual flexibility R_inf and of modes above a frequency.
@@ -162,8 +169,10 @@ class AllModes:
             Gap change by unit forces on the pairs.
         """
         is_fast = self._is_fast(min_frequency)
-        flexibility = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
-        return flexibility if self.residual is None else flexibility + self.residual
+        fast_pair_compliance = (self.pairs[is_fast].T / self.squares[is_fast]) @ self.pairs[is_fast]
+        return (
+            fast_pair_compliance if self.residual is None else fast_pair_compliance + self.residual
+        )
 
     def _is_fast(self, min_frequency: float) -> np.ndarray:
         """Return True for modes above a frequency [rad/s]: (n,) bool.
@@ -172,23 +181,27 @@ class AllModes:
         """
         return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
 
-    def static_displacement(self, min_frequency: float) -> np.ndarray:
+    def static_pair_responses(self, min_frequency: float) -> np.ndarray:
         """Return the quasi-static displacement by unit forces on the pairs [m/N].
 
         Parameters
         ----------
         min_frequency : float [rad/s]
-            As of :meth:`static_part`.
+            As of :meth:`static_pair_compliance`.
 
         Returns
         -------
         (n_dofs, n_pairs)
         """
         is_fast = self._is_fast(min_frequency)
-        displacement: np.ndarray = (self.shapes[:, is_fast] / self.squares[is_fast]) @ self.pairs[
+        pair_responses: np.ndarray = (self.shapes[:, is_fast] / self.squares[is_fast]) @ self.pairs[
             is_fast
         ]
-        return displacement if self.static_pairs is None else displacement + self.static_pairs
+        return (
+            pair_responses
+            if self.massless_pair_responses is None
+            else pair_responses + self.massless_pair_responses
+        )
 
     def with_static_modes(self, min_frequency: float | None) -> AllModes:
         """Move modes above a frequency [rad/s] to the quasi-static part, without inertia.
@@ -200,11 +213,11 @@ class AllModes:
         is_slow = ~self._is_fast(min_frequency)
         if np.all(is_slow):
             return self
-        squares, mode_shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
-        static_loads = (mode_shapes / squares) @ mode_shapes.T
-        if self.static_loads is not None:
-            static_loads = static_loads + self.static_loads
-        damping = (
+        fast_squares, fast_shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
+        massless_flexibility = (fast_shapes / fast_squares) @ fast_shapes.T
+        if self.massless_flexibility is not None:
+            massless_flexibility = massless_flexibility + self.massless_flexibility
+        slow_damping = (
             self.damping[is_slow]
             if self.damping.ndim == 1
             else self.damping[np.ix_(is_slow, is_slow)]
@@ -212,12 +225,12 @@ class AllModes:
         return AllModes(
             self.squares[is_slow],
             self.shapes[:, is_slow],
-            damping,
+            slow_damping,
             self.pairs[is_slow],
             self.is_unconstrained,
-            self.static_part(min_frequency),
-            self.static_displacement(min_frequency),
-            static_loads,
+            self.static_pair_compliance(min_frequency),
+            self.static_pair_responses(min_frequency),
+            massless_flexibility,
             self.inverse[is_slow],
         )
 
@@ -239,7 +252,7 @@ class AllModes:
     def respond(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
         """Return the modal response H f to modal forces f: (..., n).
 
-        H is the result of :meth:`receptance`.
+        H is the result of :meth:`modal_receptances`.
         """
         if self.damping.ndim == 1:
             return receptance * modal_force
@@ -248,8 +261,8 @@ class AllModes:
     def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
         """Return the compliance B^T Phi H Phi^T B of the pairs: (..., n_pairs, n_pairs) [m/N].
 
-        H is the result of :meth:`receptance`. An entry is the gap change of a pair by a unit force
-        on another.
+        H is the result of :meth:`modal_receptances`. An entry is the gap change of a pair by a unit
+        force on another.
         """
         if self.damping.ndim == 1:
             return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
@@ -275,16 +288,21 @@ class AllModes:
         n_modes, n_pairs = self.pairs.shape
         if self.damping.ndim == 1:
             # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
-            scale = np.maximum(np.sqrt(np.abs(self.squares)), 1.0 / h)
+            velocity_scale = np.maximum(np.sqrt(np.abs(self.squares)), 1.0 / h)
             system = np.zeros((n_modes, 3, 3))
-            system[:, 0, 1] = scale
-            system[:, 1, 0], system[:, 1, 1] = -self.squares / scale, -self.damping
+            system[:, 0, 1] = velocity_scale
+            system[:, 1, 0], system[:, 1, 1] = -self.squares / velocity_scale, -self.damping
             system[:, 1, 2] = 1.0
             e = scipy.linalg.expm(h * system)
-            blocks = e[:, 0, 0], e[:, 0, 1] / scale, e[:, 1, 0] * scale, e[:, 1, 1]
-            displacement = (e[:, 0, 2] / scale)[:, None] * self.pairs
-            velocity = e[:, 1, 2][:, None] * self.pairs
-            return np.array(blocks), np.vstack([displacement, velocity])
+            blocks = (
+                e[:, 0, 0],
+                e[:, 0, 1] / velocity_scale,
+                e[:, 1, 0] * velocity_scale,
+                e[:, 1, 1],
+            )
+            displacement_by_forces = (e[:, 0, 2] / velocity_scale)[:, None] * self.pairs
+            velocity_by_forces = e[:, 1, 2][:, None] * self.pairs
+            return np.array(blocks), np.vstack([displacement_by_forces, velocity_by_forces])
         system = np.zeros((2 * n_modes + n_pairs,) * 2)
         system[:n_modes, n_modes : 2 * n_modes] = np.eye(n_modes)
         system[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
@@ -309,12 +327,14 @@ class AllModes:
             is_singular = np.abs(impedance @ amplitudes - force).max() > 1e-9 * np.abs(force).max()
         else:
             impedance = self.squares - omega**2 + 1j * omega * self.damping
-            size = np.abs(self.squares)
-            is_resonant = np.abs(impedance) <= 1e-15 * (size + omega**2)
+            square_magnitudes = np.abs(self.squares)
+            is_resonant_mode = np.abs(impedance) <= 1e-15 * (square_magnitudes + omega**2)
             if omega == 0.0 and self.is_unconstrained:
-                is_resonant |= size <= 1e-12 * size[-1]
-            is_singular = bool(np.any(force[is_resonant]))
-            amplitudes = np.divide(force, impedance, out=np.zeros_like(force), where=~is_resonant)
+                is_resonant_mode |= square_magnitudes <= 1e-12 * square_magnitudes[-1]
+            is_singular = bool(np.any(force[is_resonant_mode]))
+            amplitudes = np.divide(
+                force, impedance, out=np.zeros_like(force), where=~is_resonant_mode
+            )
         if is_singular:
             raise ConvergenceError(
                 f"exponential: at {omega:g} rad/s the load is on an undamped resonance, or moves "
@@ -328,8 +348,10 @@ def all_modes(structure: Structure) -> AllModes:
 
     They are computed once for the structure and its varied copies.
     """
-    modes, factor = structure.compute_once(_compute_all_modes), structure.damping_factor
-    return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
+    modes, damping_factor = structure.compute_once(_compute_all_modes), structure.damping_factor
+    return (
+        modes if damping_factor == 1.0 else replace(modes, damping=damping_factor * modes.damping)
+    )
 
 
 def _compute_all_modes(structure: Structure) -> AllModes:
@@ -341,14 +363,15 @@ def _compute_all_modes(structure: Structure) -> AllModes:
         squares, mode_shapes = damping_modes.omega**2, damping_modes.shapes
         damping = damping_modes.modal_damping
     else:
-        matrices = (
-            local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
+        stiffness_and_mass = (
+            local_rows(petsc_matrix).toarray()
+            for petsc_matrix in (structure.stiffness, structure.mass)
         )
-        squares, mode_shapes = scipy.linalg.eigh(*matrices)
+        squares, mode_shapes = scipy.linalg.eigh(*stiffness_and_mass)
         damping = damping_on_modes(structure, mode_shapes, squares)
     # A small square may be LAPACK's rounding of the largest; one mode of K itself decides.
-    is_doubtful = squares[0] <= ZERO_TOLERANCE * squares[-1]
-    is_unconstrained = bool(is_doubtful and solve_modes(structure, 1).omega[0] == 0.0)
+    is_lowest_doubtful = squares[0] <= ZERO_TOLERANCE * squares[-1]
+    is_unconstrained = bool(is_lowest_doubtful and solve_modes(structure, 1).omega[0] == 0.0)
     return AllModes(
         squares, mode_shapes, damping, (structure.gap.T @ mode_shapes).T, is_unconstrained
     )
@@ -356,17 +379,17 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 
 def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
     """Return the modes of a structure with massless crack faces."""
-    gap, mode_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
+    gap, modal_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     flexibility_factor = structure.static_root
     pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding
     return AllModes(
         squares,
-        mode_shapes,
+        modal_shapes,
         structure.rate,
-        mode_shapes.T @ gap,
+        modal_shapes.T @ gap,
         bool(np.any(squares == 0.0)),
         pair_factor @ pair_factor.T,
         flexibility_factor @ pair_factor.T,
         structure.residual_flexibility,
-        (structure.mass.getDiagonal().array_r[:, None] * mode_shapes).T,
+        (structure.mass.getDiagonal().array_r[:, None] * modal_shapes).T,
     )

@@ -85,9 +85,9 @@ class Modes(Tabular):
 
     def function(self, index: int) -> Any:
         """Return the shape of ``omega[index]`` as DOLFINx's Function (collective)."""
-        last_index = len(self.omega) - 1
-        if not isinstance(index, Integral) or not 0 <= index <= last_index:
-            raise InputError("index", index, f"a whole number from 0 to {last_index}")
+        last_mode_index = len(self.omega) - 1
+        if not isinstance(index, Integral) or not 0 <= index <= last_mode_index:
+            raise InputError("index", index, f"a whole number from 0 to {last_mode_index}")
         return self.structure.function(self.shapes[:, index])
 
     def to_dict(self) -> dict[str, Any]:
@@ -95,8 +95,8 @@ class Modes(Tabular):
 
         They are the number of the mode, omega [rad/s] and frequency [Hz].
         """
-        number = list(range(1, len(self.omega) + 1))
-        return with_frequency({"mode": number, "omega": self.omega.tolist()})
+        mode_numbers = list(range(1, len(self.omega) + 1))
+        return with_frequency({"mode": mode_numbers, "omega": self.omega.tolist()})
 
     def _title(self) -> str:
         omega_range = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
@@ -144,17 +144,19 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     """
     check_choice("lips", lips, LIP_STATES)
     is_bonded = lips == "tied" and structure.n_pairs > 0
-    known_modes = structure.known_modes(is_bonded=is_bonded)
-    ties = find_independent_ties(structure) if is_bonded and known_modes is None else None
-    limit_name = "n_dofs" if known_modes is None else "n_modes"
+    omega_and_shapes = structure.known_omega_and_shapes(is_bonded=is_bonded)
+    ties = find_independent_ties(structure) if is_bonded and omega_and_shapes is None else None
+    limit_name = "n_dofs" if omega_and_shapes is None else "n_modes"
     if is_bonded:
         limit_name = "the number of bonded modes"
-    max_count = len(known_modes[0]) if known_modes is not None else _count_modes(structure, ties)
+    allowed_count = (
+        len(omega_and_shapes[0]) if omega_and_shapes is not None else _count_modes(structure, ties)
+    )
     is_integer = isinstance(count, Integral) and not isinstance(count, bool)
-    if not (is_integer and 1 <= count <= max_count):
-        raise InputError("count", count, f"a whole number from 1 to {limit_name} = {max_count}")
-    if known_modes is not None:
-        omega, shapes = known_modes
+    if not (is_integer and 1 <= count <= allowed_count):
+        raise InputError("count", count, f"a whole number from 1 to {limit_name} = {allowed_count}")
+    if omega_and_shapes is not None:
+        omega, shapes = omega_and_shapes
         return Modes(omega[:count], shapes[:, :count], structure)
     if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
         return cached_modes
@@ -166,10 +168,10 @@ def count_bonded_modes(structure: Structure) -> int:
     """Return the number of modes with a bonded crack (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
-    known_modes = structure.known_modes(is_bonded=True)
+    omega_and_shapes = structure.known_omega_and_shapes(is_bonded=True)
     return (
-        len(known_modes[0])
-        if known_modes is not None
+        len(omega_and_shapes[0])
+        if omega_and_shapes is not None
         else _count_modes(structure, find_independent_ties(structure))
     )
 
@@ -186,13 +188,13 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     """
     gap = sparse.csc_matrix(structure.gap)
     gram = structure.sum_over_ranks((gap.T @ gap).toarray())
-    diagonal = np.diag(gram)
-    if np.all(diagonal > 0.0) and np.count_nonzero(gram) == len(gram):
+    gram_diagonal = np.diag(gram)
+    if np.all(gram_diagonal > 0.0) and np.count_nonzero(gram) == len(gram):
         return gap  # orthogonal: no two pairs share a node
-    upper_factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
+    upper_factor, pivot_order = scipy.linalg.qr(gram, mode="r", pivoting=True)
     pivot_sizes = np.abs(np.diag(upper_factor))
-    max_rounding = 10.0 * len(gram) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
-    return gap[:, np.sort(order[pivot_sizes > max_rounding])]
+    allowed_rounding = 10.0 * len(gram) * MACHINE_EPSILON * pivot_sizes.max(initial=0.0)
+    return gap[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
 
 
 def _count_modes(structure: Structure, ties: Any) -> int:
@@ -206,7 +208,7 @@ def _count_modes(structure: Structure, ties: Any) -> int:
 class Inverse(Protocol):
     """Interface of solvers K x = r, such as a :class:`Factor`."""
 
-    null_pivots: int
+    n_null_pivots: int
     """Dimension of the stiffness's null space."""
 
     def apply(self, rhs: Any, solution: Any) -> None:
@@ -222,19 +224,21 @@ class BondedInverse:
     """
 
     def __init__(self, factor: Any, structure: Structure, ties: Any) -> None:
-        self.null_pivots = factor.null_pivots
+        self.n_null_pivots = factor.n_null_pivots
         self._factor, self._ties = factor, ties.T
         self._sum_over_ranks = structure.sum_over_ranks
-        if not self.null_pivots:
+        if not self.n_null_pivots:
             self._tie_responses = factor.solve(self._ties)
             flexibility = self._sum_over_ranks(self._ties @ self._tie_responses.T)
-            self._compliance = scipy.linalg.cho_factor(flexibility)
+            self._compliance_factor = scipy.linalg.cho_factor(flexibility)
 
     def apply(self, rhs: Any, solution: Any) -> None:
         """Solve K x = ``rhs`` for a PETSc vector, into ``solution`` (collective)."""
         self._factor.apply(rhs, solution)
-        gap = self._sum_over_ranks(self._ties @ solution.array_r)
-        solution.array_w[:] -= scipy.linalg.cho_solve(self._compliance, gap) @ self._tie_responses
+        tie_gap = self._sum_over_ranks(self._ties @ solution.array_r)
+        solution.array_w[:] -= (
+            scipy.linalg.cho_solve(self._compliance_factor, tie_gap) @ self._tie_responses
+        )
 
 
 def solve_modes_with_factor(
@@ -251,25 +255,27 @@ def solve_modes_with_factor(
     """
     if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
         return cached_modes
-    quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
-    quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
-    scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
-    scale = scale if np.isfinite(scale) else 1.0
+    diagonal_quotients = (
+        structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
+    )
+    diagonal_quotients = gather_rows(structure.comm, diagonal_quotients)  # [rad^2/s^2]
+    square_scale = float(np.min(diagonal_quotients[diagonal_quotients > 0.0], initial=np.inf))
+    square_scale = square_scale if np.isfinite(square_scale) else 1.0
     begin(counted(count, "natural mode"))
     inverse: Inverse = factor if ties is None else BondedInverse(factor, structure, ties)
-    n_requested, max_count = count, _count_modes(structure, ties)
+    n_requested, available_count = count, _count_modes(structure, ties)
     while True:
-        squares, shapes = _solve_near_zero(inverse, structure, n_requested, scale, ties)
-        if squares[0] < -1e-8 * scale:
-            problem = f"{squares[0]:.3g} = omega^2 of a mode"
-            raise InputError("stiffness", problem, "positive semidefinite")
+        squares, shapes = _solve_near_zero(inverse, structure, n_requested, square_scale, ties)
+        if squares[0] < -1e-8 * square_scale:
+            negative_square_text = f"{squares[0]:.3g} = omega^2 of a mode"
+            raise InputError("stiffness", negative_square_text, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.
-        bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
-        n_found = np.sum(squares < bound)
-        if n_requested == max_count or count_below(structure, bound, ties) <= n_found:
+        square_bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * square_scale)
+        n_found = np.sum(squares < square_bound)
+        if n_requested == available_count or count_below(structure, square_bound, ties) <= n_found:
             break
-        n_requested = min(2 * n_requested + 2, max_count)
+        n_requested = min(2 * n_requested + 2, available_count)
     squares, shapes = squares[:count], shapes[:, :count]
     # Rounding of K is relative to the sum of K_ii phi_i^2, omega^2 if each dof moved alone. The
     # largest K_ii / M_ii is no measure: elements that shrink towards a tip make it arbitrarily
@@ -277,7 +283,7 @@ def solve_modes_with_factor(
     single_dof_squares = structure.sum_over_ranks(
         structure.stiffness.getDiagonal().array_r @ shapes**2
     )
-    squares[squares <= ZERO_TOLERANCE * np.maximum(single_dof_squares, scale)] = 0.0
+    squares[squares <= ZERO_TOLERANCE * np.maximum(single_dof_squares, square_scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(
             f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
@@ -285,7 +291,7 @@ def solve_modes_with_factor(
     omega = np.sqrt(squares)
     shapes *= _choose_signs(structure, shapes)
     if ties is None:
-        structure.compute_once(_lowest_modes_cache, from_matrices=True)[:] = omega, shapes
+        structure.compute_once(_make_empty_modes_list, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
@@ -295,15 +301,17 @@ def find_known_modes(structure: Structure, count: int) -> Modes | None:
     They were computed before, or the structure's coordinates are modes.
     """
     if structure.whole is not structure:  # small and dense
-        if (known_modes := structure.known_modes(is_bonded=False)) is not None:
-            return Modes(known_modes[0][:count], known_modes[1][:, :count], structure)
-    cache = structure.compute_once(_lowest_modes_cache, from_matrices=True)
-    if not cache or len(cache[0]) < count:
+        if (omega_and_shapes := structure.known_omega_and_shapes(is_bonded=False)) is not None:
+            return Modes(omega_and_shapes[0][:count], omega_and_shapes[1][:, :count], structure)
+    cached_omega_and_shapes = structure.compute_once(_make_empty_modes_list, from_matrices=True)
+    if not cached_omega_and_shapes or len(cached_omega_and_shapes[0]) < count:
         return None
-    return Modes(cache[0][:count], cache[1][:, :count], structure)
+    return Modes(
+        cached_omega_and_shapes[0][:count], cached_omega_and_shapes[1][:, :count], structure
+    )
 
 
-def _lowest_modes_cache(structure: Structure) -> list[np.ndarray]:
+def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
     """Return an empty cache for frequencies and shapes with an open crack.
 
     It keeps the largest number of modes requested so far. It does not refer to the structure, which
@@ -323,7 +331,7 @@ def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int
     return solver
 
 
-def _run_solver(solver: Any, count: int) -> None:
+def _run_solver_to_convergence(solver: Any, count: int) -> None:
     """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
     solver.setFromOptions()
     try:
@@ -338,7 +346,7 @@ def _run_solver(solver: Any, count: int) -> None:
 
 
 def _solve_near_zero(
-    factor: Inverse, structure: Structure, count: int, scale: float, ties: Any
+    factor: Inverse, structure: Structure, count: int, square_scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes closest to zero frequency, with the factor of K (collective).
 
@@ -352,11 +360,11 @@ def _solve_near_zero(
     (n_local, count)
         Shapes.
     """
-    if not factor.null_pivots:
+    if not factor.n_null_pivots:
         squares, shapes = _solve_near_shift(factor, structure, count, 0.0)
-        if squares[0] > MATRIX_TOLERANCE * scale:  # a singular K may give values below 0
+        if squares[0] > MATRIX_TOLERANCE * square_scale:  # a singular K may give values below 0
             return squares, shapes
-    shift = -1e-6 * scale
+    shift = -1e-6 * square_scale
     shifted_factor = factored_sum(
         structure.stiffness, -shift, structure.mass, definite=True, border=ties
     )
@@ -401,19 +409,19 @@ def _solve_near_shift(
     preconditioner.setPythonContext(
         SimpleNamespace(apply=lambda _, rhs, solution: factor.apply(rhs, solution))
     )
-    _run_solver(solver, count)
+    _run_solver_to_convergence(solver, count)
     vector, mass_vector = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
-    order = np.argsort(squares)
+    ascending_order = np.argsort(squares)
     shapes = np.empty((count, structure.n_local))
-    for row, index in zip(shapes, order, strict=True):
+    for row, index in zip(shapes, ascending_order, strict=True):
         solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, mass_vector)
         row[:] = vector.array_r / np.sqrt(max(vector.dot(mass_vector), 1e-300))
     # Python would keep the context, and with it K, until PETSc frees its garbage.
     for petsc_object in (vector, mass_vector, solver, spectral_transform, preconditioner):
         petsc_object.destroy()
-    return squares[order], shapes.T
+    return squares[ascending_order], shapes.T
 
 
 def count_below(structure: Structure, square: float, ties: Any = None) -> int:
@@ -422,7 +430,7 @@ def count_below(structure: Structure, square: float, ties: Any = None) -> int:
     These are the negative pivots of K - square M (Sylvester).
     """
     with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
-        return int(factor.negative_pivots)
+        return int(factor.n_negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:
@@ -433,7 +441,7 @@ def largest_frequency(structure: Structure) -> float:
     preconditioner = solver.getST().getKSP().getPC()
     preconditioner.setType("cholesky")
     preconditioner.setFactorSolverType("mumps")
-    _run_solver(solver, 1)
+    _run_solver_to_convergence(solver, 1)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))
@@ -480,13 +488,15 @@ def independent_part(
     def project_columns(directions: np.ndarray) -> np.ndarray:
         return structure.sum_over_ranks(directions.T @ multiply(matrix, columns))
 
-    squares = structure.sum_over_ranks((columns * multiply(matrix, columns)).sum(axis=0))
-    columns = columns / np.sqrt(np.maximum(squares, 1e-300))
+    column_norms_squared = structure.sum_over_ranks(
+        (columns * multiply(matrix, columns)).sum(axis=0)
+    )
+    columns = columns / np.sqrt(np.maximum(column_norms_squared, 1e-300))
     for _ in range(2):  # once more against rounding
         columns = columns - basis @ project_columns(basis)
-        weights, eigenvectors = np.linalg.eigh(project_columns(columns))
-        is_kept = weights > NEGLIGIBLE
-        columns = columns @ (eigenvectors[:, is_kept] / np.sqrt(weights[is_kept]))
+        gram_eigenvalues, eigenvectors = np.linalg.eigh(project_columns(columns))
+        is_kept = gram_eigenvalues > NEGLIGIBLE
+        columns = columns @ (eigenvectors[:, is_kept] / np.sqrt(gram_eigenvalues[is_kept]))
     return columns
 
 
@@ -502,24 +512,26 @@ def _choose_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     (count,)
     """
     first_dof = structure.first_dof
-    width = 1 if structure.nodes is None else structure.nodes.points.shape[1] + 1
-    keys = np.zeros((structure.n_local, width))
+    n_key_columns = 1 if structure.nodes is None else structure.nodes.points.shape[1] + 1
+    sort_keys = np.zeros((structure.n_local, n_key_columns))
     if structure.nodes is None or structure.whole is not structure:
-        keys[:, 0] = np.arange(first_dof, first_dof + structure.n_local)
+        sort_keys[:, 0] = np.arange(first_dof, first_dof + structure.n_local)
     else:
-        nodes, components = np.nonzero(structure.nodes.dofs >= 0)
-        rows = structure.nodes.dofs[nodes, components] - first_dof
-        keys[rows] = np.column_stack([structure.nodes.points[nodes], components])
+        node_indices, component_indices = np.nonzero(structure.nodes.dofs >= 0)
+        dof_rows = structure.nodes.dofs[node_indices, component_indices] - first_dof
+        sort_keys[dof_rows] = np.column_stack(
+            [structure.nodes.points[node_indices], component_indices]
+        )
     own_peaks = np.maximum(shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0))
     peaks = np.max(gather_rows(structure.comm, own_peaks[None]), axis=0)
     signs = np.empty(shapes.shape[1])
-    for mode, peak in enumerate(peaks):
-        large_rows = np.flatnonzero(np.abs(shapes[:, mode]) >= (1.0 - 1e-6) * peak)
-        candidates = np.column_stack(
-            [keys[large_rows].round(12), np.sign(shapes[large_rows, mode])]
+    for mode_index, peak in enumerate(peaks):
+        large_row_indices = np.flatnonzero(np.abs(shapes[:, mode_index]) >= (1.0 - 1e-6) * peak)
+        keys_and_signs = np.column_stack(
+            [sort_keys[large_row_indices].round(12), np.sign(shapes[large_row_indices, mode_index])]
         )
-        all_candidates = gather_rows(structure.comm, candidates)
-        signs[mode] = all_candidates[np.lexsort(all_candidates[:, -2::-1].T)[0], -1]
+        all_keys_and_signs = gather_rows(structure.comm, keys_and_signs)
+        signs[mode_index] = all_keys_and_signs[np.lexsort(all_keys_and_signs[:, -2::-1].T)[0], -1]
     return signs
 
 
@@ -555,19 +567,23 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     """
     if not isinstance(structure.original.damping, ModalDamping):
         return None
-    modes, factor = structure.compute_once(_compute_damped_modes), structure.damping_factor
-    return modes if factor == 1.0 else replace(modes, modal_damping=factor * modes.modal_damping)
+    modes, damping_factor = structure.compute_once(_compute_damped_modes), structure.damping_factor
+    return (
+        modes
+        if damping_factor == 1.0
+        else replace(modes, modal_damping=damping_factor * modes.modal_damping)
+    )
 
 
 def _compute_damped_modes(structure: Structure) -> DampedModes:
     """Compute the modes that carry the modal damping (collective)."""
-    modes = solve_modes(structure, check_damped_modes(structure))
+    modes = solve_modes(structure, count_damped_modes(structure))
     mass_shapes = multiply(structure.mass, modes.shapes)
     modal_damping = structure.damping.rate(modes.omega**2)
     return DampedModes(modes.omega, modal_damping, modes.shapes, mass_shapes)
 
 
-def check_damped_modes(structure: Structure) -> int:
+def count_damped_modes(structure: Structure) -> int:
     """Return the number of damped modes; InputError as :func:`damped_modes`."""
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
@@ -579,7 +595,7 @@ def check_damped_modes(structure: Structure) -> int:
     return count
 
 
-def damped_range(structure: Structure) -> tuple[int, float] | None:
+def damped_count_and_max_omega(structure: Structure) -> tuple[int, float] | None:
     """Return how many modes are damped, and up to which frequency (collective).
 
     If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
@@ -615,11 +631,11 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
     )
     if not damped_indices.size:
         return 0, 0.0
-    last_index = int(damped_indices[-1])
+    last_damped_index = int(damped_indices[-1])
     return (
         None
-        if last_index == structure.n_modes - 1
-        else (len(damped_indices), float(damping_modes.omega[last_index]))
+        if last_damped_index == structure.n_modes - 1
+        else (len(damped_indices), float(damping_modes.omega[last_damped_index]))
     )
 
 
@@ -639,23 +655,23 @@ def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndar
     """
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squares)
-    damping_matrix = projected_damping(structure, columns)
-    diagonal_damping = np.diag(damping_matrix).copy()
-    coupling = np.abs(damping_matrix - np.diag(diagonal_damping)).max(initial=0.0)
-    max_rounding = np.sqrt(MACHINE_EPSILON) * np.abs(diagonal_damping).max(initial=0.0)
-    return diagonal_damping if coupling <= max_rounding else damping_matrix
+    projected_matrix = projected_damping(structure, columns)
+    diagonal_damping = np.diag(projected_matrix).copy()
+    max_coupling = np.abs(projected_matrix - np.diag(diagonal_damping)).max(initial=0.0)
+    allowed_rounding = np.sqrt(MACHINE_EPSILON) * np.abs(diagonal_damping).max(initial=0.0)
+    return diagonal_damping if max_coupling <= allowed_rounding else projected_matrix
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """Project the damping C on columns X (n_local, m): X^T C X, (m, m) [kg/s] (collective)."""
     rule = structure.damping
     if isinstance(rule, RayleighDamping):  # without C
-        product = rule.mass * multiply(structure.mass, columns)
-        product += rule.stiffness * multiply(structure.stiffness, columns)
-        return structure.sum_over_ranks(columns.T @ product)
+        damping_products = rule.mass * multiply(structure.mass, columns)
+        damping_products += rule.stiffness * multiply(structure.stiffness, columns)
+        return structure.sum_over_ranks(columns.T @ damping_products)
     if structure.damping_matrix is not None:
-        product = multiply(structure.damping_matrix, columns)
-        return structure.sum_over_ranks(columns.T @ product)
+        damping_products = multiply(structure.damping_matrix, columns)
+        return structure.sum_over_ranks(columns.T @ damping_products)
     damping_modes = damped_modes(structure)
     if damping_modes is None:
         return np.zeros((columns.shape[1], columns.shape[1]))
@@ -665,7 +681,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
 
 # --- with the crack open and bonded --------------------------------------------------------------
 
-FREQUENCY_KINDS = ("open", "tied", "bilinear")
+FREQUENCY_KIND_NAMES = ("open", "tied", "bilinear")
 """Kinds of natural frequencies."""
 
 
@@ -723,26 +739,28 @@ class BilinearFrequencies(Tabular):
         omega, omega_bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
         mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)
         n_modes = omega_bilinear.shape[-1]
-        description: dict[str, np.ndarray] = {"mode": mode_index + 1}
-        for name in FREQUENCY_KINDS:
-            omega_natural = np.broadcast_to(
-                getattr(self, f"omega_{name}"), (*mode_index.shape, n_modes)
+        columns_by_name: dict[str, np.ndarray] = {"mode": mode_index + 1}
+        for kind in FREQUENCY_KIND_NAMES:
+            omega_of_kind = np.broadcast_to(
+                getattr(self, f"omega_{kind}"), (*mode_index.shape, n_modes)
             )
-            omega_natural = np.take_along_axis(omega_natural, mode_index[..., None], -1)[..., 0]
-            description[f"omega_{name}"] = omega_natural
+            omega_of_kind = np.take_along_axis(omega_of_kind, mode_index[..., None], -1)[..., 0]
+            columns_by_name[f"omega_{kind}"] = omega_of_kind
             with np.errstate(divide="ignore", invalid="ignore"):
-                description[f"over_{name}"] = omega / omega_natural
-        return description
+                columns_by_name[f"over_{kind}"] = omega / omega_of_kind
+        return columns_by_name
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns with a row for every mode."""
-        columns: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
-        column_names = [f"omega_{kind}" for kind in FREQUENCY_KINDS]
-        return columns | {name: getattr(self, name).tolist() for name in column_names}
+        columns_by_name: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
+        column_names = [f"omega_{kind}" for kind in FREQUENCY_KIND_NAMES]
+        return columns_by_name | {name: getattr(self, name).tolist() for name in column_names}
 
     def _title(self) -> str:
-        first_mode = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
-        return f"{counted(len(self.omega_open), 'mode')}, {first_mode}"
+        first_mode_text = (
+            f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
+        )
+        return f"{counted(len(self.omega_open), 'mode')}, {first_mode_text}"
 
 
 def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
@@ -780,7 +798,7 @@ def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     count = min(FEW_MODES, structure.n_modes)
     open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)
     return BilinearFrequencies(
-        open_modes.omega, bonded_modes.omega[match_bonded_modes(open_modes, bonded_modes)]
+        open_modes.omega, bonded_modes.omega[find_bonded_mode_indices(open_modes, bonded_modes)]
     )
 
 
@@ -798,7 +816,7 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
     """
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if n_available := min(count, count_bonded_modes(structure)):
-        if factor is None or structure.known_modes(is_bonded=True) is not None:
+        if factor is None or structure.known_omega_and_shapes(is_bonded=True) is not None:
             modes = solve_modes(structure, n_available, lips="tied")
         else:
             modes = solve_modes_with_factor(
@@ -808,7 +826,7 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
     return Modes(omega, shapes, structure)
 
 
-def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
+def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     """Find the bonded mode with the shape of each open mode (collective).
 
     Each bonded mode is taken once. As many pairs as possible have an overlap (phi_open^T M
@@ -827,8 +845,8 @@ def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     (n,) int
         Index of the bonded mode for each open mode.
     """
-    mass_shapes = multiply(open_modes.structure.mass, bonded_modes.shapes)
-    overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ mass_shapes) ** 2
+    bonded_mass_shapes = multiply(open_modes.structure.mass, bonded_modes.shapes)
+    overlaps = open_modes.structure.sum_over_ranks(open_modes.shapes.T @ bonded_mass_shapes) ** 2
     is_same_open, is_same_bonded = (
         np.isclose(omega[:, None], omega, rtol=MULTIPLE_FREQUENCY_TOLERANCE, atol=0.0).astype(float)
         for omega in (open_modes.omega, bonded_modes.omega)
@@ -837,8 +855,12 @@ def match_bonded_modes(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
         bonded_modes.omega < (1.0 - MULTIPLE_FREQUENCY_TOLERANCE) * open_modes.omega[:, None]
     )
     is_same_shape = (is_same_open @ overlaps @ is_same_bonded > 0.9) & ~is_bonded_slower
-    rows, columns = np.indices(overlaps.shape)
+    open_indices, bonded_indices = np.indices(overlaps.shape)
     # A match needs a weight > 0.
-    weights = 1.0 + is_same_shape - MULTIPLE_FREQUENCY_TOLERANCE * (rows - columns) ** 2
-    match_indices = min_weight_full_bipartite_matching(sparse.csr_matrix(weights), maximize=True)
-    return np.asarray(match_indices[1])
+    match_weights = (
+        1.0 + is_same_shape - MULTIPLE_FREQUENCY_TOLERANCE * (open_indices - bonded_indices) ** 2
+    )
+    matched_rows_and_columns = min_weight_full_bipartite_matching(
+        sparse.csr_matrix(match_weights), maximize=True
+    )
+    return np.asarray(matched_rows_and_columns[1])

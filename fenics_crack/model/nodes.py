@@ -79,20 +79,21 @@ class Nodes(ReadOnlyArrays):
             The point, called ``key``, is away from the mesh by more than 5 % of the mesh's size. Or
             the nearest node is clamped, or there are two nodes, on the crack faces.
         """
-        points, dofs = gather_rows(comm, self.points), gather_rows(comm, self.dofs)
-        distances, extent = np.linalg.norm(points - point, axis=1), np.ptp(points, axis=0).max()
+        all_points, all_node_dofs = gather_rows(comm, self.points), gather_rows(comm, self.dofs)
+        distances = np.linalg.norm(all_points - point, axis=1)
+        mesh_extent = np.ptp(all_points, axis=0).max()
         nearest_index = int(np.argmin(distances))
-        point_shown = tuple(map(float, point))
-        hint = describe_nearest_node(points, point)
-        if distances[nearest_index] > MAX_NODE_DISTANCE_RATIO * extent:
-            raise InputError(key, point_shown, f"on the mesh ({hint})")
-        if len(find_nodes_at(points, points[nearest_index])) > 1:
+        point_tuple = tuple(map(float, point))
+        hint = describe_nearest_node(all_points, point)
+        if distances[nearest_index] > MAX_NODE_DISTANCE_RATIO * mesh_extent:
+            raise InputError(key, point_tuple, f"on the mesh ({hint})")
+        if len(find_nodes_at(all_points, all_points[nearest_index])) > 1:
             raise InputError(
-                key, point_shown, f"near a node that exists once, not on a face ({hint})"
+                key, point_tuple, f"near a node that exists once, not on a face ({hint})"
             )
-        if np.all(dofs[nearest_index] < 0):
-            raise InputError(key, point_shown, f"near a node that is free to move ({hint})")
-        return points[nearest_index], dofs[nearest_index]
+        if np.all(all_node_dofs[nearest_index] < 0):
+            raise InputError(key, point_tuple, f"near a node that is free to move ({hint})")
+        return all_points[nearest_index], all_node_dofs[nearest_index]
 
 
 def find_nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -104,8 +105,8 @@ def find_nodes_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np
         Positions of the nodes; the tolerance is 1e-6 of their extent.
     point : (d,) [m]
     """
-    max_distance = 1e-6 * np.ptp(points, axis=0).max()
-    return np.flatnonzero(np.linalg.norm(points - point, axis=1) <= max_distance)
+    allowed_distance = 1e-6 * np.ptp(points, axis=0).max()
+    return np.flatnonzero(np.linalg.norm(points - point, axis=1) <= allowed_distance)
 
 
 def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarray) -> str:
@@ -149,9 +150,9 @@ class Pairs(ReadOnlyArrays):
         crack 1", "the middle of crack 2".
     nodes : (n, d) [m] or None
         Corners of the facets of a solid's crack faces; those on fronts come last.
-    shares : (n, n_pairs) scipy.sparse.csr_matrix or None
+    pressure_matrix : (n, n_pairs) scipy.sparse.csr_matrix or None
         Value of each pair's pressure function at ``nodes``.
-    tangents : (n_local, 2 n_pairs) or None
+    tangential_gap_matrix : (n_local, 2 n_pairs) scipy.sparse.csr_matrix or None
         Tangential gaps of a solid's pairs, from the dofs of the whole structure: all pairs along
         their first directions, then all along their second ones.
     """
@@ -162,8 +163,8 @@ class Pairs(ReadOnlyArrays):
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
     nodes: np.ndarray | None = None
-    shares: sparse.csr_matrix | None = None
-    tangents: sparse.csr_matrix | None = None
+    pressure_matrix: sparse.csr_matrix | None = None
+    tangential_gap_matrix: sparse.csr_matrix | None = None
 
 
 def body_property(name: str) -> Any:
@@ -283,8 +284,10 @@ class Coordinates:
 
     def describe_pair(self, pair: int) -> str:
         """Name a pair: "at the mouth", "at the middle of crack 2", "of pair 3"."""
-        pair_names = {number: name for name, number in self.pairs.places.items()}
-        return f"at {pair_names[pair]}" if pair in pair_names else f"of pair {pair + 1}"
+        place_by_pair = {
+            pair_index: place_name for place_name, pair_index in self.pairs.places.items()
+        }
+        return f"at {place_by_pair[pair]}" if pair in place_by_pair else f"of pair {pair + 1}"
 
     @property
     def n_modes(self) -> int:
@@ -310,10 +313,10 @@ class Coordinates:
         InputError
             The structure has no mesh of DOLFINx.
         """
-        dofs = getattr(self.whole.nodes, "mesh_dofs", None)
-        if dofs is None:
+        mesh_and_dofs = getattr(self.whole.nodes, "mesh_dofs", None)
+        if mesh_and_dofs is None:
             raise InputError("structure", repr(self), "made from a mesh of DOLFINx, or from forms")
-        return dofs.function(self.expand(displacement[None])[0])
+        return mesh_and_dofs.function(self.expand(displacement[None])[0])
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
         """Return the normal gaps B^T u, without clearance, on every rank (collective).
@@ -365,10 +368,10 @@ class Coordinates:
         -------
         (m, len(dofs))
         """
-        dof_array = self.check_dofs(dofs)
-        is_local = (dof_array >= self.first_dof) & (dof_array < self.first_dof + self.n_local)
-        dof_values = np.zeros((len(displacement), len(dof_array)), dtype=displacement.dtype)
-        dof_values[:, is_local] = displacement[:, dof_array[is_local] - self.first_dof]
+        checked_dofs = self.check_dofs(dofs)
+        is_local = (checked_dofs >= self.first_dof) & (checked_dofs < self.first_dof + self.n_local)
+        dof_values = np.zeros((len(displacement), len(checked_dofs)), dtype=displacement.dtype)
+        dof_values[:, is_local] = displacement[:, checked_dofs[is_local] - self.first_dof]
         return self.sum_over_ranks(dof_values)
 
     def check_dofs(self, dofs: Sequence[int | None]) -> np.ndarray:
@@ -381,12 +384,14 @@ class Coordinates:
         """
         if isinstance(dofs, list | tuple) and None in dofs:
             dofs = [self.watched_dof if dof is None else dof for dof in dofs]
-        dof_array = np.atleast_1d(numbers(dofs)).ravel()
+        dof_numbers = np.atleast_1d(numbers(dofs)).ravel()
         if not np.all(
-            (dof_array >= 0) & (dof_array < self.n_dofs) & (dof_array == np.round(dof_array))
+            (dof_numbers >= 0)
+            & (dof_numbers < self.n_dofs)
+            & (dof_numbers == np.round(dof_numbers))
         ):
             raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
-        return dof_array.astype(int)
+        return dof_numbers.astype(int)
 
     def find_dof(self, point: Sequence[float], component: int | str) -> int:
         """Return the dof of a displacement component at the node at a point (collective).
@@ -406,14 +411,17 @@ class Coordinates:
         """
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")
-        d, comm = self.nodes.points.shape[1], self.whole.comm
-        components: list[int | str] = [*range(d), *AXES[:d]]
-        if component not in components:
-            requirement = f"{', '.join(map(repr, components[:-1]))} or {components[-1]!r}"
+        n_dimensions, comm = self.nodes.points.shape[1], self.whole.comm
+        allowed_components: list[int | str] = [*range(n_dimensions), *AXES[:n_dimensions]]
+        if component not in allowed_components:
+            requirement = (
+                f"{', '.join(map(repr, allowed_components[:-1]))} or {allowed_components[-1]!r}"
+            )
             raise InputError("component", component, requirement)
         coordinates = numbers(point)
-        if coordinates.shape != (d,) or not np.all(np.isfinite(coordinates)):
-            requirement = f"[{', '.join(AXES[:d])}], {('two', 'three')[d - 2]} finite numbers"
+        if coordinates.shape != (n_dimensions,) or not np.all(np.isfinite(coordinates)):
+            count_word = ("two", "three")[n_dimensions - 2]
+            requirement = f"[{', '.join(AXES[:n_dimensions])}], {count_word} finite numbers"
             raise InputError("point", point, requirement)
         points = gather_rows(comm, self.nodes.points)
         node_indices = find_nodes_at(points, coordinates)
@@ -421,8 +429,8 @@ class Coordinates:
             hint = describe_nearest_node(points, coordinates)
             requirement = f"at a node that exists once ({len(node_indices)} found there; {hint})"
             raise InputError("point", tuple(coordinates), requirement)
-        node_dofs = gather_rows(comm, self.nodes.dofs)[node_indices[0]]
-        dof = int(node_dofs[components.index(component) % d])
+        dofs_of_node = gather_rows(comm, self.nodes.dofs)[node_indices[0]]
+        dof = int(dofs_of_node[allowed_components.index(component) % n_dimensions])
         if dof < 0:
             requirement = f"free in component {component!r}, not clamped"
             raise InputError("point", tuple(coordinates), requirement)
@@ -433,9 +441,9 @@ class Coordinates:
         if self.nodes is None:
             return f"displacement of dof {dof}"
         comm = self.whole.comm
-        node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
-        place = format_point(gather_rows(comm, self.nodes.points)[node], ".4g")
-        return f"{AXES[component]} displacement at {place} m"
+        node_index, component_index = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
+        place_text = format_point(gather_rows(comm, self.nodes.points)[node_index], ".4g")
+        return f"{AXES[component_index]} displacement at {place_text} m"
 
 
 # --- the clamp ------------------------------------------------------------------------------------
@@ -471,15 +479,15 @@ class Clamp:
     inertia: np.ndarray
     load: np.ndarray
 
-    def with_weights(self, weights: float | np.ndarray) -> Clamp:
+    def with_weights(self, load_weights: float | np.ndarray) -> Clamp:
         """Return the clamp under another load: the present one, weighted.
 
         Parameters
         ----------
-        weights : float or (2K+1, 2K+1)
+        load_weights : float or (2K+1, 2K+1)
             Factor of the load, or matrix that maps its rows (mean, cosine and sine parts).
         """
-        return replace(self, load=np.dot(weights, self.load))
+        return replace(self, load=np.dot(load_weights, self.load))
 
     def reaction_of_waves(
         self, waves: np.ndarray, omega: float, subharmonic: int, drag: float, phases: np.ndarray
@@ -506,13 +514,19 @@ class Clamp:
         (n, n_rigid - d) [N m]
             Moments.
         """
-        rate = omega * np.arange(1, len(waves) // 2 + 1)[:, None]
-        cosines, sines = waves[1::2], waves[2::2]
+        harmonic_omegas = omega * np.arange(1, len(waves) // 2 + 1)[:, None]
+        cosine_coefficients, sine_coefficients = waves[1::2], waves[2::2]
         inertia_waves = np.zeros_like(waves)
-        inertia_waves[1::2] = rate * (drag * sines - rate * cosines)
-        inertia_waves[2::2] = -rate * (drag * cosines + rate * sines)
-        forces = evaluate(inertia_waves, 1.0, phases) - evaluate(self.load, subharmonic, phases)
-        return tuple(np.split(forces, [len(self.center)], axis=1))
+        inertia_waves[1::2] = harmonic_omegas * (
+            drag * sine_coefficients - harmonic_omegas * cosine_coefficients
+        )
+        inertia_waves[2::2] = -harmonic_omegas * (
+            drag * cosine_coefficients + harmonic_omegas * sine_coefficients
+        )
+        reactions_at_phases = evaluate(inertia_waves, 1.0, phases) - evaluate(
+            self.load, subharmonic, phases
+        )
+        return tuple(np.split(reactions_at_phases, [len(self.center)], axis=1))
 
     def reaction_of_record(
         self, time: np.ndarray, inertia_record: np.ndarray, omega: float, drag: float

@@ -68,23 +68,29 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
         raise InputError(
             "values", np.shape(values), f"finite, ({len(instants)},) or ({len(instants)}, m)"
         )
-    columns = samples.reshape(len(instants), -1)
+    sample_columns = samples.reshape(len(instants), -1)
     phase = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
-    length, rise = np.diff(phase)[:, None], np.diff(columns, axis=0)
-    start_values, end_values = columns[:-1], columns[1:]
-    mean = np.sum(length * (start_values + end_values), axis=0) / (4.0 * np.pi)
-    square_sum = start_values**2 + start_values * end_values + end_values**2
-    mean_square = np.sum(length * square_sum, axis=0) / (6.0 * np.pi)
-    slope = np.divide(rise, length, out=np.zeros_like(rise), where=length > 0.0)
-    rows = [mean.astype(complex)]
-    for order in range(1, harmonics + 1):
-        exponentials = np.exp(1j * order * phase)[:, None]
+    phase_steps, value_steps = np.diff(phase)[:, None], np.diff(sample_columns, axis=0)
+    start_values, end_values = sample_columns[:-1], sample_columns[1:]
+    mean = np.sum(phase_steps * (start_values + end_values), axis=0) / (4.0 * np.pi)
+    interval_square_sums = start_values**2 + start_values * end_values + end_values**2
+    mean_square = np.sum(phase_steps * interval_square_sums, axis=0) / (6.0 * np.pi)
+    slope = np.divide(
+        value_steps, phase_steps, out=np.zeros_like(value_steps), where=phase_steps > 0.0
+    )
+    complex_coefficient_rows = [mean.astype(complex)]
+    for harmonic_order in range(1, harmonics + 1):
+        exponentials = np.exp(1j * harmonic_order * phase)[:, None]
         # int f e = [f e / (i k)] + slope [e] / k^2 over each interval
-        change = (end_values * exponentials[1:] - start_values * exponentials[:-1]) / (1j * order)
-        change = np.where(length > 0.0, change, 0.0)
-        coefficient = np.sum(change + slope * np.diff(exponentials, axis=0) / order**2, axis=0)
-        rows.append(np.conj(coefficient) / np.pi)
-    coefficients = from_complex(np.array(rows))
+        boundary_term = (end_values * exponentials[1:] - start_values * exponentials[:-1]) / (
+            1j * harmonic_order
+        )
+        boundary_term = np.where(phase_steps > 0.0, boundary_term, 0.0)
+        fourier_integral = np.sum(
+            boundary_term + slope * np.diff(exponentials, axis=0) / harmonic_order**2, axis=0
+        )
+        complex_coefficient_rows.append(np.conj(fourier_integral) / np.pi)
+    coefficients = from_complex(np.array(complex_coefficient_rows))
     variance = float(np.sum(mean_square - mean**2))
     kept_variance = 0.5 * float(np.sum(coefficients[1:] ** 2))
     truncation_error = (

@@ -105,10 +105,10 @@ class Receptance:
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the diagonal of B^T G M G B beyond the first modes: (n_pairs,)."""
-        weighted_modes = (
+        modal_flexibility = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
         )
-        return np.asarray(self.inertia + np.sum(weighted_modes**2, axis=1))
+        return np.asarray(self.inertia + np.sum(modal_flexibility**2, axis=1))
 
 
 def receptance(structure: Structure, n_modes: int) -> Receptance:
@@ -123,19 +123,25 @@ def receptance(structure: Structure, n_modes: int) -> Receptance:
         load.
     """
     structure = structure.original
-    cache = structure.compute_once(receptance_cache)
-    shared_cache = structure.compute_once(shared_receptance_cache, from_matrices=True)
-    if not cache and shared_cache:
-        cache += filter(None, [_with_load(structure, shared_cache[0])])
-    if not cache or cache[0].n_modes < n_modes:
+    known_receptances = structure.compute_once(make_empty_receptance_list)
+    shared_receptances = structure.compute_once(
+        make_empty_shared_receptance_list, from_matrices=True
+    )
+    if not known_receptances and shared_receptances:
+        known_receptances += filter(
+            None, [_convert_receptance_to_load(structure, shared_receptances[0])]
+        )
+    if not known_receptances or known_receptances[0].n_modes < n_modes:
         check_matrices(structure, f"{n_modes} modes")
-        cache[:] = shared_cache[:] = [
-            _extend_receptance(structure, cache[0] if cache else None, n_modes)
+        known_receptances[:] = shared_receptances[:] = [
+            _extend_receptance(
+                structure, known_receptances[0] if known_receptances else None, n_modes
+            )
         ]
-    return cache[0]
+    return known_receptances[0]
 
 
-def receptance_cache(structure: Structure) -> list[Receptance]:
+def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache for the receptance with the most modes so far.
 
     The cache does not hold the structure, which would keep it alive.
@@ -143,7 +149,7 @@ def receptance_cache(structure: Structure) -> list[Receptance]:
     return []
 
 
-def shared_receptance_cache(structure: Structure) -> list[Receptance]:
+def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache for structures with the same matrices and any load.
 
     It keeps the last receptance of any such structure.
@@ -151,41 +157,49 @@ def shared_receptance_cache(structure: Structure) -> list[Receptance]:
     return []
 
 
-def _with_load(structure: Structure, known_receptance: Receptance) -> Receptance | None:
+def _convert_receptance_to_load(
+    structure: Structure, known_receptance: Receptance
+) -> Receptance | None:
     """Convert a receptance with another load to the structure's load (collective).
 
     None: the structure's load is no linear combination of the other load's parts.
     """
-    load_parts, known_load = structure.force[loaded_parts(structure)], known_receptance.force
-    all_parts = np.vstack([known_load[loaded_parts(structure, known_load)], load_parts])
-    n_known_parts = len(all_parts) - len(load_parts)
-    if len(known_receptance.modal) - n_known_parts != sources_of(structure).shape[1] - len(
-        load_parts
+    known_load_coefficients = known_receptance.force
+    new_load_rows = structure.force[find_loaded_row_mask(structure)]
+    all_load_rows = np.vstack(
+        [
+            known_load_coefficients[find_loaded_row_mask(structure, known_load_coefficients)],
+            new_load_rows,
+        ]
+    )
+    n_known_rows = len(all_load_rows) - len(new_load_rows)
+    if len(known_receptance.modal) - n_known_rows != sources_of(structure).shape[1] - len(
+        new_load_rows
     ):
         return None  # only one of the two has tangents
-    gram = structure.sum_over_ranks(all_parts @ all_parts.T)
-    weights = (
-        np.linalg.pinv(gram[:n_known_parts, :n_known_parts], hermitian=True)
-        @ gram[:n_known_parts, n_known_parts:]
+    gram = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
+    load_weights = (
+        np.linalg.pinv(gram[:n_known_rows, :n_known_rows], hermitian=True)
+        @ gram[:n_known_rows, n_known_rows:]
     )
-    residual_squares = structure.sum_over_ranks(
-        ((load_parts - weights.T @ all_parts[:n_known_parts]) ** 2).sum(axis=1)
+    residual_norms_squared = structure.sum_over_ranks(
+        ((new_load_rows - load_weights.T @ all_load_rows[:n_known_rows]) ** 2).sum(axis=1)
     )
-    if np.any(residual_squares > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_parts:]):
+    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_rows:]):
         return None
-    transformation = scipy.linalg.block_diag(
-        np.eye(len(known_receptance.modal) - n_known_parts), weights
+    source_transformation = scipy.linalg.block_diag(
+        np.eye(len(known_receptance.modal) - n_known_rows), load_weights
     )
-    rows = {
-        dof: (modal_part, residual_part @ transformation)
-        for dof, (modal_part, residual_part) in known_receptance.rows.items()
+    rows_by_dof = {
+        dof: (shape_row, residual_row @ source_transformation)
+        for dof, (shape_row, residual_row) in known_receptance.rows.items()
     }
-    compliance = transformation.T @ known_receptance.compliance @ transformation
+    compliance = source_transformation.T @ known_receptance.compliance @ source_transformation
     return Receptance(
         known_receptance.squares,
-        transformation.T @ known_receptance.modal,
+        source_transformation.T @ known_receptance.modal,
         compliance,
-        rows,
+        rows_by_dof,
         structure.force,
         known_receptance.inertia,
     )
@@ -205,12 +219,14 @@ def sources_of(structure: Structure) -> sparse.csr_matrix:
 
     The shape is (n_local, n_sources). f has the nonzero parts of the load.
     """
-    load_parts = structure.force[loaded_parts(structure)]
+    nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
     pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
-    return sparse.hstack([*pair_forces, load_parts.T]).tocsr()
+    return sparse.hstack([*pair_forces, nonzero_load_rows.T]).tocsr()
 
 
-def loaded_parts(structure: Structure, load_coefficients: np.ndarray | None = None) -> np.ndarray:
+def find_loaded_row_mask(
+    structure: Structure, load_coefficients: np.ndarray | None = None
+) -> np.ndarray:
     """Return True for nonzero parts of a load, by default the structure's (collective).
 
     Returns
@@ -234,10 +250,12 @@ def _extend_receptance(
         begin("static responses")
         # Without an elastic mode there may be further rigid-body motions.
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
-            shape = flexibility.modal_sources.shape[:1]
-            zero_parts = np.zeros(shape * 2), np.zeros(shape)
-            compliance, inertia = (
-                zero_parts if has_all_modes else flexibility.compliance_and_inertia(factor)
+            sources_shape = flexibility.modal_sources.shape[:1]
+            zero_compliance_and_inertia = np.zeros(sources_shape * 2), np.zeros(sources_shape)
+            compliance, inertia_diagonal = (
+                zero_compliance_and_inertia
+                if has_all_modes
+                else flexibility.compliance_and_inertia(factor)
             )
             new_receptance = Receptance(
                 squares,
@@ -245,33 +263,36 @@ def _extend_receptance(
                 compliance,
                 {},
                 structure.force,
-                inertia[: structure.n_pairs],
+                inertia_diagonal[: structure.n_pairs],
             )
-            _add_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
+            _store_dof_rows(new_receptance, structure, _loaded_dofs(structure), flexibility, factor)
             return new_receptance
-    new_modes = slice(known_receptance.n_modes, None)
-    modal_flexibility = flexibility.modal_sources[:, new_modes] / squares[new_modes]
+    new_mode_range = slice(known_receptance.n_modes, None)
+    modal_flexibility = flexibility.modal_sources[:, new_mode_range] / squares[new_mode_range]
     compliance = (
-        known_receptance.compliance - modal_flexibility @ flexibility.modal_sources[:, new_modes].T
+        known_receptance.compliance
+        - modal_flexibility @ flexibility.modal_sources[:, new_mode_range].T
     )
-    inertia = known_receptance.inertia - np.sum(modal_flexibility[: structure.n_pairs] ** 2, axis=1)
+    inertia_diagonal = known_receptance.inertia - np.sum(
+        modal_flexibility[: structure.n_pairs] ** 2, axis=1
+    )
     dofs = [*known_receptance.rows]
-    mode_shapes = structure.values_at(modes.shapes.T, dofs).T
-    residual_parts = (
-        np.array([row for _, row in known_receptance.rows.values()])
-        - mode_shapes[:, new_modes] @ modal_flexibility.T
+    shape_rows = structure.values_at(modes.shapes.T, dofs).T
+    residual_rows = (
+        np.array([residual_row for _, residual_row in known_receptance.rows.values()])
+        - shape_rows[:, new_mode_range] @ modal_flexibility.T
     )
-    residual_factor = 0.0 if has_all_modes else 1.0
-    rows = dict(
-        zip(dofs, zip(mode_shapes, residual_factor * residual_parts, strict=True), strict=True)
+    residual_multiplier = 0.0 if has_all_modes else 1.0
+    rows_by_dof = dict(
+        zip(dofs, zip(shape_rows, residual_multiplier * residual_rows, strict=True), strict=True)
     )
     return Receptance(
         squares,
         flexibility.modal_sources,
-        residual_factor * compliance,
-        rows,
+        residual_multiplier * compliance,
+        rows_by_dof,
         structure.force,
-        residual_factor * inertia,
+        residual_multiplier * inertia_diagonal,
     )
 
 
@@ -299,12 +320,14 @@ def displacement_rows(
         flexibility = ResidualFlexibility(
             structure, shapes, known_receptance.squares, sources_of(structure)
         )
-        _add_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
-    shapes, residual_parts = (
+        _store_dof_rows(known_receptance, structure, np.array(missing_dofs), flexibility)
+    shape_rows, residual_rows = (
         np.array(rows)
         for rows in zip(*(known_receptance.rows[dof] for dof in requested_dofs), strict=True)
     )
-    return shapes[:, :n_modes], known_receptance.residual_response(n_modes, residual_parts, shapes)
+    return shape_rows[:, :n_modes], known_receptance.residual_response(
+        n_modes, residual_rows, shape_rows
+    )
 
 
 def expand_residual_response(
@@ -325,19 +348,19 @@ def expand_residual_response(
     -------
     (m, n_local) [m]
     """
-    is_nonzero = np.any(amplitudes != 0.0, axis=1)
+    is_nonzero_row = np.any(amplitudes != 0.0, axis=1)
     displacements = np.zeros((len(amplitudes), structure.n_local))
-    if np.any(is_nonzero):
+    if np.any(is_nonzero_row):
         sources = sources_of(structure.original)
         flexibility = ResidualFlexibility(structure, shapes, squares, sources)
         with Factor(structure.stiffness, definite=True) as factor:
-            displacements[is_nonzero] = flexibility.solve(
-                factor, (sources @ amplitudes[is_nonzero].T).T
+            displacements[is_nonzero_row] = flexibility.solve(
+                factor, (sources @ amplitudes[is_nonzero_row].T).T
             )
     return displacements
 
 
-def _add_rows(
+def _store_dof_rows(
     known_receptance: Receptance,
     structure: Structure,
     dofs: np.ndarray,
@@ -345,21 +368,24 @@ def _add_rows(
     factor: Factor | None = None,
 ) -> None:
     """Store displacements of some dofs under unit loads in ``rows`` (collective)."""
-    local_dofs = dofs - structure.first_dof
-    owned_entry_indices = np.flatnonzero((local_dofs >= 0) & (local_dofs < structure.n_local))
-    shape = structure.n_local, len(dofs)
+    dof_offsets = dofs - structure.first_dof
+    owned_entry_indices = np.flatnonzero((dof_offsets >= 0) & (dof_offsets < structure.n_local))
+    forces_shape = structure.n_local, len(dofs)
     unit_forces = sparse.csr_matrix(
-        (np.ones(len(owned_entry_indices)), (local_dofs[owned_entry_indices], owned_entry_indices)),
-        shape,
+        (
+            np.ones(len(owned_entry_indices)),
+            (dof_offsets[owned_entry_indices], owned_entry_indices),
+        ),
+        forces_shape,
     )
-    residual_parts = np.zeros((len(dofs), len(known_receptance.modal)))
+    residual_rows = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
         stiffness_factor = factor or Factor(structure.stiffness, definite=True)
-        with nullcontext(stiffness_factor) if factor else stiffness_factor as open_factor:
-            residual_parts = flexibility.project_with_inertia(open_factor, unit_forces)[0]
-    mode_shapes = structure.values_at(flexibility.shapes.T, dofs).T
+        with nullcontext(stiffness_factor) if factor else stiffness_factor as usable_factor:
+            residual_rows = flexibility.project_with_inertia(usable_factor, unit_forces)[0]
+    shape_rows = structure.values_at(flexibility.shapes.T, dofs).T
     known_receptance.rows.update(
-        zip(map(int, dofs), zip(mode_shapes, residual_parts, strict=True), strict=True)
+        zip(map(int, dofs), zip(shape_rows, residual_rows, strict=True), strict=True)
     )
 
 
@@ -436,24 +462,28 @@ class ResidualFlexibility:
         (m,)
             Diagonal of Y^T G M G Y.
         """
-        rows, inertia = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
+        product_blocks, inertia_blocks = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
         for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
-            block = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
+            force_rows = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
             # If K^-1 is small enough, its modal part is subtracted once, below.
             responses = (
-                factor.solve(block) if self._is_well_supported else self.solve(factor, block)
+                factor.solve(force_rows)
+                if self._is_well_supported
+                else self.solve(factor, force_rows)
             )
-            rows.append((self.sources.T @ responses.T).T)
-            inertia.append(np.sum(responses.T * multiply(self.structure.mass, responses.T), axis=0))
-        products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
-        inertias: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia))
+            product_blocks.append((self.sources.T @ responses.T).T)
+            inertia_blocks.append(
+                np.sum(responses.T * multiply(self.structure.mass, responses.T), axis=0)
+            )
+        products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(product_blocks))
+        inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia_blocks))
         if self._is_well_supported:
             modal_flexibility = (
                 self.structure.sum_over_ranks(columns.T @ self.shapes) / self.squares
             )
             products -= modal_flexibility @ self.modal_sources.T
-            inertias -= np.sum(modal_flexibility**2, axis=1)
-        return products, inertias
+            inertia_diagonal -= np.sum(modal_flexibility**2, axis=1)
+        return products, inertia_diagonal
 
     def compliance_and_inertia(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
         """Return the compliance of pairs and load, and its inertia (collective).
@@ -465,5 +495,5 @@ class ResidualFlexibility:
         (n_sources,)
             Diagonal of X^T G M G X, the change of S's diagonal by w^2.
         """
-        products, inertia = self.project_with_inertia(factor, self.sources)
-        return 0.5 * (products + products.T), inertia
+        unsymmetric_compliance, inertia_diagonal = self.project_with_inertia(factor, self.sources)
+        return 0.5 * (unsymmetric_compliance + unsymmetric_compliance.T), inertia_diagonal

@@ -48,20 +48,21 @@ MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_expo
 class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
-    ``source`` is the structure that was reduced; :class:`ReducedStructure` explains all other
-    fields.
+    ``source`` is the structure that was reduced, and ``removed_error_share`` its attribute
+    ``share``; :class:`ReducedStructure` explains all other fields.
     """
 
     source: Structure
     basis: np.ndarray | None = None
     omega: np.ndarray
     reference: ReducedStructure | None = None
-    share: float = 0.75  # the reference with the next static shapes lacks a quarter or less
+    # The reference with the next static shapes lacks a quarter or less.
+    removed_error_share: float = 0.75
 
 
 def _make_body_fields(
     source: Structure, squares: np.ndarray, damping: DampingRule | np.ndarray | None,
-    gap: np.ndarray, tangents: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
+    gap: np.ndarray, tangential_gap: np.ndarray | None, force: np.ndarray, compliance: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the fields of a :class:`ReducedBody` by name.
 
@@ -76,7 +77,7 @@ def _make_body_fields(
     return {
         "mass": distribute_rows(mass, MPI.COMM_SELF),
         "stiffness": distribute_rows(stiffness, MPI.COMM_SELF),
-        "gap": gap, "tangential": tangents, "force": force, "clearance": source.clearance,
+        "gap": gap, "tangential": tangential_gap, "force": force, "clearance": source.clearance,
         "damping": damping, "nodes": source.nodes, "pairs": source.pairs,
         "omega": np.sqrt(np.maximum(squares, 0.0)), "source": source,
     }  # fmt: skip
@@ -106,7 +107,7 @@ class ReducedStructure(Structure):
     body: ReducedBody
     basis: np.ndarray = body_property("basis")
     omega: np.ndarray = body_property("omega")
-    share: float = body_property("share")
+    share: float = body_property("removed_error_share")
     frequency = hertz_of()
 
     def __init__(
@@ -118,8 +119,10 @@ class ReducedStructure(Structure):
         reference: ReducedStructure | None = None,
     ) -> None:
         gap, force = source.apply_bt(basis.T), source.sum_over_ranks(source.force @ basis)
-        tangents = source.apply_tangential(basis.T)
-        fields = _make_body_fields(source, squares, damping, gap, tangents, force, np.zeros((0, 0)))
+        tangential_gap = source.apply_tangential(basis.T)
+        fields = _make_body_fields(
+            source, squares, damping, gap, tangential_gap, force, np.zeros((0, 0))
+        )
         super().__init__(ReducedBody(**fields, basis=basis, reference=reference))
 
     @property
@@ -163,9 +166,9 @@ class ReducedStructure(Structure):
         """
         return displacement @ self._source.values_at(self.basis.T, dofs)
 
-    def _with_changes(self, **changes: Any) -> Structure:
+    def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with the coordinates as dofs, without node positions."""
-        return super()._with_changes(**({"nodes": None} | changes))
+        return super()._plain_structure_with_changes(**({"nodes": None} | changes))
 
 
 class QuasiStaticReduction(ReducedStructure):
@@ -210,16 +213,19 @@ class QuasiStaticReduction(ReducedStructure):
         mode_range = range(self.n_modes)
         return np.asarray(damping.getValues(mode_range, mode_range))
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies omega and ``shapes`` for an open crack; None for a bonded crack."""
         return None if is_bonded else (self.omega, self.shapes)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MasslessBody(ReducedBody):
-    """Constant data of a :class:`MasslessStructure`; ``root`` is explained there."""
+    """Constant data of a :class:`MasslessStructure`.
 
-    root: np.ndarray
+    ``inverse_compliance_root`` is the attribute ``root`` explained there.
+    """
+
+    inverse_compliance_root: np.ndarray
 
 
 class MasslessStructure(QuasiStaticReduction):
@@ -239,7 +245,7 @@ class MasslessStructure(QuasiStaticReduction):
     """
 
     body: MasslessBody
-    root: np.ndarray = body_property("root")
+    root: np.ndarray = body_property("inverse_compliance_root")
 
     def __init__(
         self,
@@ -273,10 +279,11 @@ class MasslessStructure(QuasiStaticReduction):
         if isinstance(damping, DampingRule):
             damping = damping.for_modes(len(squares))
         pair_columns = np.vstack([modal_pairs, compliance[:, : modal_pairs.shape[1]]])
-        gap, tangents = np.split(pair_columns, [source.n_pairs], axis=1)
-        tangential_gap = None if source.tangential is None else tangents
+        gap, tangential_columns = np.split(pair_columns, [source.n_pairs], axis=1)
+        tangential_gap = None if source.tangential is None else tangential_columns
         fields = _make_body_fields(source, squares, damping, gap, tangential_gap, force, compliance)
-        fields |= {"root": _factor_of_inverse(compliance), "share": share}
+        fields["inverse_compliance_root"] = _factor_of_inverse(compliance)
+        fields["removed_error_share"] = share
         Structure.__init__(self, MasslessBody(**fields, reference=reference))
 
     @property
@@ -303,7 +310,7 @@ class MasslessStructure(QuasiStaticReduction):
         """Root L in the coordinates: ``root`` for the massless ones, zero for the modes."""
         return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies and shapes of all modes, with an open or a bonded crack.
 
         With an open crack the shapes are unit vectors. The bonded modes follow from
@@ -315,21 +322,31 @@ class MasslessStructure(QuasiStaticReduction):
         holds b^T q = 0. Linearly dependent pairs are one bond.
         """
         if not is_bonded:
-            return super().known_modes(is_bonded=False)
-        b, residual = self.gap[: self.n_modes].toarray(), self.residual
-        scaled_b = b / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
-        ties = _factor_of_inverse(scaled_b.T @ scaled_b + residual)
-        softness, rotation = np.linalg.eigh(ties.T @ residual @ ties)
-        ties, is_soft = ties @ rotation, softness > NEGLIGIBLE
-        rigid_ties = b @ ties[:, ~is_soft]
-        motions = scipy.linalg.null_space(rigid_ties.T) if rigid_ties.size else np.eye(self.n_modes)
-        tie_stiffness = (ties[:, is_soft] / softness[is_soft]) @ (b @ ties[:, is_soft]).T
-        squares, eigenvectors = np.linalg.eigh(
-            motions.T @ (np.diag(self.omega**2) + b @ tie_stiffness) @ motions
+            return super().known_omega_and_shapes(is_bonded=False)
+        modal_gaps, residual_compliance = self.gap[: self.n_modes].toarray(), self.residual
+        scaled_modal_gaps = (
+            modal_gaps / np.where(self.omega > 0.0, self.omega, self.omega.max() or 1.0)[:, None]
         )
-        modal_shapes = motions @ eigenvectors
+        ties = _factor_of_inverse(scaled_modal_gaps.T @ scaled_modal_gaps + residual_compliance)
+        tie_flexibilities, tie_eigenvectors = np.linalg.eigh(ties.T @ residual_compliance @ ties)
+        ties, is_soft_tie = ties @ tie_eigenvectors, tie_flexibilities > NEGLIGIBLE
+        rigid_tie_gaps = modal_gaps @ ties[:, ~is_soft_tie]
+        allowed_motions = (
+            scipy.linalg.null_space(rigid_tie_gaps.T)
+            if rigid_tie_gaps.size
+            else np.eye(self.n_modes)
+        )
+        modal_pair_forces = (ties[:, is_soft_tie] / tie_flexibilities[is_soft_tie]) @ (
+            modal_gaps @ ties[:, is_soft_tie]
+        ).T
+        squares, eigenvectors = np.linalg.eigh(
+            allowed_motions.T
+            @ (np.diag(self.omega**2) + modal_gaps @ modal_pair_forces)
+            @ allowed_motions
+        )
+        modal_shapes = allowed_motions @ eigenvectors
         static_amplitudes = np.zeros((self.n_dofs - self.n_modes, modal_shapes.shape[1]))
-        static_amplitudes[: self.n_pairs] = -tie_stiffness @ modal_shapes
+        static_amplitudes[: self.n_pairs] = -modal_pair_forces @ modal_shapes
         return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal_shapes, static_amplitudes])
 
     @property
@@ -367,9 +384,9 @@ class MasslessStructure(QuasiStaticReduction):
 
     def _expand_to_source(self, displacement: np.ndarray) -> np.ndarray:
         """Expand coordinates to the structure that was reduced (collective)."""
-        modal_part, static_part = np.split(displacement, [self.n_modes], axis=1)
-        return modal_part @ self.basis.T + expand_residual_response(
-            self._source, self.basis, self.omega**2, static_part
+        modal_amplitudes, static_amplitudes = np.split(displacement, [self.n_modes], axis=1)
+        return modal_amplitudes @ self.basis.T + expand_residual_response(
+            self._source, self.basis, self.omega**2, static_amplitudes
         )
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
@@ -382,8 +399,10 @@ class MasslessStructure(QuasiStaticReduction):
         """
         if self._source.whole is not self._source:  # it is reduced itself
             return self._source.values_at(self._expand_to_source(displacement), dofs)
-        dof_array = self._source.check_dofs(dofs)
-        return displacement @ np.hstack(displacement_rows(self._source, self.n_modes, dof_array)).T
+        checked_dofs = self._source.check_dofs(dofs)
+        return (
+            displacement @ np.hstack(displacement_rows(self._source, self.n_modes, checked_dofs)).T
+        )
 
 
 def check_mass(structure: Structure, remedy: str) -> None:
@@ -402,10 +421,14 @@ def _factor_of_inverse(compliance: np.ndarray) -> np.ndarray:
 
     It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.
     """
-    root_diagonal = np.sqrt(np.maximum(np.diag(compliance), 0.0))
-    scale = np.divide(
-        1.0, root_diagonal, out=np.zeros_like(root_diagonal), where=root_diagonal > 0.0
+    diagonal_roots = np.sqrt(np.maximum(np.diag(compliance), 0.0))
+    unit_diagonal_scale = np.divide(
+        1.0, diagonal_roots, out=np.zeros_like(diagonal_roots), where=diagonal_roots > 0.0
     )
-    eigenvalues, eigenvectors = np.linalg.eigh(scale[:, None] * compliance * scale)
+    eigenvalues, eigenvectors = np.linalg.eigh(
+        unit_diagonal_scale[:, None] * compliance * unit_diagonal_scale
+    )
     is_kept = eigenvalues > NEGLIGIBLE * eigenvalues.max(initial=0.0)
-    return np.asarray(scale[:, None] * eigenvectors[:, is_kept] / np.sqrt(eigenvalues[is_kept]))
+    return np.asarray(
+        unit_diagonal_scale[:, None] * eigenvectors[:, is_kept] / np.sqrt(eigenvalues[is_kept])
+    )

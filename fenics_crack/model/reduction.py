@@ -42,7 +42,7 @@ from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
-    check_damped_modes,
+    count_damped_modes,
     damped_modes,
     damping_on_modes,
     independent_part,
@@ -50,14 +50,14 @@ from fenics_crack.model.modes import (
     solve_modes,
     solve_modes_with_factor,
 )
-from fenics_crack.model.receptance import ResidualFlexibility, loaded_parts, receptance
+from fenics_crack.model.receptance import ResidualFlexibility, find_loaded_row_mask, receptance
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, check_mass
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 METHODS = ("massless", "free_interface")
-MIN_REFERENCE_SHARE = 0.1
+MIN_REFERENCE_ERROR_SHARE = 0.1
 """Minimum share of a reference; a smaller one shows nothing of the truncated part."""
-DEFAULT_LARGE_MODES = 50
+DEFAULT_MODES_OF_LARGE_STRUCTURE = 50
 """Default number of modes for a large structure whose modes are all damped."""
 
 
@@ -108,13 +108,17 @@ def reduce_structure(
     """
     check_choice("method", method, METHODS)
     check_mass(structure, "reduce the whole one")
-    rule = _uniform_damping_rule(structure)
-    is_modally_damped = rule is None and isinstance(structure.damping, ModalDamping)
-    n_damped = check_damped_modes(structure) if is_modally_damped else None
+    uniform_rule = _uniform_damping_rule_or_none(structure)
+    is_modally_damped = uniform_rule is None and isinstance(structure.damping, ModalDamping)
+    n_damped = count_damped_modes(structure) if is_modally_damped else None
     if modes is None:
         modes = min(20, structure.n_dofs) if n_damped is None else n_damped
-        if rule is not None:
-            modes = DEFAULT_LARGE_MODES if structure.n_dofs > MAX_DENSE_SIZE else structure.n_dofs
+        if uniform_rule is not None:
+            modes = (
+                DEFAULT_MODES_OF_LARGE_STRUCTURE
+                if structure.n_dofs > MAX_DENSE_SIZE
+                else structure.n_dofs
+            )
     is_integer = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (is_integer and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
@@ -130,11 +134,13 @@ def reduce_structure(
         mode_shapes, squares = computed_modes.shapes[:, :modes], computed_modes.omega[:modes] ** 2
         with _factor_regular(stiffness_factor, structure, is_held=bool(squares[0] > 0.0)) as factor:
             # Static responses to pair forces and load, without the part of the modes.
-            load_parts = structure.force[loaded_parts(structure)]
-            force_rows = np.vstack([structure.gap.T.toarray(), load_parts])
-            flexibility = ResidualFlexibility(structure, mode_shapes, squares, force_rows.T)
-            static_shapes = flexibility.solve(factor, force_rows).T
-            own_compliances = structure.sum_over_ranks((force_rows.T * static_shapes).sum(axis=0))
+            nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
+            unit_force_rows = np.vstack([structure.gap.T.toarray(), nonzero_load_rows])
+            flexibility = ResidualFlexibility(structure, mode_shapes, squares, unit_force_rows.T)
+            static_shapes = flexibility.solve(factor, unit_force_rows).T
+            own_compliances = structure.sum_over_ranks(
+                (unit_force_rows.T * static_shapes).sum(axis=0)
+            )
             is_rounding = _is_rounding(own_compliances, flexibility.modal_sources.T, squares)
             static_shapes = static_shapes[:, ~is_rounding]
             static_shapes = independent_part(structure, structure.mass, mode_shapes, static_shapes)
@@ -144,11 +150,11 @@ def reduce_structure(
                 static_shapes,
                 factor.solve(multiply(structure.mass, static_shapes).T).T,
             ]
-            if rule is None and structure.damping_matrix is not None:
-                damping_columns = multiply(
+            if uniform_rule is None and structure.damping_matrix is not None:
+                damping_forces = multiply(
                     structure.damping_matrix, np.hstack([mode_shapes, static_shapes])
                 )
-                reference_vectors.append(factor.solve(damping_columns.T).T)
+                reference_vectors.append(factor.solve(damping_forces.T).T)
     reference_structure = _reduce_to_vectors(
         structure, mode_shapes, squares, np.hstack(reference_vectors), None
     )
@@ -167,53 +173,63 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled, max_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
-    n_reference = min(n_doubled, max_modes) if max_modes > modes else original.n_dofs
-    if is_chosen := reference_choice is not True and reference_choice > modes:
+    n_doubled, allowed_modes = modes + max(modes, 10), original.n_dofs - original.n_pairs
+    n_reference = min(n_doubled, allowed_modes) if allowed_modes > modes else original.n_dofs
+    if has_given_reference := reference_choice is not True and reference_choice > modes:
         n_reference = int(reference_choice)
-    counts = (n_reference, modes) if reference_choice else (modes,)
-    full_receptance = receptance(original, max(counts))
-    if n_rigid := np.count_nonzero(full_receptance.squares[modes:] == 0.0):
-        requirement = f"at least {modes + n_rigid}: all motions as a rigid body"
+    mode_counts = (n_reference, modes) if reference_choice else (modes,)
+    largest_receptance = receptance(original, max(mode_counts))
+    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[modes:] == 0.0):
+        requirement = f"at least {modes + n_missing_rigid_modes}: all motions as a rigid body"
         raise InputError("modes", modes, requirement)
-    if reference_choice and not is_chosen and n_reference < n_doubled and n_reference == max_modes:
+    if (
+        reference_choice
+        and not has_given_reference
+        and n_reference < n_doubled
+        and n_reference == allowed_modes
+    ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
-            np.diag(full_receptance.compliance_beyond(count))[pair_range] for count in counts
+            np.diag(largest_receptance.compliance_beyond(count))[pair_range]
+            for count in mode_counts
         )
         if np.any(reference_compliance > compliance - reference_compliance):
-            counts = (original.n_dofs, modes)
-            full_receptance = receptance(original, original.n_dofs)
-    is_loaded, modal_sources = loaded_parts(original), full_receptance.modal.T
-    n_load_parts, n_gaps = len(is_loaded), len(full_receptance.modal) - np.count_nonzero(is_loaded)
+            mode_counts = (original.n_dofs, modes)
+            largest_receptance = receptance(original, original.n_dofs)
+    is_loaded_row, modal_sources = find_loaded_row_mask(original), largest_receptance.modal.T
+    n_load_rows = len(is_loaded_row)
+    n_gaps = len(largest_receptance.modal) - np.count_nonzero(is_loaded_row)
     # The amplitudes of the load's parts are unknowns, and S maps them to their forces.
-    load_patterns = np.hstack(
-        [np.zeros((n_load_parts, n_gaps)), np.eye(n_load_parts)[:, is_loaded]]
+    load_selection_matrix = np.hstack(
+        [np.zeros((n_load_rows, n_gaps)), np.eye(n_load_rows)[:, is_loaded_row]]
     )
-    inertias = [float(full_receptance.inertia_beyond(count).sum()) for count in counts]
-    share = max(1.0 - inertias[0] / max(inertias[-1], 1e-300), MIN_REFERENCE_SHARE)
-    share = min(share, 1.0 if counts[0] == original.n_dofs else 0.5)
-    damping_rule, reference = original.damping, None
+    inertia_sums = [float(largest_receptance.inertia_beyond(count).sum()) for count in mode_counts]
+    error_share = max(
+        1.0 - inertia_sums[0] / max(inertia_sums[-1], 1e-300), MIN_REFERENCE_ERROR_SHARE
+    )
+    error_share = min(error_share, 1.0 if mode_counts[0] == original.n_dofs else 0.5)
+    damping_rule, massless_structure = original.damping, None
     damping: Any = damping_rule
-    for count in counts:
-        compliance = full_receptance.compliance_beyond(count)
-        squares = full_receptance.squares[:count]
-        is_lost = _is_rounding(np.diag(compliance), modal_sources[:count], squares)
-        compliance[is_lost] = compliance[:, is_lost] = 0.0  # forces that the kept modes carry alone
+    for count in mode_counts:
+        compliance = largest_receptance.compliance_beyond(count)
+        squares = largest_receptance.squares[:count]
+        is_rounding = _is_rounding(np.diag(compliance), modal_sources[:count], squares)
+        # forces that the kept modes carry alone
+        compliance[is_rounding] = compliance[:, is_rounding] = 0.0
         if not isinstance(damping_rule, DampingRule | None):
             damping = _reduce_damping(original, solve_modes(original, count).shapes, squares)
-        reference = MasslessStructure(
+        massless_structure = MasslessStructure(
             original,
             squares,
             damping,
             modal_sources[:count, :n_gaps],
-            load_patterns @ np.hstack([full_receptance.modal[:, :count], compliance]),
+            load_selection_matrix @ np.hstack([largest_receptance.modal[:, :count], compliance]),
             compliance,
-            reference=reference,
-            share=share if count == counts[-1] else 0.5,
+            reference=massless_structure,
+            share=error_share if count == mode_counts[-1] else 0.5,
         )
-    assert reference is not None
-    return reference._in_setting(structure.setting)
+    assert massless_structure is not None
+    return massless_structure._in_setting(structure.setting)
 
 
 def _is_rounding(
@@ -235,7 +251,7 @@ def _is_rounding(
     return np.asarray(compliance_diagonal <= ZERO_TOLERANCE * modal_compliance)
 
 
-def _uniform_damping_rule(structure: Structure) -> DampingRule | None:
+def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
     """Return one damping rule for all modes, or None.
 
     It is one ratio, or Rayleigh's coefficients, and holds for the modes of the reduced structure,
@@ -291,8 +307,8 @@ def _reduce_to_vectors(
     projected_stiffness = structure.sum_over_ranks(
         vectors.T @ multiply(structure.stiffness, vectors)
     )
-    vector_squares, rotation = np.linalg.eigh(projected_stiffness)
-    vectors = vectors @ rotation
+    vector_squares, eigenvectors = np.linalg.eigh(projected_stiffness)
+    vectors = vectors @ eigenvectors
     basis = np.hstack([mode_shapes, vectors])
     squares = np.concatenate([squares, vector_squares])
     damping = _reduce_damping(structure, basis, squares)
@@ -309,12 +325,17 @@ def _reduce_damping(
     """
     if structure.damping is None:
         return None
-    if (rule := _uniform_damping_rule(structure)) is not None:
-        return rule
-    rate, omega = damping_on_modes(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
-    if rate.ndim == 2:
-        return rate
-    if np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
-        return np.diag(rate)
-    ratio = np.divide(rate, 2.0 * omega, out=np.zeros_like(rate), where=omega > 0.0)
-    return ModalDamping(tuple(np.maximum(ratio, 0.0)))
+    if (uniform_rule := _uniform_damping_rule_or_none(structure)) is not None:
+        return uniform_rule
+    modal_damping, omega = (
+        damping_on_modes(structure, basis, squares),
+        np.sqrt(np.maximum(squares, 0.0)),
+    )
+    if modal_damping.ndim == 2:
+        return modal_damping
+    if np.any(modal_damping[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
+        return np.diag(modal_damping)
+    damping_ratios = np.divide(
+        modal_damping, 2.0 * omega, out=np.zeros_like(modal_damping), where=omega > 0.0
+    )
+    return ModalDamping(tuple(np.maximum(damping_ratios, 0.0)))

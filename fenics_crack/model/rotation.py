@@ -37,14 +37,14 @@ from fenics_crack.basics.tables import RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
-from fenics_crack.model.matrices import read_only_array, read_only_rows
+from fenics_crack.model.matrices import read_only_array, read_only_csr_matrix
 from fenics_crack.model.modes import ZERO_TOLERANCE, Modes, independent_part, multiply, solve_modes
 from fenics_crack.model.nodes import body_property
 from fenics_crack.model.reduced import QuasiStaticReduction, ReducedBody
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import DampingRule, Structure, shared_property
 
-N_SPEEDS = 3
+N_BASIS_SPEEDS = 3
 """Number of speeds in a range whose bases are put together."""
 
 
@@ -56,9 +56,9 @@ class Rotation:
     ----------
     at_rest : Structure
         The structure without rotation: K and its own load.
-    stiffness : PETSc.Mat
+    rotation_stiffness : PETSc.Mat
         K_1 = K_g - M_y, stress stiffening less spin softening at 1 rad/s: (n, n) [kg].
-    displaced_stiffness : tuple of PETSc.Mat
+    displaced_stiffnesses : tuple of PETSc.Mat
         K_2 [kg] and K_3 [kg s^2], due to the displaced shape.
     force : (n_local,) [kg m]
         Centrifugal load f_c at 1 rad/s.
@@ -67,8 +67,8 @@ class Rotation:
     """
 
     at_rest: Structure
-    stiffness: Any
-    displaced_stiffness: tuple[Any, Any]
+    rotation_stiffness: Any
+    displaced_stiffnesses: tuple[Any, Any]
     force: np.ndarray
     speed: float
 
@@ -84,19 +84,19 @@ class Rotation:
         check_number("speed", speed, 0.0)
         if speed == 0.0:
             return self.at_rest
-        static_stiffness, stiffness = self.stiffnesses(speed)
+        static_shape_stiffness, stiffness = self.stiffnesses(speed)
         with Factor(stiffness) as factor:
-            if factor.negative_pivots or factor.null_pivots:
+            if factor.n_negative_pivots or factor.n_null_pivots:
                 raise InputError(
                     "rotation.speed", speed, describe_unstable_speed(self.at_rest, speed)
                 )
-        with Factor(static_stiffness, definite=True) as factor:
+        with Factor(static_shape_stiffness, definite=True) as factor:
             rotation_displacement = factor.solve(speed**2 * self.force[None]).T
-        static_stiffness.destroy()
+        static_shape_stiffness.destroy()
         load_coefficients = self.at_rest.force.copy()
         load_coefficients[0] += multiply(stiffness, rotation_displacement)[:, 0]
         rotation = replace(self, speed=speed)
-        return self.at_rest._with_changes(
+        return self.at_rest._plain_structure_with_changes(
             stiffness=stiffness, force=load_coefficients, rotation=rotation
         )
 
@@ -110,12 +110,14 @@ class Rotation:
         PETSc.Mat
             K(W), for motion about the displaced shape.
         """
-        speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffness
-        static_stiffness = weighted_sum(self.at_rest.stiffness, speed_squared, self.stiffness)
-        shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
-        stiffness = weighted_sum(static_stiffness, speed_squared, shape_stiffness)
-        shape_stiffness.destroy()
-        return static_stiffness, stiffness
+        speed_squared, (K_2, K_3) = speed**2, self.displaced_stiffnesses
+        static_shape_stiffness = weighted_sum(
+            self.at_rest.stiffness, speed_squared, self.rotation_stiffness
+        )
+        displaced_shape_stiffness = weighted_sum(K_2, speed_squared, K_3)
+        stiffness = weighted_sum(static_shape_stiffness, speed_squared, displaced_shape_stiffness)
+        displaced_shape_stiffness.destroy()
+        return static_shape_stiffness, stiffness
 
     def change_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
         """Return these terms of rotation about a changed structure at rest."""
@@ -154,11 +156,15 @@ def static_state(
     contact_forces = np.zeros(structure.n_pairs)
     with Factor(structure.stiffness, definite=True) as factor:
         displacement = factor.solve(constant_load[None])[0]
-        gap = structure.apply_bt(displacement[None])[0] - clearance
-        if np.any(gap > ZERO_TOLERANCE * np.abs(gap).max(initial=0.0)):
+        gap_without_contact = structure.apply_bt(displacement[None])[0] - clearance
+        if np.any(
+            gap_without_contact > ZERO_TOLERANCE * np.abs(gap_without_contact).max(initial=0.0)
+        ):
             pair_responses = factor.solve(structure.gap.T.toarray())
             compliance = structure.apply_bt(pair_responses)
-            contact_forces = solve_complementarity(0.5 * (compliance + compliance.T), gap)
+            contact_forces = solve_complementarity(
+                0.5 * (compliance + compliance.T), gap_without_contact
+            )
             contact_forces = np.asarray(structure.comm.bcast(contact_forces))
             displacement = displacement - contact_forces @ pair_responses
     return displacement, contact_forces
@@ -172,9 +178,11 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     """
     subject, problem = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
     if structure.nodes is not None:
-        extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        problem += f"; it measures {' x '.join(f'{extent:.3g}' for extent in extents)} m"
-        if len(extents) == 3:
+        mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
+        problem += (
+            f"; it measures {' x '.join(f'{mesh_extent:.3g}' for mesh_extent in mesh_extents)} m"
+        )
+        if len(mesh_extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"
 
@@ -207,15 +215,15 @@ def coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.ndarray:
     if nodes is None or nodes.points.shape[1] != 3:
         return np.zeros(n_modes)
     node_dofs = nodes.dofs[nodes.dofs[:, 0] >= 0] - structure.first_dof
-    coriolis_shapes = np.zeros_like(modes.shapes)
-    coriolis_shapes[node_dofs] = np.cross(
+    shape_cross_products = np.zeros_like(modes.shapes)
+    shape_cross_products[node_dofs] = np.cross(
         rotation_vector, modes.shapes[node_dofs], axisb=1, axisc=1
     )
     gyroscopic = 2.0 * structure.sum_over_ranks(
-        modes.shapes.T @ multiply(structure.mass, coriolis_shapes)
+        modes.shapes.T @ multiply(structure.mass, shape_cross_products)
     )
-    root_of_squares, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
-    matrix = np.block([[zero, root_of_squares], [-root_of_squares, -gyroscopic]])
+    omega_matrix, zero = np.diag(modes.omega), np.zeros((n_modes, n_modes))
+    matrix = np.block([[zero, omega_matrix], [-omega_matrix, -gyroscopic]])
     return np.asarray(np.linalg.eigvalsh(1j * matrix)[n_modes:] / modes.omega - 1.0)
 
 
@@ -231,13 +239,13 @@ class Ritz:
         Structure that was projected, at its own speed.
     basis : (structure.n_local, n)
         V, of modes and static responses at several speeds.
-    at_rest, stiffness : (n, n), (3, n, n)
+    rest_stiffness, rotation_stiffnesses : (n, n), (3, n, n)
         V^T K V at rest, and V^T K_i V of the terms K_1, K_2, K_3 of :class:`Rotation`.
-    squares_inverse : (n,)
+    mass_diagonal : (n,)
         Diagonal of the mass matrix V^T M V.
     force : (2K+1, n)
         Load V^T f at rest.
-    centrifugal : (n,)
+    centrifugal_load : (n,)
         Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
         The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
@@ -247,11 +255,11 @@ class Ritz:
 
     structure: Structure
     basis: np.ndarray
-    at_rest: np.ndarray
-    stiffness: np.ndarray
-    squares_inverse: np.ndarray
+    rest_stiffness: np.ndarray
+    rotation_stiffnesses: np.ndarray
+    mass_diagonal: np.ndarray
     force: np.ndarray
-    centrifugal: np.ndarray
+    centrifugal_load: np.ndarray
     mass: Any
     gap: sparse.csr_matrix
     tangential: np.ndarray | None
@@ -272,11 +280,11 @@ class Ritz:
         n_bonded : int
             Number of modes with a bonded crack at each of these speeds.
         """
-        rotation = structure.rotation
+        rotation_terms = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
-        for speed in np.unique(np.linspace(start, stop, N_SPEEDS)):
-            is_own_speed = np.isclose(speed, rotation.speed, rtol=1e-12, atol=0.0)
-            structure_at_speed = structure if is_own_speed else rotation.at(float(speed))
+        for speed in np.unique(np.linspace(start, stop, N_BASIS_SPEEDS)):
+            is_own_speed = np.isclose(speed, rotation_terms.speed, rtol=1e-12, atol=0.0)
+            structure_at_speed = structure if is_own_speed else rotation_terms.at(float(speed))
             reduced_structure = reduce_structure(
                 structure_at_speed, modes=modes, method="free_interface", reference=False
             )
@@ -295,33 +303,37 @@ class Ritz:
             del structure_at_speed, reduced_structure, shapes, new_columns
             collect_garbage(structure.comm)
 
-        def project_matrix(matrix: object) -> np.ndarray:
-            projection = structure.sum_over_ranks(basis.T @ multiply(matrix, basis))
+        def project_matrix(petsc_matrix: object) -> np.ndarray:
+            projection = structure.sum_over_ranks(basis.T @ multiply(petsc_matrix, basis))
             return np.asarray(0.5 * (projection + projection.T))
 
-        squares_inverse, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
+        mass_diagonal, eigenvectors = np.linalg.eigh(project_matrix(structure.mass))
         basis = basis @ eigenvectors
-        speed_squared = rotation.speed**2
-        matrices = rotation.stiffness, *rotation.displaced_stiffness
-        rotation_stiffness = np.array([project_matrix(matrix) for matrix in matrices])
-        at_rest = np.eye(len(squares_inverse)) - speed_squared * (
-            rotation_stiffness[0] + rotation_stiffness[1] + speed_squared * rotation_stiffness[2]
+        own_speed_squared = rotation_terms.speed**2
+        stiffness_terms = rotation_terms.rotation_stiffness, *rotation_terms.displaced_stiffnesses
+        projected_stiffness_terms = np.array(
+            [project_matrix(petsc_matrix) for petsc_matrix in stiffness_terms]
+        )
+        rest_stiffness = np.eye(len(mass_diagonal)) - own_speed_squared * (
+            projected_stiffness_terms[0]
+            + projected_stiffness_terms[1]
+            + own_speed_squared * projected_stiffness_terms[2]
         )
         try:
-            np.linalg.cholesky(at_rest)
+            np.linalg.cholesky(rest_stiffness)
         except np.linalg.LinAlgError:  # K is only rounding of the terms of rotation
-            requirement = describe_unstable_speed(structure, rotation.speed)
-            raise InputError("rotation.speed", rotation.speed, requirement) from None
+            requirement = describe_unstable_speed(structure, rotation_terms.speed)
+            raise InputError("rotation.speed", rotation_terms.speed, requirement) from None
         return cls(
             structure,
             read_only_array(basis),  # shared by all speeds
-            at_rest,
-            rotation_stiffness,
-            squares_inverse,
-            structure.sum_over_ranks(rotation.at_rest.force @ basis),
-            structure.sum_over_ranks(rotation.force @ basis),
-            distribute_rows(sparse.diags(squares_inverse), MPI.COMM_SELF),
-            read_only_rows(structure.apply_bt(basis.T)),
+            rest_stiffness,
+            projected_stiffness_terms,
+            mass_diagonal,
+            structure.sum_over_ranks(rotation_terms.at_rest.force @ basis),
+            structure.sum_over_ranks(rotation_terms.force @ basis),
+            distribute_rows(sparse.diags(mass_diagonal), MPI.COMM_SELF),
+            read_only_csr_matrix(structure.apply_bt(basis.T)),
             structure.apply_tangential(basis.T),
             modes,
         )
@@ -336,19 +348,21 @@ class Ritz:
         (2K+1, n) [N]
             V^T f, with the mean load due to rotation.
         """
-        term_1, term_2, term_3 = speed**2 * self.stiffness
-        stiffness = self.at_rest + term_1 + term_2 + speed**2 * term_3
-        rotation_displacement = np.linalg.solve(self.at_rest + term_1, speed**2 * self.centrifugal)
+        K_1_term, K_2_term, K_3_term = speed**2 * self.rotation_stiffnesses
+        stiffness = self.rest_stiffness + K_1_term + K_2_term + speed**2 * K_3_term
+        rotation_displacement = np.linalg.solve(
+            self.rest_stiffness + K_1_term, speed**2 * self.centrifugal_load
+        )
         load_coefficients = self.force.copy()
         load_coefficients[0] += stiffness @ rotation_displacement
         return stiffness, load_coefficients
 
-    def at_speed(self, speed: float) -> Structure:
+    def structure_at_speed(self, speed: float) -> Structure:
         """Return the small structure at a speed [rad/s], without damping."""
         stiffness, load_coefficients = self.stiffness_and_load(speed)
-        matrix = distribute_rows(stiffness, MPI.COMM_SELF)
+        petsc_stiffness = distribute_rows(stiffness, MPI.COMM_SELF)
         return Structure(
-            Body(self.mass, matrix, self.gap, load_coefficients, self.structure.clearance)
+            Body(self.mass, petsc_stiffness, self.gap, load_coefficients, self.structure.clearance)
         )
 
 
@@ -393,13 +407,13 @@ class RunUpStructure(QuasiStaticReduction):
                 "speed", speed, describe_unstable_speed(ritz.structure, speed)
             ) from None
         # Rounding hardly changes the largest eigenvalues, 1 / omega^2.
-        squares_inverse, eigenvectors = np.linalg.eigh(
-            (inverse_factor * ritz.squares_inverse) @ inverse_factor.T
+        inverse_squares, eigenvectors = np.linalg.eigh(
+            (inverse_factor * ritz.mass_diagonal) @ inverse_factor.T
         )
-        squares_inverse = squares_inverse[: -ritz.modes - 1 : -1]
+        inverse_squares = inverse_squares[: -ritz.modes - 1 : -1]
         columns = inverse_factor.T @ eigenvectors[:, ::-1]
         damping = ritz.structure.damping
-        omega = 1.0 / np.sqrt(squares_inverse)
+        omega = 1.0 / np.sqrt(inverse_squares)
         body = RunUpBody(
             ritz.mass, None, ritz.gap, load_coefficients, ritz.structure.clearance,
             damping=None if damping is None else damping.for_modes(len(load_coefficients[0])),
@@ -445,11 +459,16 @@ class RunUpStructure(QuasiStaticReduction):
         omega : float [rad/s]
             The nearest natural frequency is taken.
         """
-        term_1, term_2, term_3 = self.speed**2 * self.body.ritz.stiffness
-        mode_index = int(np.abs(self.omega - omega).argmin())
-        shape = self.shapes[:, mode_index]
-        stiffness_slope = 2.0 * (term_1 + term_2 + 2.0 * self.speed**2 * term_3)
-        return float(shape @ stiffness_slope @ shape / (2.0 * self.omega[mode_index] ** 2))
+        K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.rotation_stiffnesses
+        nearest_mode_index = int(np.abs(self.omega - omega).argmin())
+        mode_shape = self.shapes[:, nearest_mode_index]
+        log_speed_stiffness_slope = 2.0 * (K_1_term + K_2_term + 2.0 * self.speed**2 * K_3_term)
+        return float(
+            mode_shape
+            @ log_speed_stiffness_slope
+            @ mode_shape
+            / (2.0 * self.omega[nearest_mode_index] ** 2)
+        )
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Raise InputError: the damping comes from the structure before the run-up."""

@@ -102,11 +102,11 @@ class ModalDamping:
         return np.asarray(2.0 * np.asarray(self.ratio) * np.sqrt(np.maximum(squares, 0.0)))
 
     def __str__(self) -> str:
-        percent = 100.0 * np.asarray(self.ratio)
-        minimum, maximum = f"{percent.min():.3g}", f"{percent.max():.3g}"
-        span = minimum if minimum == maximum else f"{minimum} to {maximum}"
-        modes = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {span} %{modes}"
+        ratio_percents = 100.0 * np.asarray(self.ratio)
+        min_text, max_text = f"{ratio_percents.min():.3g}", f"{ratio_percents.max():.3g}"
+        range_text = min_text if min_text == max_text else f"{min_text} to {max_text}"
+        modes_text = "" if self.modes is None else f" of {self.modes} modes"
+        return f"modal damping {range_text} %{modes_text}"
 
 
 @dataclass(frozen=True)
@@ -165,19 +165,26 @@ class RayleighDamping:
         -----
         Source: Clough and Penzien, Dynamics of Structures, 2nd edition, McGraw-Hill, New York 1993.
         """
-        xi, omega = numbers(ratios), numbers(omegas)
-        if xi.shape != (2,) or not np.all(np.isfinite(xi)) or xi.min() < 0.0:
+        ratio_array, omega_array = numbers(ratios), numbers(omegas)
+        if (
+            ratio_array.shape != (2,)
+            or not np.all(np.isfinite(ratio_array))
+            or ratio_array.min() < 0.0
+        ):
             raise InputError("damping ratios", ratios, "two finite numbers >= 0")
-        is_valid = omega.shape == (2,) and np.all(np.isfinite(omega))
-        if not is_valid or omega.min() <= 0.0 or omega[0] == omega[1]:
+        is_valid = omega_array.shape == (2,) and np.all(np.isfinite(omega_array))
+        if not is_valid or omega_array.min() <= 0.0 or omega_array[0] == omega_array[1]:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
-        xi_list, omega_list = [float(x) for x in xi], [float(w) for w in omega]
+        xi_list = [float(ratio) for ratio in ratio_array]
+        omega_list = [float(w) for w in omega_array]
         check_two_ratios("damping ratios", xi_list, omega_list)
         (w_1, xi_1), (w_2, xi_2) = sorted(zip(omega_list, xi_list, strict=True))
-        s = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
+        ratio_shift = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
         mean_omega = 0.5 * (w_1 + w_2)
-        a, b = w_1 / mean_omega * w_2 * (xi_1 - s), (xi_2 + s) / mean_omega
-        return cls(max(a, 0.0), max(b, 0.0))  # rounding may make them negative
+        mass_coefficient = w_1 / mean_omega * w_2 * (xi_1 - ratio_shift)
+        stiffness_coefficient = (xi_2 + ratio_shift) / mean_omega
+        # Rounding may make them negative.
+        return cls(max(mass_coefficient, 0.0), max(stiffness_coefficient, 0.0))
 
     def scaled(self, factor: float) -> RayleighDamping:
         """Return this damping with both coefficients multiplied by a factor."""
@@ -266,11 +273,11 @@ class Structure(Coordinates):
         vars(self).update(body=body, setting=DEFAULT_SETTING)
 
     def __repr__(self) -> str:
-        pairs, damping = counted(self.n_pairs, "pair"), self.body.damping
-        damping_words = "no damping" if damping is None else "damping matrix"
-        if isinstance(damping, DampingRule):
-            damping_words = str(damping.scaled(self.damping_factor))
-        return f"{type(self).__name__}({self._size_description}, {pairs}, {damping_words})"
+        pairs_text, body_damping = counted(self.n_pairs, "pair"), self.body.damping
+        damping_text = "no damping" if body_damping is None else "damping matrix"
+        if isinstance(body_damping, DampingRule):
+            damping_text = str(body_damping.scaled(self.damping_factor))
+        return f"{type(self).__name__}({self._size_description}, {pairs_text}, {damping_text})"
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
@@ -282,7 +289,7 @@ class Structure(Coordinates):
         return (
             body_force
             if self.setting is DEFAULT_SETTING
-            else read_only_array(np.dot(self.setting.weights, body_force))
+            else read_only_array(np.dot(self.setting.load_weights, body_force))
         )
 
     @cached_property
@@ -320,7 +327,7 @@ class Structure(Coordinates):
     @cached_property
     def clamp(self) -> Clamp | None:
         """Clamp that gives the reaction to the load; None without a clamped mesh."""
-        return self.body.clamp and self.body.clamp.with_weights(self.setting.weights)
+        return self.body.clamp and self.body.clamp.with_weights(self.setting.load_weights)
 
     @cached_property
     def rotation(self) -> Any:
@@ -371,10 +378,10 @@ class Structure(Coordinates):
             return self
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
-            caches: dict[str, Any] = {"result_cache": {}}
+            new_caches: dict[str, Any] = {"result_cache": {}}
             if not changes.keys() <= MATRIX_INDEPENDENT_NAMES:
-                caches["matrix_cache"] = {}
-            body = replace(body, **caches | changes)
+                new_caches["matrix_cache"] = {}
+            body = replace(body, **new_caches | changes)
         Structure.__init__(new_structure, body)
         vars(new_structure)["setting"] = setting
         return new_structure
@@ -405,7 +412,7 @@ class Structure(Coordinates):
         gap[0] -= self.clearance
         return gap
 
-    def known_modes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
+    def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the modes of a reduced structure that need no solver, here None.
 
         Parameters
@@ -445,15 +452,15 @@ class Structure(Coordinates):
         """Return the sector's number, from 1, and its dof for a dof of the structure."""
         return 1, dof
 
-    def in_few_coordinates(self) -> Structure:
+    def structure_in_few_coordinates(self) -> Structure:
         """Return a wheel in the coordinates in which it is solved, or itself (collective)."""
         return self
 
-    def sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
+    def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the displacement of each sector, from coordinates (m, n_local)."""
         yield displacement
 
-    def load_on_sector(self, structure: Structure, rows: slice) -> np.ndarray:
+    def watched_sector_load(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return rows of the load on the watched sector.
 
         Parameters
@@ -491,7 +498,10 @@ class Structure(Coordinates):
             A row sum is not positive, as for six-node triangles.
         """
         return _change_with_rotation(
-            self, lambda structure: structure._with_changes(mass=lump_mass(structure.mass))
+            self,
+            lambda structure: structure._plain_structure_with_changes(
+                mass=lump_mass(structure.mass)
+            ),
         )
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
@@ -510,16 +520,16 @@ class Structure(Coordinates):
         InputError
             The stiffness is not one finite number >= 0, or one for each pair.
         """
-        springs = expand_to_pairs("stiffness", stiffness, self.n_pairs)
-        if np.any(springs < 0.0):
+        spring_stiffnesses = expand_to_pairs("stiffness", stiffness, self.n_pairs)
+        if np.any(spring_stiffnesses < 0.0):
             raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
-        gap = sparse.csr_matrix((self.n_local, 0))
+        empty_gap_matrix = sparse.csr_matrix((self.n_local, 0))
 
         def bond_pairs(structure: Structure) -> Structure:
-            bonded_stiffness = add_springs(structure.stiffness, structure.gap, springs)
-            return structure._with_changes(
+            bonded_stiffness = add_springs(structure.stiffness, structure.gap, spring_stiffnesses)
+            return structure._plain_structure_with_changes(
                 stiffness=bonded_stiffness,
-                gap=gap,
+                gap=empty_gap_matrix,
                 tangential=None,
                 clearance=np.zeros(0),
                 pairs=Pairs(),
@@ -547,7 +557,7 @@ class Structure(Coordinates):
             raise InputError("structure", repr(self), "one that is not reduced")
         load_coefficients = add_harmonics(self.force, harmonics, self.mass)
         return self._in_setting(
-            replace(self.setting, weights=1.0), force=load_coefficients, clamp=None
+            replace(self.setting, load_weights=1.0), force=load_coefficients, clamp=None
         )
 
     def with_tangents(self) -> Structure:
@@ -561,7 +571,7 @@ class Structure(Coordinates):
         InputError
             It was reduced without tangents.
         """
-        if self.tangential is not None or self.pairs.tangents is None:
+        if self.tangential is not None or self.pairs.tangential_gap_matrix is None:
             return self
         if self is not self.whole:
             requirement = "a whole one: reduce structure.whole.with_tangents()"
@@ -590,15 +600,19 @@ class Structure(Coordinates):
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
             raise InputError("direction of friction", direction, requirement)
-        cache = self.compute_once(_tangential_pair_cache)
-        if not cache or not np.array_equal(cache[0][0], direction):
+        cached_direction_and_structure = self.compute_once(_make_empty_pair_list)
+        if not cached_direction_and_structure or not np.array_equal(
+            cached_direction_and_structure[0][0], direction
+        ):
             original = self.original
-            cache[:] = [(direction, _add_tangential_pairs(original, direction))]
-        return cache[0][1]._in_setting(self.setting)
+            cached_direction_and_structure[:] = [
+                (direction, _add_tangential_pairs(original, direction))
+            ]
+        return cached_direction_and_structure[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with positions and other mesh data of its nodes and pairs."""
-        return self._with_changes(nodes=nodes, pairs=pairs)
+        return self._plain_structure_with_changes(nodes=nodes, pairs=pairs)
 
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none.
@@ -647,11 +661,13 @@ class Structure(Coordinates):
         InputError
             A value cannot be used.
         """
-        load_weights, n_rows = numbers(load), len(self.force)
-        if load_weights.shape not in ((), (n_rows, n_rows)) or not np.all(
+        load_weights, n_load_rows = numbers(load), len(self.force)
+        if load_weights.shape not in ((), (n_load_rows, n_load_rows)) or not np.all(
             np.isfinite(load_weights)
         ):
-            requirement = f"a finite number, or a finite matrix of shape ({n_rows}, {n_rows})"
+            requirement = (
+                f"a finite number, or a finite matrix of shape ({n_load_rows}, {n_load_rows})"
+            )
             raise InputError("load", load, requirement)
         if self.whole.rotation is not None and not _is_mean_kept(load_weights):
             requirement = "1 for a structure that rotates: part of its mean load is centrifugal"
@@ -662,12 +678,12 @@ class Structure(Coordinates):
             self.setting.combine_with(Setting(load_weights, damping, added_clearance))
         )
 
-    def _with_changes(self, **changes: Any) -> Structure:
+    def _plain_structure_with_changes(self, **changes: Any) -> Structure:
         """Return a plain Structure with changed fields of the body."""
-        names = [
+        copied_names = [
             body_field.name for body_field in fields(Body) if body_field.name not in UNCOPIED_NAMES
         ]
-        return Structure(Body(**({name: getattr(self, name) for name in names} | changes)))
+        return Structure(Body(**({name: getattr(self, name) for name in copied_names} | changes)))
 
     @classmethod
     @alone()
@@ -738,11 +754,13 @@ def _add_tangents(structure: Structure) -> Structure:
     """Return a structure with the mesh's tangential gaps, also at rest."""
     return _change_with_rotation(
         structure,
-        lambda source: source._in_setting(source.setting, tangential=source.pairs.tangents),
+        lambda source: source._in_setting(
+            source.setting, tangential=source.pairs.tangential_gap_matrix
+        ),
     )
 
 
-def _tangential_pair_cache(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
+def _make_empty_pair_list(structure: Structure) -> list[tuple[np.ndarray | None, Structure]]:
     """Return an empty cache of :meth:`Structure.with_tangential_pairs`: direction and result."""
     return []
 
@@ -752,16 +770,17 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
 
     ``direction`` is that of :meth:`Structure.with_tangential_pairs`.
     """
-    tangents: Any = structure.tangential
+    tangential_gap_matrix: Any = structure.tangential
     if direction is not None:
-        direction_factors = (
-            sparse.diags(component) for component in (np.cos(direction), np.sin(direction))
+        direction_matrices = (
+            sparse.diags(direction_cosines)
+            for direction_cosines in (np.cos(direction), np.sin(direction))
         )
-        tangents = tangents @ sparse.vstack([*direction_factors])
-    all_gaps = sparse.hstack([structure.gap, tangents])
+        tangential_gap_matrix = tangential_gap_matrix @ sparse.vstack([*direction_matrices])
+    joint_gap_matrix = sparse.hstack([structure.gap, tangential_gap_matrix])
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
     return structure._in_setting(
-        structure.setting, gap=all_gaps, tangential=None, clearance=clearance
+        structure.setting, gap=joint_gap_matrix, tangential=None, clearance=clearance
     )
 
 

@@ -108,7 +108,7 @@ def _exact_flow_input_error(structure: Structure, contact: ContactLaw) -> InputE
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_part()
+    static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_pair_compliance()
     if not is_regular(static_flexibility + np.diag(softness)):
         allowed_text = (
             "one whose faces have no mass: reduce_structure(structure, method='massless')"
@@ -157,14 +157,14 @@ class Flow:
         self.modal_model = modal_model = all_modes(structure_with_friction_rows)
         self.n_modes = len(modal_model.squares)
         self.size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
-        self.residual_flexibility = modal_model.static_part()
+        self.residual_flexibility = modal_model.static_pair_compliance()
         self.softness = spring_compliances(contact, structure.n_pairs)
         self.compliance = self.residual_flexibility + np.diag(self.softness)
         self.modal_load = np.ascontiguousarray(structure.force @ modal_model.shapes)
         self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
-        if modal_model.static_loads is not None:
+        if modal_model.massless_flexibility is not None:
             self.load_gap += structure_with_friction_rows.apply_bt(
-                structure.force @ modal_model.static_loads
+                structure.force @ modal_model.massless_flexibility
             )
         self.load_gap[0] -= self.clearance
 
@@ -240,11 +240,14 @@ class Flow:
             return motion_columns[dofs] if rows is None else rows @ motion_columns
 
         displacement: np.ndarray = modal_displacement @ select(modal_model.shapes).T
-        if modal_model.static_loads is not None and modal_model.static_pairs is not None:
+        if (
+            modal_model.massless_flexibility is not None
+            and modal_model.massless_pair_responses is not None
+        ):
             displacement += (
-                load_basis @ select((self.structure.force @ modal_model.static_loads).T).T
+                load_basis @ select((self.structure.force @ modal_model.massless_flexibility).T).T
             )
-            displacement -= force @ select(modal_model.static_pairs).T
+            displacement -= force @ select(modal_model.massless_pair_responses).T
         return displacement
 
 

@@ -20,7 +20,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.stated import error_by_modes
 from fenics_crack.model.contact import friction_of, is_rigid
 from fenics_crack.model.modes import bilinear_frequencies
-from fenics_crack.model.reduction import DEFAULT_LARGE_MODES
+from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
@@ -161,7 +161,7 @@ def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
         study = _first_with_enough_modes(next(studies), studies, order * start, order * stop)
         unreduced_study = replace(unreduced_study, scene=study.scene)
     reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
-    default_modes = min(DEFAULT_LARGE_MODES, unreduced_study.structure.n_dofs)
+    default_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, unreduced_study.structure.n_dofs)
     n_modes = default_modes if reduction is None else reduction.modes
     structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)
     yield replace(unreduced_study, structure=structure.at_speed(start))

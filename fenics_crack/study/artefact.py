@@ -35,9 +35,9 @@ from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 from fenics_crack.model.receptance import (
     Receptance,
     displacement_rows,
+    make_empty_receptance_list,
+    make_empty_shared_receptance_list,
     receptance,
-    receptance_cache,
-    shared_receptance_cache,
     sources_of,
 )
 from fenics_crack.model.structure import DampingRule, Structure
@@ -134,19 +134,24 @@ class PreparedStructure:
             structure.clamp,
             structure.watched,
         )
-        sources = [structure, *([] if pairs.tangents is None else [structure.with_tangents()])]
+        sources = [
+            structure,
+            *([] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]),
+        ]
         places = NODE_ARRAYS if nodes else ()
         arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in places}
         return cls(
             gap=Rows.of(structure.gap, comm), tangential=Rows.of(structure.tangential, comm),
-            tangents=Rows.of(pairs.tangents, comm), shares=Rows.of(pairs.shares, MPI.COMM_SELF),
+            tangents=Rows.of(pairs.tangential_gap_matrix, comm),
+            shares=Rows.of(pairs.pressure_matrix, MPI.COMM_SELF),
             force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
             watched=None if watched is None else gather_rows(comm, watched),
             nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **arrays),
-            pairs=replace(pairs, shares=None, tangents=None),
+            pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(replace(known_receptance, force=np.zeros(0)) for source in sources
-                       for known_receptance in source.compute_once(receptance_cache)), **datasets,
+                       for known_receptance in source.compute_once(make_empty_receptance_list)),
+            **datasets,
         )  # fmt: skip
 
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
@@ -170,8 +175,9 @@ class PreparedStructure:
         )
         nodes, watched, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
         pairs = replace(
-            pairs, tangents=rows(self.tangents, 2 * n_pairs),
-            shares=self.shares and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
+            pairs, tangential_gap_matrix=rows(self.tangents, 2 * n_pairs),
+            pressure_matrix=self.shares
+            and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
         arrays = {name: getattr(nodes, name)[own] for name in (NODE_ARRAYS if nodes else ())}
         made = Structure(Body(
@@ -189,8 +195,10 @@ class PreparedStructure:
                 candidate for candidate in sources if sources_of(candidate).shape[1] == n_sources
             )
             loaded_receptance = replace(known_receptance, force=source.force)
-            source.compute_once(receptance_cache)[:] = [loaded_receptance]
-            made.compute_once(shared_receptance_cache, from_matrices=True)[:] = [loaded_receptance]
+            source.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
+            made.compute_once(make_empty_shared_receptance_list, from_matrices=True)[:] = [
+                loaded_receptance
+            ]
         if not np.array_equal(weights, np.eye(len(made.force))):
             force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
             made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
@@ -287,7 +295,7 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if scene.speed > 0.0 or scene.disk is not None:
         key = "disk" if scene.disk is not None else "rotation"
         raise InputError(key, "given", "left out, for a file: it holds structures at rest")
-    if structure.pairs.shares is not None:
+    if structure.pairs.pressure_matrix is not None:
         raise InputError("geometry.kind", "solid", "'plate', or matrices, for a file")
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         allowed = "reduced to crack faces without mass, and damped by [damping], for a file"

@@ -41,11 +41,11 @@ from fenics_crack.files.store import Stored
 from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
-    FREQUENCY_KINDS,
+    FREQUENCY_KIND_NAMES,
     BilinearFrequencies,
     Modes,
     count_bonded_modes,
-    match_bonded_modes,
+    find_bonded_mode_indices,
     multiply,
     solve_modes,
 )
@@ -57,7 +57,7 @@ from fenics_crack.study.prepare import REFUSALS, law_of
 from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
 from fenics_crack.study.sharing import assembled
 
-HELD = (*FREQUENCY_KINDS[:2], "partly")
+HELD = (*FREQUENCY_KIND_NAMES[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
 STATES = {
     **dict(zip(HELD, ("held open", "held shut", "held partly open"), strict=True)),
@@ -153,8 +153,8 @@ class Campbell(Saved):
         """ "open", "tied" and "bilinear", and "partly" where the crack is that somewhere; "open"
         alone without a crack."""
         seen = {*self.kind.ravel().tolist(), *(change[-1] for change in self.changes)}
-        found = (*FREQUENCY_KINDS, *seen.intersection({"partly"}))
-        return found if self.cracked else FREQUENCY_KINDS[:1]
+        found = (*FREQUENCY_KIND_NAMES, *seen.intersection({"partly"}))
+        return found if self.cracked else FREQUENCY_KIND_NAMES[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
         """Find where w = order W meets natural frequencies: (k, 2), mode (from 1), speed [rad/s].
@@ -248,7 +248,7 @@ class Campbell(Saved):
                 own = [*dict.fromkeys(self._states(mode, speed))]
                 others = [
                     f"{STATES[kind]} at {_in_words(other)}"
-                    for kind in FREQUENCY_KINDS
+                    for kind in FREQUENCY_KIND_NAMES
                     if kind != own[-1] or len(own) > 1
                     for which, other in self.crossings(order, kind)
                     if which == mode
@@ -379,7 +379,7 @@ def campbell(
 
     @cache
     def at(speed: float) -> tuple[np.ndarray, np.ndarray]:
-        return _frequencies(small.at_speed(speed), peaks, count, n_tied)
+        return _frequencies(small.structure_at_speed(speed), peaks, count, n_tied)
 
     omega, holds = zip(*map(at, wanted.tolist()), strict=True)
     opened, tied, partly = np.moveaxis(omega, 1, 0)
@@ -390,7 +390,7 @@ def campbell(
         for speed, kind in _changes(at, *ends, mode)
     )
     kind = np.array([_kinds(hold) for hold in holds])
-    last = solve_modes(small.at_speed(wanted[-1]), count)
+    last = solve_modes(small.structure_at_speed(wanted[-1]), count)
     modes = Modes(last.omega, small.basis @ last.shapes, top)
     coriolis = coriolis_shifts(modes, wanted[-1] * axis)
     found = Campbell(
@@ -523,7 +523,7 @@ def _held(
         ties, loose = structure.gap[:, tied], np.zeros(int(tied.sum()))
         part = Structure(Body(structure.mass, structure.stiffness, ties, structure.force, loose))
         found = solve_modes(part, n_tied, lips="tied")
-        own = match_bonded_modes(is_open, found)
+        own = find_bonded_mode_indices(is_open, found)
         modes = Modes(found.omega[own], found.shapes[:, own], structure)
     change = np.abs(structure.apply_bt(modes.shapes.T)).T
     if tied.any():

@@ -121,7 +121,8 @@ def inertia_rows(structure: Structure) -> np.ndarray:
     whole, inertia = structure.whole, _clamp(structure.whole)[0].inertia
     if structure is whole:
         return inertia
-    known = structure.known_modes(is_bonded=False)  # with mass, where not all coordinates have it
+    # with mass, where not all coordinates have it
+    known = structure.known_omega_and_shapes(is_bonded=False)
     shapes = np.eye(structure.n_dofs) if known is None else known[1]
     rows = whole.sum_over_ranks(structure.expand(shapes.T) @ inertia.T).T @ shapes.T
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))

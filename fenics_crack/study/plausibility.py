@@ -35,9 +35,9 @@ from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
     BilinearFrequencies,
     Modes,
-    check_damped_modes,
     count_below,
-    match_bonded_modes,
+    count_damped_modes,
+    find_bonded_mode_indices,
     multiply,
     solve_bonded_modes,
     solve_modes,
@@ -129,8 +129,8 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
     responses exactly (collective)."""
-    scene, whole, law = study.scene, study.structure.in_few_coordinates(), study.contact
-    known = whole.known_modes(is_bonded=False)
+    scene, whole, law = study.scene, study.structure.structure_in_few_coordinates(), study.contact
+    known = whole.known_omega_and_shapes(is_bonded=False)
     most = whole.n_dofs if known is None else len(known[0])
     count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
@@ -142,7 +142,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
         tied = solve_bonded_modes(whole, count, factor) if whole.n_pairs else modes
     ratios = damping_ratios(whole, modes.omega)
-    breathing = BilinearFrequencies(modes.omega, tied.omega[match_bonded_modes(modes, tied)])
+    breathing = BilinearFrequencies(modes.omega, tied.omega[find_bonded_mode_indices(modes, tied)])
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(whole.force @ modes.shapes)
     amplitudes = [to_complex(rows)[1:] for rows in (static, gaps, loads)]  # of each harmonic
@@ -223,10 +223,10 @@ def _slopes(modes: Modes) -> np.ndarray:
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
-    second, third = rotation.displaced_stiffness
+    second, third = rotation.displaced_stiffnesses
     for mode, shape in enumerate(modes.shapes.T):
-        shapes = np.vstack(list(structure.sector_displacements(shape[None]))).T
-        force = multiply(rotation.stiffness, shapes) + multiply(second, shapes)
+        shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
+        force = multiply(rotation.rotation_stiffness, shapes) + multiply(second, shapes)
         force += 2.0 * rotation.speed**2 * multiply(third, shapes)
         slopes[mode] = structure.sum_over_ranks((shapes * force).sum())
     return slopes
@@ -268,7 +268,7 @@ def damping_ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
         return np.divide(rule.rate(omega**2), twice, out=np.zeros_like(omega), where=omega > 0.0)
     found = np.zeros(len(omega))
     if isinstance(rule, ModalDamping):
-        damped = min(check_damped_modes(whole), len(omega))
+        damped = min(count_damped_modes(whole), len(omega))
         ratio = np.asarray(rule.ratio)
         found[:damped] = ratio if ratio.ndim == 0 else ratio[:damped]
     return found

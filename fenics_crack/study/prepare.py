@@ -28,8 +28,8 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, factor_memory
 from fenics_crack.model.modes import krylov_size
 from fenics_crack.model.nodes import AXES
-from fenics_crack.model.reduction import DEFAULT_LARGE_MODES, reduce_structure
-from fenics_crack.model.rotation import N_SPEEDS
+from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE, reduce_structure
+from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
@@ -259,7 +259,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
         return None
     modes = table.modes or scene.damped_modes
     if isinstance(modes, str):  # "all"
-        modes = min(DEFAULT_LARGE_MODES, structure.n_dofs)
+        modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, structure.n_dofs)
     lips = structure.n_pairs > 0 and modes < structure.n_dofs
     return Kept(table.method or ("massless" if lips else "free_interface"), modes)
 
@@ -334,7 +334,7 @@ def run_up_memory(structure: Structure, modes: int) -> float:
     """The same of :func:`run_up_structure`: the modes of another speed, with its stiffness, beside
     the basis of the others; or three bases at a time, the old one, the addition, and the result of
     both (collective)."""
-    basis = 8.0 * structure.n_dofs * N_SPEEDS * (modes + structure.n_pairs + 1)
+    basis = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (modes + structure.n_pairs + 1)
     of_modes = _factor_memory(structure) + _memory_for_modes(structure, modes) + basis
     return _memory_held(structure) + _matrix_memory(structure) + max(of_modes, 3.0 * basis)
 

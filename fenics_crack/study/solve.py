@@ -23,7 +23,7 @@ from fenics_crack.basics.progress import begin
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.receptance import receptance, receptance_cache
+from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
@@ -150,7 +150,7 @@ def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]
     of_file = not whole.has_matrices
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
-        most = min(most, len(whole.compute_once(receptance_cache)[0].squares) // 2)
+        most = min(most, len(whole.compute_once(make_empty_receptance_list)[0].squares) // 2)
     return mode_counts(whole, FIRST_MODES if large else kept.modes, most)
 
 

@@ -28,7 +28,7 @@ from fenics_crack.curves.stability import floquet
 from fenics_crack.fem.setting import clearance_of, force_parts
 from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.modes import FREQUENCY_KINDS, BilinearFrequencies, bilinear_frequencies
+from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
@@ -348,7 +348,7 @@ def _at(omega: float, natural: BilinearFrequencies) -> Found:
 def _numbered(natural: BilinearFrequencies) -> Found:
     """Natural frequencies by the names of their columns; there may be fewer than these."""
     rows = natural.omega_open, np.sort(natural.omega_tied), natural.omega_bilinear
-    kinds = zip(FREQUENCY_KINDS, rows, strict=True)
+    kinds = zip(FREQUENCY_KIND_NAMES, rows, strict=True)
     return {f"omega_{kind}_{n}": omega for kind, row in kinds for n, omega in enumerate(row, 1)}
 
 

@@ -58,7 +58,7 @@ from fenics_crack.model.contact import (
     spring_compliances,
 )
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modal import CACHE_BLOCK_SIZE, all_modes, is_small
+from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
 from fenics_crack.model.modes import damped_modes, largest_frequency, multiply
 from fenics_crack.model.reduced import MASS_REMEDY, check_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
@@ -357,7 +357,7 @@ class _ModalDifferences(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         modes, request, n_window_steps = self._modes, self._request, len(window.gap)
-        n_steps_in_cache = max(1, CACHE_BLOCK_SIZE // len(modes.squares))
+        n_steps_in_cache = max(1, MODAL_COORDINATES_IN_CACHE // len(modes.squares))
         for first_step in range(0, n_window_steps, n_steps_in_cache):
             step_slice = slice(first_step, min(first_step + n_steps_in_cache, n_window_steps))
             modal_displacement = np.empty((step_slice.stop - first_step, len(modes.squares)))

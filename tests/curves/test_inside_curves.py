@@ -601,7 +601,7 @@ def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
     gap = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=6).gap_coefficients
     one = monodromy_of_linear_flow(structure, law, gap, 1.1)
-    monkeypatch.setattr("fenics_crack.curves.stability.CACHE_BLOCK_SIZE", 1)
+    monkeypatch.setattr("fenics_crack.curves.stability.MODAL_COORDINATES_IN_CACHE", 1)
     assert relative(monodromy_of_linear_flow(structure, law, gap, 1.1), one) < 1e-10
 
 

@@ -111,9 +111,9 @@ def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
             moved = np.zeros((structure.n_dofs, 1))
             free = nodes.dofs[:, component] >= 0
             moved[nodes.dofs[free, component], 0] = nodes.points[free, 1]
-            vector, product = rotation.stiffness.createVecs()
+            vector, product = rotation.rotation_stiffness.createVecs()
             vector.array[:] = moved[:, 0]
-            rotation.stiffness.mult(vector, product)
+            rotation.rotation_stiffness.mult(vector, product)
             found = moved[:, 0] @ product.array_r
             assert found == pytest.approx(DENSITY * area * expected, rel=1e-6, abs=1e-9)
         moved = fc.solve_linear(structure, 100.0, harmonics=1).displacement_coefficients[0]
@@ -172,7 +172,7 @@ def test_speeds_too_high_and_loads_are_refused() -> None:
     softening = rotation.at_rest.mass.copy()
     softening.scale(-1.0)
     with pytest.raises(InputError, match=r"rotation.speed.*lower"):
-        replace(rotation, stiffness=softening).at(4.0 * UNIT)
+        replace(rotation, rotation_stiffness=softening).at(4.0 * UNIT)
     plate = fc.prepare(cracked(100.0))
     for structure in (plate.structure, plate.structure.whole):
         with pytest.raises(InputError, match="load"):

@@ -12,7 +12,7 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import MasslessStructure
 from fenics_crack.model.matrices import AbsentMatrix
-from fenics_crack.model.receptance import Receptance, receptance, shared_receptance_cache
+from fenics_crack.model.receptance import Receptance, make_empty_shared_receptance_list, receptance
 
 
 def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
@@ -373,7 +373,7 @@ def test_from_arrays_alone() -> None:
         name: getattr(known, name) for name in ("squares", "modal", "compliance", "rows", "inertia")
     }
     made = chain("modal", 30)
-    held = made.compute_once(shared_receptance_cache, from_matrices=True)
+    held = made.compute_once(make_empty_shared_receptance_list, from_matrices=True)
     held[:] = [Receptance(**parts, force=made.force)]
     object.__setattr__(made.body, "stiffness", AbsentMatrix(made.n_dofs, 0))
     found = reduced(made, 6)

@@ -12,7 +12,7 @@ from helpers import chain, chain_stiffness, dense, oscillator
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.model.modes import match_bonded_modes
+from fenics_crack.model.modes import find_bonded_mode_indices
 
 HALF = 6
 """Masses on each side of the middle of a chain."""
@@ -232,7 +232,7 @@ def test_shapes_without_a_match_keep_their_order() -> None:
     is_open = fc.solve_modes(structure, 3)
     mixed = is_open.shapes @ (np.eye(3) - 2.0 / 3.0)
     tied = fc.Modes(1.5 * is_open.omega, mixed, structure)
-    assert match_bonded_modes(is_open, tied).tolist() == [0, 1, 2]
+    assert find_bonded_mode_indices(is_open, tied).tolist() == [0, 1, 2]
 
 
 def test_no_tie_makes_a_mode_slower() -> None:
