@@ -135,12 +135,14 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
         )
     }
     for front in find_fronts(structure):
-        positions = np.append(0.0, np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).cumsum())
+        positions = np.append(
+            0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
+        )
         is_inner = front.is_closed | (np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE)
-        inner_nodes, parameters = front.nodes[is_inner], front.parameters[is_inner]
-        rays = zip(inner_nodes, front.frame(parameters)[0][:, 0], strict=True)
+        inner_nodes, parameters = front.node_positions[is_inner], front.parameters[is_inner]
+        rays = zip(inner_nodes, front.frame_and_curvature(parameters)[0][:, 0], strict=True)
         ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
-        in_plane = np.abs((surface - front.nodes[0]) @ front.normals[0]) < 1e-6 * mesh.size
+        in_plane = np.abs((surface - front.node_positions[0]) @ front.normals[0]) < 1e-6 * mesh.size
         mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_faces), axis=1)]
         distances = solid_mesher.triangle_distances(inner_nodes, mouth)
         depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
