@@ -176,7 +176,7 @@ def _front_pressure_shares(
     ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
     """
     overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * face_measure
-    matrix = compat.assembled_matrix(overlap_form)
+    matrix = compat.assembled_petsc_matrix(overlap_form)
     entries = local_rows(matrix).tocoo()
     matrix.destroy()
     first_node = space.dofmap.index_map.local_range[0]
@@ -335,7 +335,7 @@ def _columns_of_pressures(
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
     work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * face_measure
-    matrix = compat.assembled_matrix(work_form)
+    matrix = compat.assembled_petsc_matrix(work_form)
     columns = local_rows(matrix).tocsc()
     matrix.destroy()
     weights = compat.assembled_vector(t * ufl.TestFunction(space) * face_measure)
@@ -463,7 +463,7 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)
-    matrix = compat.assembled_matrix(mass)
+    matrix = compat.assembled_petsc_matrix(mass)
     load_coefficients, watched_vector = assemble_loads(scene, dofs, matrix)
     clamp = clamp_of(dofs, matrix, load_coefficients)
     matrix.destroy()
@@ -493,7 +493,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         from fenics_crack.disk.sector import match_sides
 
         match_sides(scene, dofs)
-    stiffness, mass = map(compat.assembled_matrix, _matrix_forms(scene, space))
+    stiffness, mass = map(compat.assembled_petsc_matrix, _matrix_forms(scene, space))
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, patches = thickness(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(dofs, t, mouth_only=mouth_only, max_patches=patches)

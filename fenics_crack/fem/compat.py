@@ -158,7 +158,7 @@ def compile_form(form: Any) -> Any:
     return _compile(form.ufl_domain().ufl_cargo().comm, form, dolfinx.fem.form, form)
 
 
-def assembled_matrix(form: ufl.Form) -> Any:
+def assembled_petsc_matrix(form: ufl.Form) -> Any:
     """Assemble a bilinear form into a PETSc matrix (collective).
 
     No boundary conditions are applied.
@@ -229,7 +229,7 @@ def _cpp_object(wrapper: Any) -> Any:
     return getattr(wrapper, "_cpp_object", getattr(wrapper, "_mesh", wrapper))
 
 
-def constrained_dofs(space: Any, conditions: Any) -> np.ndarray:
+def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
     """Return True for this rank's dofs that Dirichlet conditions hold at zero: (n_dofs,).
 
     Raises
@@ -277,7 +277,7 @@ def geometry_dofmap(mesh: Any) -> np.ndarray:
     return dofmap.array.reshape(dofmap.num_nodes, -1)
 
 
-def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
+def vtk_cells_and_type(space: Any) -> tuple[np.ndarray, int]:
     """Return the owned cells in VTK's form.
 
     Returns

@@ -131,7 +131,7 @@ def _assemble_parts(
         comm,
     )
     collect_garbage(comm)  # free the matrices of earlier structures
-    is_constrained = on_each(comm, lambda: compat.constrained_dofs(space, bcs))
+    is_constrained = on_each(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
         dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
         gap, tangential, pairs = pair_crack_faces(dofs, constants(space, thickness)[0])
@@ -144,7 +144,7 @@ def _assemble_parts(
     for key, form in forms.items():
         with reading(key, "a form", "one that DOLFINx can assemble"):
             if key in bilinear:
-                parts[key] = dofs.restrict_matrix(compat.assembled_matrix(form))
+                parts[key] = dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
             else:
                 load = dofs.restrict_to_free(compat.assembled_vector(form))
                 parts[key.replace("loads.", "force_")] = gather_rows(comm, load)

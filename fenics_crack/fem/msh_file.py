@@ -76,8 +76,8 @@ _FACET_WORDS = {2: "an edge", 3: "a facet"}
 """Word for a facet in messages, for each dimension."""
 
 
-def read_mesh_file(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
-    """Read a mesh file into gmsh's current model, as :func:`load_mesh` does.
+def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
+    """Read a mesh file into gmsh's current model, as :func:`load_mesh_into_gmsh` does.
 
     Raises
     ------
@@ -86,14 +86,14 @@ def read_mesh_file(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
         cannot be found.
     """
     try:
-        return load_mesh(_read_raw_mesh(path), dimension)
+        return load_mesh_into_gmsh(_read_raw_mesh(path), dimension)
     except InputError as error:
         if error.key in ("mesh.file", "lips"):
             raise
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
 
 
-def load_mesh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
+def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
     """Load a mesh of a plate or solid into gmsh's current model.
 
     Returns
@@ -106,7 +106,7 @@ def load_mesh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
     Raises
     ------
     InputError
-        As :func:`read_mesh_file`, with the key "mesh".
+        As :func:`read_mesh_into_gmsh`, with the key "mesh".
     """
     kind, cells, positions, facets, point_groups = _select_cells(raw_mesh, dimension)
     mesh_positions = positions[:, :dimension]

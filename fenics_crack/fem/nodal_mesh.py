@@ -81,7 +81,7 @@ class NodalMesh:
         return self.cells[:, _TRIANGLES[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def patch_functions(self) -> tuple[np.ndarray, np.ndarray]:
+    def centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns
@@ -95,7 +95,7 @@ class NodalMesh:
         from scipy.spatial import cKDTree
 
         points, tolerance, pairs = self.points, 1e-6 * self.size, self.structure.pairs
-        corners = np.unique(facets := self.crack_faces)
+        corners = np.unique(facets := self.crack_face_sides)
         corner_points = points[corners]
         distance, pair = cKDTree(self.structure.pair_points).query(corner_points)
         has_twin = (
@@ -172,7 +172,7 @@ class NodalMesh:
         return np.asarray(sides)
 
     @cached_property
-    def crack_faces(self) -> np.ndarray:
+    def crack_face_sides(self) -> np.ndarray:
         """Return the boundary sides that coincide with another side: (n, k) nodes."""
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 

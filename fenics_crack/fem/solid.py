@@ -70,13 +70,13 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
         The file of a part or a crack cannot be used, gmsh cannot mesh the solid, or a crack's
         surface cannot be split.
     """
-    from fenics_crack.fem.msh_file import load_mesh, unpack_groups  # it splits cracks
+    from fenics_crack.fem.msh_file import load_mesh_into_gmsh, unpack_groups  # it splits cracks
 
     contents, unit = _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
-        names, cracks = load_mesh(
+        names, cracks = load_mesh_into_gmsh(
             (contents["numbers"], unit * contents["positions"], unpack_groups(contents)), 3
         )
     except InputError as error:
@@ -125,7 +125,7 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
         centre_text = format_point(comm.allreduce(weights @ points) / area, ".4g")
         rows[f"face {name}"] = f"{1e6 * area:.4g} mm^2 around {centre_text} m"
     mesh = NodalMesh(structure)
-    sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_faces)]
+    sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_face_sides)]
     surface = mesh.points[sides]
     rows |= {
         f"{key}.point": f"{quantity(distance.min().round(12), 'm')} from the surface"
@@ -143,7 +143,7 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
         rays = zip(inner_nodes, front.frame_and_curvature(parameters)[0][:, 0], strict=True)
         ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
         in_plane = np.abs((surface - front.node_positions[0]) @ front.normals[0]) < 1e-6 * mesh.size
-        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_faces), axis=1)]
+        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_face_sides), axis=1)]
         distances = solid_mesher.triangle_distances(inner_nodes, mouth)
         depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
