@@ -50,7 +50,7 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import (
-    LIP_TAGS,
+    CRACK_FACE_NAMES,
     POSITION_TOLERANCE,
     Cracks,
     distribute_front_pressures,
@@ -109,12 +109,12 @@ def pair_crack_faces(
     assemble_columns = (
         _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
     )
-    face_measure = plate.measure_on(*LIP_TAGS)
+    face_measure = plate.measure_on(*CRACK_FACE_NAMES)
     space, weights, columns = assemble_columns(dofs, t, face_measure)
     first_node = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     faces = []
-    for name in LIP_TAGS:
+    for name in CRACK_FACE_NAMES:
         nodes = dofs.nodes_on(name, space)
         rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
         faces.append(gather_rows(dofs.comm, rows))

@@ -26,7 +26,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
 
-LIP_TAGS = ("lower_lip", "upper_lip")
+CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 """Names of the lower and upper faces of all cracks in a mesh."""
 POSITION_TOLERANCE = 1e-6
 """Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
@@ -123,14 +123,14 @@ class CrackSurface:
     ----------
     triangles : (n, 3, 3) [m]
         Corners of the facets. Each quadrilateral is cut into two triangles.
-    front : (m, 2, 3) [m]
+    front_edges : (m, 2, 3) [m]
         Ends of the front's edges. Empty if the crack separates two bodies.
     has_mouth : bool
         True if the rim reaches the surface of the solid.
     """
 
     triangles: np.ndarray
-    front: np.ndarray
+    front_edges: np.ndarray
     has_mouth: bool
 
     @property
@@ -159,7 +159,7 @@ class CrackSurface:
         """
         distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
-        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front)))
+        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_edges)))
         for block_start in range(0, len(points), block_size):
             block = slice(block_start, block_start + block_size)
             distances[block] = np.linalg.norm(
@@ -168,7 +168,7 @@ class CrackSurface:
             # Larger than any distance between the surface and its front.
             front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[block], self.front)[0], axis=2
+                offsets_from_edges(points[block], self.front_edges)[0], axis=2
             )
             front_distances[block] = edge_distances.min(axis=1, initial=front_distance_bound)
         return distances, front_distances
@@ -489,15 +489,15 @@ class Cells:
 
     Attributes
     ----------
-    nodes : (n_cells, k) int
+    cell_nodes : (n_cells, k) int
         Nodes in gmsh's order: corners first.
     facets : (n_facets, n) int
-        Corners of each facet of a cell, as columns of ``nodes``.
+        Corners of each facet of a cell, as columns of ``cell_nodes``.
     supporting_corners : (k, n_corners) bool
         Corners between which each node of a cell lies.
     """
 
-    nodes: np.ndarray
+    cell_nodes: np.ndarray
     facets: np.ndarray
     supporting_corners: np.ndarray
 
@@ -517,12 +517,12 @@ class Cells:
         owner : (n,) int
             Cell of each facet.
         local_corners : (n, m) int
-            Columns of ``nodes`` that hold the corners.
+            Columns of ``cell_nodes`` that hold the corners.
         """
-        corners = self.nodes[:, self.facets].reshape(-1, self.facets.shape[1])
+        corners = self.cell_nodes[:, self.facets].reshape(-1, self.facets.shape[1])
         corner_order = np.argsort(corners, axis=1)
         local_corners = np.take_along_axis(
-            np.tile(self.facets, (len(self.nodes), 1)), corner_order, axis=1
+            np.tile(self.facets, (len(self.cell_nodes), 1)), corner_order, axis=1
         )
         corners = np.take_along_axis(corners, corner_order, axis=1)
         facet_order = np.lexsort(corners.T[::-1])
@@ -633,7 +633,7 @@ def split_cracks(
     corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
     side_labels = label_connected_rows(corner_stars)
     opposite_labels = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
-    is_split_corner = is_split[cells.nodes[:, : cells.n_corners]]
+    is_split_corner = is_split[cells.cell_nodes[:, : cells.n_corners]]
     require(
         opposite_labels.size == side_labels.max() + 1
         and np.all(opposite_labels[0] != opposite_labels[1])
@@ -643,7 +643,7 @@ def split_cracks(
     )
     side_corner_positions = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
     outward_normals = _size_weighted_normals(side_corner_positions)
-    cell_offsets = positions[cells.nodes[side_cells, : cells.n_corners]].mean(
+    cell_offsets = positions[cells.cell_nodes[side_cells, : cells.n_corners]].mean(
         axis=1
     ) - side_corner_positions.mean(axis=1)
     outward_normals[(cell_offsets * outward_normals).sum(axis=1) > 0.0] *= -1.0
@@ -658,12 +658,12 @@ def split_cracks(
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_node_above = is_crack_node[cells.nodes] & (is_upper_corner @ cells.supporting_corners.T)
-    copied_nodes, upper_node_map = np.unique(cells.nodes[is_node_above]), np.arange(len(positions))
-    upper_node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
+    is_node_above = is_crack_node[cells.cell_nodes] & (is_upper_corner @ cells.supporting_corners.T)
+    copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
+    node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
-    nodes = np.where(is_node_above, upper_node_map[cells.nodes], cells.nodes)
-    return nodes, copied_nodes, np.stack([lower_facets, upper_node_map[lower_facets]], axis=1)
+    nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
+    return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
 def require(condition: object, problem: str, requirement: str) -> None:
@@ -717,7 +717,7 @@ def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) ->
         owner[facet_rows][:, None] * cells.n_corners + local_corners[facet_rows]
         for facet_rows in (passable_facets, passable_facets + 1)
     )
-    n_all_corners = len(cells.nodes) * cells.n_corners
+    n_all_corners = len(cells.cell_nodes) * cells.n_corners
     graph_triplets = (
         np.ones(int(is_split_corner.sum()), dtype=np.int8),
         (flat_corner_index[is_split_corner], neighbour_corner_index[is_split_corner]),

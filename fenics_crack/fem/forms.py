@@ -21,7 +21,7 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
-from fenics_crack.fem.cracks import LIP_TAGS, find_crack_paths, find_crack_surfaces
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import constants
 from fenics_crack.fem.plate import Dofs, PlateMesh
 from fenics_crack.model.structure import DampingRule, Structure
@@ -202,9 +202,15 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
     plate = PlateMesh(
-        mesh, facet_tags, {LIP_TAGS[0]: (lower_tag,), LIP_TAGS[1]: (upper_tag,)}, {}, ()
+        mesh,
+        facet_tags,
+        {CRACK_FACE_NAMES[0]: (lower_tag,), CRACK_FACE_NAMES[1]: (upper_tag,)},
+        {},
+        (),
     )
-    face_numbers_and_positions = [_face_corners(plate, face_name, comm) for face_name in LIP_TAGS]
+    face_numbers_and_positions = [
+        _face_corners(plate, face_name, comm) for face_name in CRACK_FACE_NAMES
+    ]
     numbers, positions = (
         np.concatenate(face_arrays) for face_arrays in zip(*face_numbers_and_positions, strict=True)
     )

@@ -109,7 +109,7 @@ class Front:
         True if the front has no ends.
     at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
-    max_radius : float [m]
+    allowed_radius : float [m]
         Upper bound for the domain's radius.
     """
 
@@ -121,7 +121,7 @@ class Front:
     curve: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
     at_surface: tuple[bool, bool]
-    max_radius: float
+    allowed_radius: float
 
     @cached_property
     def peak_parameters(self) -> np.ndarray:
@@ -230,7 +230,7 @@ class Front:
     def straight_radius(self) -> float:
         """Return the integration domain's radius where the front is straight [m]."""
         max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
-        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.max_radius))
+        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
         """Return True where the curvature [1/m] limits the integration domain's radius."""
@@ -322,7 +322,7 @@ def find_fronts(structure: Structure) -> list[Front]:
         ]
         obstacle_tree = cKDTree(np.concatenate([clamped_points, *other_corners]))
         for chain_points, normals, is_closed, ends_at_surface in _front_chains(crack):
-            max_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
+            allowed_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
             front_arguments.append(
                 (
                     crack_index,
@@ -331,7 +331,7 @@ def find_fronts(structure: Structure) -> list[Front]:
                     *_fit_curve(chain_points, is_closed),
                     is_closed,
                     ends_at_surface,
-                    max_radius,
+                    allowed_radius,
                 )
             )
     return [
@@ -358,7 +358,7 @@ def _front_chains(
     """
     corner_positions = crack.triangles.reshape(-1, 3)
     corner_tree, tolerance = cKDTree(corner_positions), POSITION_TOLERANCE * crack.size
-    edges = np.sort(corner_tree.query(crack.front.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
+    edges = np.sort(corner_tree.query(crack.front_edges.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
     edge_ends = np.array(
         [
@@ -668,33 +668,33 @@ def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2), slope
 
 
-def _collapsed_gauss_rule(dimension: int, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a Gauss rule for a triangle or a tetrahedron.
 
-    It comes from a square or cube with ``n_points`` per side, collapsed at the first corner.
+    It comes from a square or cube with ``n_side_points`` per side, collapsed at the first corner.
 
     Returns
     -------
-    coordinates : (n_points^d, d + 1)
+    coordinates : (n_side_points^d, d + 1)
         Barycentric coordinates.
-    weights : (n_points^d,)
+    weights : (n_side_points^d,)
         Weights that sum to 1.
     """
     remainder, weights = np.ones(1), np.ones(1)
     coordinates: list[np.ndarray] = []
     for power in range(dimension - 1, -1, -1):
-        x, w = roots_jacobi(n_points, power, 0)
+        x, w = roots_jacobi(n_side_points, power, 0)
         x, w = 0.5 * (1.0 + x), w / w.sum()
-        coordinates = [np.repeat(coordinate, n_points) for coordinate in coordinates]
+        coordinates = [np.repeat(coordinate, n_side_points) for coordinate in coordinates]
         coordinates.append((remainder[:, None] * x).ravel())
         remainder = (remainder[:, None] * (1.0 - x)).ravel()
         weights = (weights[:, None] * w).ravel()
     return np.column_stack([*coordinates, remainder]), weights
 
 
-def _split_into_chunks(cells: np.ndarray, n_points: int) -> list[np.ndarray]:
-    """Split cells, with n_points each, into chunks that fit into memory."""
-    return np.array_split(cells, 1 + len(cells) * n_points // MAX_POINTS_IN_MEMORY)
+def _split_into_chunks(cells: np.ndarray, n_cell_points: int) -> list[np.ndarray]:
+    """Split cells, with n_cell_points each, into chunks that fit into memory."""
+    return np.array_split(cells, 1 + len(cells) * n_cell_points // MAX_POINTS_IN_MEMORY)
 
 
 TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
@@ -838,7 +838,7 @@ class _Domain:
             (rule_points, weights), (facet_rule_points, facet_weights) = (
                 _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
             )
-            moments = self._integrate_tensors(
+            tensor_integrals = self._integrate_tensors(
                 chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
             )
             for corner_index in range(4):
@@ -852,7 +852,7 @@ class _Domain:
                         * np.linalg.norm(lambda_gradients, axis=1)
                     )
                     normals = -lambda_gradients / np.linalg.norm(lambda_gradients, axis=1)[:, None]
-                    moments[is_outer] += self._integrate_tensors(
+                    tensor_integrals[is_outer] += self._integrate_tensors(
                         chunk_cells[is_outer],
                         surface_rule_points,
                         areas[:, None] * facet_weights,
@@ -864,15 +864,17 @@ class _Domain:
                 .reshape(len(chunk_cells), 10, -1)
                 .swapaxes(1, 2)
             )
-            field_stress = self._stress(
+            corner_stress = self._stress(
                 (cell_fields @ basis_gradients)
                 .reshape(len(chunk_cells), -1, 3, 4, 3)
                 .swapaxes(2, 3)
             )
             lambda_products = self.volumes[chunk_cells, None, None, None, None] / 20.0
-            moments -= lambda_products * (field_stress + field_stress.sum(axis=2, keepdims=True))
-            moments = moments.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
-            cell_factors = basis_gradients @ moments.swapaxes(1, 2)
+            tensor_integrals -= lambda_products * (
+                corner_stress + corner_stress.sum(axis=2, keepdims=True)
+            )
+            tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
+            cell_factors = basis_gradients @ tensor_integrals.swapaxes(1, 2)
             np.add.at(
                 displacement_factors,
                 self.cells[chunk_cells],
@@ -1053,7 +1055,7 @@ class _Domain:
             [q_slope * xi / r, q_slope * y / r, -q_slope * r * radius_log_slope / metric], axis=-1
         )
         weighted_rule_points = weights[..., None] * rule_points
-        mode_moments = []
+        mode_integrals = []
         for mode in range(3):
             a, a_by_xi, a_by_y = self._plane_field(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
@@ -1092,13 +1094,13 @@ class _Domain:
                 )
                 weighted_tensors = weighted_tensors.reshape(*r.shape, 36)
                 total = total + hat_values.swapaxes(-1, -2) @ weighted_tensors
-            mode_moments.append(total.reshape(len(cell_index), -1, 4, 3, 3))
-        return np.concatenate(mode_moments, axis=1)
+            mode_integrals.append(total.reshape(len(cell_index), -1, 4, 3, 3))
+        return np.concatenate(mode_integrals, axis=1)
 
     def _volume_tensors(
         self, a: np.ndarray, a_by_xi: np.ndarray, a_by_y: np.ndarray,
         gradient: np.ndarray, auxiliary_stress: np.ndarray,
-        coordinates: tuple[np.ndarray, ...],
+        weights_and_geometry: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
         """Return the tensor T that multiplies grad u in one mode's volume integral.
 
@@ -1110,7 +1112,7 @@ class _Domain:
             From :meth:`_plane_field`.
         gradient, auxiliary_stress : (..., 3, 3)
             Gradient and stress of that field in the frame e_1, e_2, e_3.
-        coordinates : tuple of arrays
+        weights_and_geometry : tuple of arrays
             q, gradient of q, g, k, derivative of the curvature, hats, and hat slopes.
 
         Returns
@@ -1118,7 +1120,9 @@ class _Domain:
         list of ((..., n_stations), (..., 3, 3))
             Hats with the first tensor, then slopes with the second.
         """
-        q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope = coordinates
+        q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope = (
+            weights_and_geometry
+        )
         q_times_curvature = (q * local_curvature)[..., None]
         hat_tensor = gradient[..., :, :1] * q_gradient[..., None, :]
         hat_tensor[..., 2] += gradient[..., 2] * q_times_curvature

@@ -35,7 +35,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.cracks import LIP_TAGS, CrackPath
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, CrackPath
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.receptance import check_matrices
@@ -131,7 +131,7 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
-    face_facets = np.concatenate([plate.facets(name) for name in LIP_TAGS])
+    face_facets = np.concatenate([plate.facets(name) for name in CRACK_FACE_NAMES])
     outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
         np.int32
     )
@@ -208,7 +208,7 @@ def _face_normals(dofs: Dofs) -> np.ndarray:
     They are zero away from the crack faces.
     """
     normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    form = ufl.inner(normal, test) * dofs.plate.measure_on(*LIP_TAGS)
+    form = ufl.inner(normal, test) * dofs.plate.measure_on(*CRACK_FACE_NAMES)
     return compat.assembled_vector(form).reshape(-1, 2)
 
 
@@ -390,13 +390,13 @@ def _pressure_row(
     return 0.5 * scene.material.young / thickness * force_factors
 
 
-def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _singular_rule(interval_ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a rule for integrals of f(r) r^-1/2 up to the radius.
 
-    The results are points r and weights. f is smooth between ``ends``. Gauss's rule is applied to
-    the square root of r in each interval.
+    The results are points r and weights. f is smooth between ``interval_ends``. Gauss's rule is
+    applied to the square root of r in each interval.
     """
-    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
+    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *interval_ends, radius], 0.0, radius)))
     gauss_points, gauss_weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
     half_widths = 0.5 * np.diff(sqrt_ends)[:, None]
     sqrt_points = sqrt_ends[:-1, None] + half_widths * (1.0 + gauss_points)

@@ -34,8 +34,8 @@ from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
 from fenics_crack.fem.cracks import (
+    CRACK_FACE_NAMES,
     FACETS,
-    LIP_TAGS,
     POSITION_TOLERANCE,
     Cells,
     Cracks,
@@ -117,14 +117,16 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     if crack_names:
         crack_facets = np.concatenate([facets_by_name.pop(name) for name in crack_names])
         kept_nodes, merged_node_map = merge_crack_nodes(crack_facets, mesh_positions)
-        merged_cells = replace(cells, nodes=merged_node_map[cells.nodes])
+        merged_cells = replace(cells, cell_nodes=merged_node_map[cells.cell_nodes])
         split_cell_nodes, copied_nodes, face_facet_pairs = split_cracks(
             merged_cells, merged_node_map[crack_facets], mesh_positions[kept_nodes]
         )
         facets_by_name = _facets_after_split(
             facets_by_name, cells, split_cell_nodes, merged_node_map
         )
-        for name, crack_face_facets in zip(LIP_TAGS, face_facet_pairs.swapaxes(0, 1), strict=True):
+        for name, crack_face_facets in zip(
+            CRACK_FACE_NAMES, face_facet_pairs.swapaxes(0, 1), strict=True
+        ):
             facets_by_name[name] = np.concatenate(
                 [facets_by_name.get(name, crack_face_facets[:0]), crack_face_facets]
             )
@@ -132,10 +134,13 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
             (*group_head, merged_node_map[group_nodes]) for *group_head, group_nodes in point_groups
         ]
         positions = positions[np.concatenate([kept_nodes, kept_nodes[copied_nodes]])]
-        cells, mesh_positions = replace(cells, nodes=split_cell_nodes), positions[:, :dimension]
+        cells, mesh_positions = (
+            replace(cells, cell_nodes=split_cell_nodes),
+            positions[:, :dimension],
+        )
     face_corners = [
         facets_by_name[name][:, : cells.facets.shape[1]]
-        for name in LIP_TAGS
+        for name in CRACK_FACE_NAMES
         if name in facets_by_name
     ]
     requirement = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
@@ -151,7 +156,9 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     check_parts(cells, mesh_positions, facets_by_name["clamp"], face_corners)
     check_boundary(kind, cells, mesh_positions, face_corners)
     tags_by_name, facet_groups = _tag_combinations(facets_by_name)
-    cell_and_facet_groups = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
+    cell_and_facet_groups = [
+        (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
+    ]
     cell_and_facet_groups += [
         (dimension - 1, tag, name, _FACET_KINDS[dimension][kind], group_nodes)
         for tag, name, group_nodes in facet_groups
@@ -344,7 +351,10 @@ def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
 
 
 def _facets_after_split(
-    facets_by_name: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, node_map: np.ndarray
+    facets_by_name: dict[str, np.ndarray],
+    cells: Cells,
+    split_cell_nodes: np.ndarray,
+    node_map: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Renumber named facets after nodes were doubled along cracks.
 
@@ -354,20 +364,20 @@ def _facets_after_split(
         Facets with the nodes before the split.
     cells : Cells
         Cells before the split.
-    nodes : (n_cells, k) int
+    split_cell_nodes : (n_cells, k) int
         Nodes of the cells after the split. Facets at a crack take these from their own cell.
     node_map : (n_nodes,) int
         New number of each node. Facets elsewhere take this number.
     """
     sorted_facets, owner, _ = cells.sorted_facets
     n_key_corners = min(sorted_facets.shape[1], 3)  # three corners identify a facet
-    key_weights = (int(cells.nodes.max()) + 1) ** np.arange(n_key_corners)[::-1]
+    key_weights = (int(cells.cell_nodes.max()) + 1) ** np.arange(n_key_corners)[::-1]
     facet_keys, n_corners = sorted_facets[:, :n_key_corners] @ key_weights, sorted_facets.shape[1]
-    split_nodes = np.unique(cells.nodes[nodes != node_map[cells.nodes]])
+    changed_nodes = np.unique(cells.cell_nodes[split_cell_nodes != node_map[cells.cell_nodes]])
     new_facets_by_name = {}
     for name, facet_nodes in facets_by_name.items():
         new_facets_by_name[name] = node_map[facet_nodes]
-        split_rows = np.flatnonzero(np.isin(facet_nodes, split_nodes).any(axis=1))
+        split_rows = np.flatnonzero(np.isin(facet_nodes, changed_nodes).any(axis=1))
         split_keys = (
             np.sort(facet_nodes[split_rows, :n_corners], axis=1)[:, :n_key_corners] @ key_weights
         )
@@ -375,10 +385,10 @@ def _facets_after_split(
             np.minimum(np.searchsorted(facet_keys, split_keys), len(facet_keys) - 1)
         ]
         columns = np.argmax(
-            cells.nodes[owner_cells][:, None, :] == facet_nodes[split_rows][:, :, None], axis=2
+            cells.cell_nodes[owner_cells][:, None, :] == facet_nodes[split_rows][:, :, None], axis=2
         )
         new_facets_by_name[name][split_rows] = np.take_along_axis(
-            nodes[owner_cells], columns, axis=1
+            split_cell_nodes[owner_cells], columns, axis=1
         )
     return new_facets_by_name
 
@@ -475,7 +485,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         Positions of all nodes.
     """
     dimension, facet_word = positions.shape[1], _FACET_WORDS[positions.shape[1]]
-    cell_positions, reference_nodes = positions[cells.nodes], _reference_nodes(kind)
+    cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_nodes(kind)
     gradients = _basis_functions(kind, reference_nodes, "GradLagrange").reshape(
         len(reference_nodes), len(reference_nodes), 3
     )[..., :dimension]
@@ -502,7 +512,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     ):
         if np.any(is_wrong):
             requirement = f"one of cells that are convex and have {extent_word}"
-            if cells.nodes.shape[1] > cells.n_corners:
+            if cells.cell_nodes.shape[1] > cells.n_corners:
                 requirement += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
             raise _mesh_error(
                 problem, cell_positions[np.argmax(is_wrong)].mean(axis=0), requirement
@@ -578,11 +588,11 @@ def check_parts(
     face_facets : sequence of (n, d) int
         Corners of facets on crack faces.
     """
-    part_labels = label_connected_rows(cells.nodes)
+    part_labels = label_connected_rows(cells.cell_nodes)
 
     def is_in_part_with(nodes: np.ndarray) -> np.ndarray:
         """Return True for cells whose part has one of the nodes: (n_cells,)."""
-        return np.isin(part_labels, part_labels[np.isin(cells.nodes, nodes).any(axis=1)])
+        return np.isin(part_labels, part_labels[np.isin(cells.cell_nodes, nodes).any(axis=1)])
 
     is_loose_cell = ~is_in_part_with(clamped_nodes)
     if np.any(is_loose_cell):
@@ -596,7 +606,7 @@ def check_parts(
         )
         requirement += " with one that has: nothing else holds them"
         raise _mesh_error(
-            problem, positions[cells.nodes[is_loose_cell]].mean(axis=(0, 1)), requirement
+            problem, positions[cells.cell_nodes[is_loose_cell]].mean(axis=(0, 1)), requirement
         )
 
 
@@ -634,9 +644,9 @@ def check_boundary(
     )
     owner = np.repeat(owner, reference_points.shape[1])
     basis_values = _basis_functions(kind, reference_points.reshape(-1, 3))
-    points = np.einsum("in,inx->ix", basis_values, positions[cells.nodes[owner]])
+    points = np.einsum("in,inx->ix", basis_values, positions[cells.cell_nodes[owner]])
 
-    cell_positions = positions[cells.nodes]
+    cell_positions = positions[cells.cell_nodes]
     cell_centres = cell_positions.mean(axis=1)
     cell_radii = np.linalg.norm(cell_positions - cell_centres[:, None], axis=2).max(axis=1)
     near_points = cKDTree(points).query_ball_point(cell_centres, cell_radii)

@@ -33,7 +33,7 @@ from fenics_crack.fem.blocks import (
     scale_to_mesh_unit,
 )
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, Cracks, NamedParts, rows_in
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, Cracks, NamedParts, rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
@@ -118,7 +118,7 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
     assert structure.nodes is not None
     plate, comm, rows = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
     space = compat.function_space(plate.mesh, 1, vectors=False)
-    for name in sorted(set(plate.groups) - {*LIP_TAGS}):
+    for name in sorted(set(plate.groups) - {*CRACK_FACE_NAMES}):
         weights = compat.assembled_vector(ufl.TestFunction(space) * plate.measure_on(name))
         points = space.tabulate_dof_coordinates()[: len(weights)]
         area = comm.allreduce(weights.sum())
