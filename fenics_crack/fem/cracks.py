@@ -507,7 +507,7 @@ class Cells:
         return int(self.facets.max()) + 1
 
     @cached_property
-    def sorted_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the facets of all cells, equal ones in succession.
 
         Returns
@@ -531,7 +531,7 @@ class Cells:
     @cached_property
     def is_shared(self) -> np.ndarray:
         """Return True for each sorted facet that equals the next: (n - 1,) bool."""
-        facets = self.sorted_facets[0]
+        facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
@@ -604,7 +604,7 @@ def split_cracks(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
     crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
-    (facets, owner, local_corners), is_shared = cells.sorted_facets, cells.is_shared
+    (facets, owner, local_corners), is_shared = cells.sorted_facets_and_owners, cells.is_shared
     is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
     is_crack_facet = is_crack_node[facets].all(axis=1)
     is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
@@ -710,7 +710,7 @@ def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) ->
     """
     from scipy.sparse.csgraph import connected_components
 
-    facets, owner, local_corners = cells.sorted_facets
+    facets, owner, local_corners = cells.sorted_facets_and_owners
     passable_facets = np.flatnonzero(is_passable & is_split[facets[:-1]].any(axis=1))
     is_split_corner = is_split[facets[passable_facets]]
     flat_corner_index, neighbour_corner_index = (

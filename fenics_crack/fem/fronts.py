@@ -491,8 +491,8 @@ def _evaluate_ellipse(
 ) -> np.ndarray:
     """Evaluate center + half_axes[0] cos t + half_axes[1] sin t, or a derivative: (..., 3)."""
     angle = np.asarray(t)[..., None] + 0.5 * np.pi * order
-    vectors = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
-    return np.asarray(vectors + center if order == 0 else vectors)
+    offset_or_derivative = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
+    return np.asarray(offset_or_derivative + center if order == 0 else offset_or_derivative)
 
 
 # --- functionals ----------------------------------------------------------------------------------
@@ -537,7 +537,7 @@ def front_functionals(
         domain = _Domain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
             _values_at_free_dofs(nodes, domain.nodes, node_values)
-            for node_values in domain.integrate_functionals(comm)
+            for node_values in domain.integrate_factors_and_fields(comm)
         )
         force_factors = np.zeros((len(displacement_factors), structure.n_pairs))
         if structure.pairs.nodes is not None:
@@ -550,11 +550,11 @@ def front_functionals(
             for station_index in range(len(front.station_parameters))
             if station_index not in front.corner_stations
         ]
-        for front_rows, factors in (
+        for row_list, factors in (
             (displacement_rows, displacement_factors),
             (force_rows, force_factors),
         ):
-            front_rows.append(
+            row_list.append(
                 _rows_by_station(front, factors)[valid_stations].reshape(
                     3 * len(valid_stations), -1
                 )
@@ -590,7 +590,7 @@ def _values_at_free_dofs(
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return a front's stations, with positions, directions and touching pairs."""
-    pairs, is_node_in_hats = structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0
+    pairs, is_node_in_hats = (structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0)
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.shares is not None:
         nearest_crack_nodes = cKDTree(pairs.nodes).query(front.node_positions)[1]
@@ -765,13 +765,13 @@ class _Domain:
         self.is_outer_facet = (
             np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
         )
-        corner_sides = self.corners[:, 1:] - self.corners[:, :1]
-        self.volumes = np.abs(np.linalg.det(corner_sides)) / 6.0
-        inverse_sides = np.linalg.inv(corner_sides).swapaxes(
+        edge_vectors = self.corners[:, 1:] - self.corners[:, :1]
+        self.volumes = np.abs(np.linalg.det(edge_vectors)) / 6.0
+        inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
             1, 2
         )  # rows: gradients of lambda_1 to lambda_3
         self.gradients = np.concatenate(
-            [-inverse_sides.sum(axis=1, keepdims=True), inverse_sides], axis=1
+            [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
         )
         centres = self.corners.mean(axis=1)
         centre_parameters = front.nearest_parameters(centres)
@@ -790,34 +790,36 @@ class _Domain:
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
         gradients = np.take_along_axis(self.gradients[cell_index], inverse_order[..., None], axis=1)
-        lambda_coefficients = np.zeros((len(cell_index), 10, 4, 3))
+        barycentric_coefficients = np.zeros((len(cell_index), 10, 4, 3))
         for corner_index in range(4):
-            lambda_coefficients[:, corner_index] = -gradients[:, corner_index, None]
-            lambda_coefficients[:, corner_index, corner_index] += 4.0 * gradients[:, corner_index]
+            barycentric_coefficients[:, corner_index] = -gradients[:, corner_index, None]
+            barycentric_coefficients[:, corner_index, corner_index] += (
+                4.0 * gradients[:, corner_index]
+            )
         for edge_index, (corner_index, other_corner_index) in enumerate(TETRAHEDRON_EDGES):
-            lambda_coefficients[:, 4 + edge_index, corner_index] = (
+            barycentric_coefficients[:, 4 + edge_index, corner_index] = (
                 4.0 * gradients[:, other_corner_index]
             )
-            lambda_coefficients[:, 4 + edge_index, other_corner_index] = (
+            barycentric_coefficients[:, 4 + edge_index, other_corner_index] = (
                 4.0 * gradients[:, corner_index]
             )
         return np.take_along_axis(
-            lambda_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
+            barycentric_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
         )
 
-    def integrate_functionals(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    def integrate_factors_and_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Integrate the functionals at nodes, each rank over a share of cells (collective).
 
         Returns
         -------
-        displacement_factors : (n_nodes, 3 n_stations, 3)
+        factors : (n_nodes, 3 n_stations, 3)
             Factors for the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
             Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
             derivative of the unit K field along e_1.
         """
         n_rows = 3 * len(self.front.station_parameters)
-        displacement_factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
+        factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
         for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
             nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
         is_at_front = (
@@ -845,13 +847,16 @@ class _Domain:
                 is_outer = self.is_outer_facet[chunk_cells, corner_index]
                 if np.any(is_outer):
                     surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
-                    lambda_gradients = self.gradients[chunk_cells[is_outer], corner_index]
+                    barycentric_gradients = self.gradients[chunk_cells[is_outer], corner_index]
                     areas = (
                         3.0
                         * self.volumes[chunk_cells[is_outer]]
-                        * np.linalg.norm(lambda_gradients, axis=1)
+                        * np.linalg.norm(barycentric_gradients, axis=1)
                     )
-                    normals = -lambda_gradients / np.linalg.norm(lambda_gradients, axis=1)[:, None]
+                    normals = (
+                        -barycentric_gradients
+                        / np.linalg.norm(barycentric_gradients, axis=1)[:, None]
+                    )
                     tensor_integrals[is_outer] += self._integrate_tensors(
                         chunk_cells[is_outer],
                         surface_rule_points,
@@ -869,20 +874,18 @@ class _Domain:
                 .reshape(len(chunk_cells), -1, 3, 4, 3)
                 .swapaxes(2, 3)
             )
-            lambda_products = self.volumes[chunk_cells, None, None, None, None] / 20.0
-            tensor_integrals -= lambda_products * (
+            product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
+            tensor_integrals -= product_integrals * (
                 corner_stress + corner_stress.sum(axis=2, keepdims=True)
             )
             tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
             cell_factors = basis_gradients @ tensor_integrals.swapaxes(1, 2)
             np.add.at(
-                displacement_factors,
+                factors,
                 self.cells[chunk_cells],
                 cell_factors.reshape(len(chunk_cells), 10, n_rows, 3),
             )
-        return self.intensity_per_integral[:, None] * comm.allreduce(
-            displacement_factors
-        ), nodal_fields
+        return self.intensity_per_integral[:, None] * comm.allreduce(factors), nodal_fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
         """Return the elastic stress from displacement gradients (..., 3, 3): same shape."""
@@ -1166,16 +1169,20 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     They come from the integral of the contact pressure p in the interaction integral. A pair's
     force acts as a pressure shaped as the pair's pressure function.
     """
-    pairs = structure.pairs
-    assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
+    structure_pairs = structure.pairs
+    assert (
+        structure_pairs.nodes is not None
+        and structure_pairs.shares is not None
+        and structure_pairs.areas is not None
+    )
     crack: CrackSurface = structure.nodes.mesh_dofs.plate.cracks[front.crack]  # type: ignore[union-attr]
-    crack_node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.node_positions)
+    crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
         crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
     ).max(axis=1)
     is_near = corner_front_distances.min(axis=1) < front.straight_radius + 2.0 * triangle_radii
-    factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
+    factors = np.zeros((len(front.station_parameters), len(structure_pairs.nodes)))
     rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
@@ -1229,4 +1236,4 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
             kernel[:, None] * shape_values
         )
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
-    return np.asarray((pairs.shares.T @ factors.T).T / pairs.areas)
+    return np.asarray((structure_pairs.shares.T @ factors.T).T / structure_pairs.areas)

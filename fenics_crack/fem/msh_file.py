@@ -369,7 +369,7 @@ def _facets_after_split(
     node_map : (n_nodes,) int
         New number of each node. Facets elsewhere take this number.
     """
-    sorted_facets, owner, _ = cells.sorted_facets
+    sorted_facets, owner, _ = cells.sorted_facets_and_owners
     n_key_corners = min(sorted_facets.shape[1], 3)  # three corners identify a facet
     key_weights = (int(cells.cell_nodes.max()) + 1) ** np.arange(n_key_corners)[::-1]
     facet_keys, n_corners = sorted_facets[:, :n_key_corners] @ key_weights, sorted_facets.shape[1]
@@ -378,11 +378,11 @@ def _facets_after_split(
     for name, facet_nodes in facets_by_name.items():
         new_facets_by_name[name] = node_map[facet_nodes]
         split_rows = np.flatnonzero(np.isin(facet_nodes, changed_nodes).any(axis=1))
-        split_keys = (
+        split_facet_keys = (
             np.sort(facet_nodes[split_rows, :n_corners], axis=1)[:, :n_key_corners] @ key_weights
         )
         owner_cells = owner[
-            np.minimum(np.searchsorted(facet_keys, split_keys), len(facet_keys) - 1)
+            np.minimum(np.searchsorted(facet_keys, split_facet_keys), len(facet_keys) - 1)
         ]
         columns = np.argmax(
             cells.cell_nodes[owner_cells][:, None, :] == facet_nodes[split_rows][:, :, None], axis=2
@@ -399,7 +399,7 @@ def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.nda
     At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
     corners of the lower and upper face's edges, (n, 2) each.
     """
-    boundary_edges = cells.sorted_facets[0][cells.is_boundary]
+    boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary]
     boundary_edges = boundary_edges[~rows_in(boundary_edges, np.concatenate(face_edges))]
     closed_mouth_nodes = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
     if len(closed_mouth_nodes):
@@ -517,7 +517,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
             raise _mesh_error(
                 problem, cell_positions[np.argmax(is_wrong)].mean(axis=0), requirement
             )
-    sorted_facets, owner, _ = cells.sorted_facets
+    sorted_facets, owner, _ = cells.sorted_facets_and_owners
     facet_corner_positions = positions[sorted_facets]
     cell_centres = cell_positions[:, : cells.n_corners].mean(axis=1)
     corner_vectors = (
@@ -549,7 +549,7 @@ def _check_inner_surfaces(
 
     ``facets_by_name`` are the nodes of facets by name. Such a surface would not separate anything.
     """
-    sorted_facets, _, _ = cells.sorted_facets
+    sorted_facets, _, _ = cells.sorted_facets_and_owners
     shared_facets, n_corners = sorted_facets[1:][cells.is_shared], sorted_facets.shape[1]
     corners_by_name = {
         name: np.sort(facet_rows[:, :n_corners], axis=1)
@@ -633,7 +633,7 @@ def check_boundary(
     from scipy.spatial import cKDTree
 
     boundary_facets, owner, local_corners = (
-        rows[cells.is_boundary] for rows in cells.sorted_facets
+        rows[cells.is_boundary] for rows in cells.sorted_facets_and_owners
     )
     is_outer = ~rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
     owner, local_corners = owner[is_outer], local_corners[is_outer]

@@ -94,7 +94,7 @@ class NodalMesh:
         """
         from scipy.spatial import cKDTree
 
-        points, tolerance, pairs = self.points, 1e-6 * self.size, self.structure.pairs
+        points, tolerance, structure_pairs = self.points, 1e-6 * self.size, self.structure.pairs
         corners = np.unique(crack_facets := self.crack_face_sides)
         corner_points = points[corners]
         distances, nearest_pair_index = cKDTree(self.structure.pair_points).query(corner_points)
@@ -106,9 +106,9 @@ class NodalMesh:
         centre_functions[
             corners[distances <= tolerance], nearest_pair_index[distances <= tolerance]
         ] = 1.0
-        if pairs.nodes is not None and pairs.shares is not None:
-            pressure_functions[corners] = pairs.shares[
-                cKDTree(pairs.nodes).query(corner_points)[1]
+        if structure_pairs.nodes is not None and structure_pairs.shares is not None:
+            pressure_functions[corners] = structure_pairs.shares[
+                cKDTree(structure_pairs.nodes).query(corner_points)[1]
             ].toarray()
         else:
             pressure_functions[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
