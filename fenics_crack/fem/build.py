@@ -412,7 +412,7 @@ def _watched_pairs(
     crack: Any
     for index, crack in enumerate(cracks):
         pairs = np.flatnonzero(crack_index == index)
-        name, watched_distance = crack.watched_place
+        name, watched_distance = crack.watched_name_and_position
         if len(cracks) > 1:
             name += f" of crack {index + 1}"
         if len(pairs):

@@ -70,7 +70,7 @@ class CrackPath:
         return np.concatenate([[0.0], np.cumsum(edge_lengths)])
 
     @property
-    def watched_place(self) -> tuple[str, float]:
+    def watched_name_and_position(self) -> tuple[str, float]:
         """Return the reported contact pair's name and position [m].
 
         The pair is at the mouth (position 0), or in the middle between two tips.
@@ -134,7 +134,7 @@ class CrackSurface:
     has_mouth: bool
 
     @property
-    def watched_place(self) -> tuple[str, float]:
+    def watched_name_and_position(self) -> tuple[str, float]:
         """Return the reported contact pair's name and position: the farthest from the front.
 
         The position is infinite.
@@ -313,11 +313,11 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
     positions : (n,) [m]
         Distance along a path from the beginning, or on a surface from the front.
     """
-    distances, distances_on_crack = np.array([crack.locate(points) for crack in cracks]).transpose(
-        1, 0, 2
-    )
-    crack_index = distances.argmin(axis=0)
-    return crack_index, distances_on_crack[crack_index, np.arange(len(points))]
+    distances_to_cracks, positions_on_cracks = np.array(
+        [crack.locate(points) for crack in cracks]
+    ).transpose(1, 0, 2)
+    crack_index = distances_to_cracks.argmin(axis=0)
+    return crack_index, positions_on_cracks[crack_index, np.arange(len(points))]
 
 
 def label_connected_rows(rows: np.ndarray) -> np.ndarray:
@@ -327,9 +327,9 @@ def label_connected_rows(rows: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
-    link_ends, n_numbered_nodes = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
+    link_ends, n_node_numbers = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
     graph = sparse.coo_matrix(
-        (np.ones(len(link_ends[0]), bool), link_ends), (n_numbered_nodes, n_numbered_nodes)
+        (np.ones(len(link_ends[0]), bool), link_ends), (n_node_numbers, n_node_numbers)
     )
     row_labels = connected_components(graph, directed=False)[1][rows[:, 0]]
     return np.unique(row_labels, return_inverse=True)[1]
@@ -457,8 +457,10 @@ def find_crack_surfaces(
     positions : (n_nodes, 3) [m]
         Positions of all nodes.
     """
-    edges, edge_counts = np.unique(_edges_of_polygons(lower_facets), axis=0, return_counts=True)
-    rim_edges = edges[edge_counts == 1]
+    edges, edge_facet_counts = np.unique(
+        _edges_of_polygons(lower_facets), axis=0, return_counts=True
+    )
+    rim_edges = edges[edge_facet_counts == 1]
     is_front_edge = np.isin(rim_edges, upper_facets).all(axis=1)
     facet_labels, surfaces = label_connected_rows(lower_facets), []
     triangle_columns = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
@@ -493,13 +495,13 @@ class Cells:
         Nodes in gmsh's order: corners first.
     facets : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
-    supporting_corners : (k, n_corners) bool
-        Corners between which each node of a cell lies.
+    is_supporting_corner : (k, n_corners) bool
+        True for the corners between which a node of a cell lies.
     """
 
     cell_nodes: np.ndarray
     facets: np.ndarray
-    supporting_corners: np.ndarray
+    is_supporting_corner: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -627,17 +629,17 @@ def split_cracks(
     star_labels = _star_labels(cells, is_shared & ~is_crack_facet[:-1], is_split).reshape(
         -1, cells.n_corners
     )
-    side_facets = np.concatenate([inner_facets, inner_facets + 1])
-    side_cells, is_fixed_corner = owner[side_facets], ~is_split[facets[side_facets]]
-    corner_stars = star_labels[side_cells[:, None], local_corners[side_facets]]
-    corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
-    side_labels = label_connected_rows(corner_stars)
+    side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
+    side_cells, is_fixed_corner = owner[side_facet_index], ~is_split[facets[side_facet_index]]
+    side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
+    side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
+    side_labels = label_connected_rows(side_corner_stars)
     opposite_labels = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
     is_split_corner = is_split[cells.cell_nodes[:, : cells.n_corners]]
     require(
         opposite_labels.size == side_labels.max() + 1
         and np.all(opposite_labels[0] != opposite_labels[1])
-        and np.all(np.isin(star_labels[is_split_corner], corner_stars)),
+        and np.all(np.isin(star_labels[is_split_corner], side_corner_stars)),
         "not two sides everywhere along a crack",
         "cracks that neither branch nor cross, and end at their fronts or at the boundary",
     )
@@ -654,11 +656,13 @@ def split_cracks(
     )
     upper_side_labels = np.where(is_first_side_lower, opposite_labels[1], opposite_labels[0])
     is_upper_corner = is_split_corner & np.isin(
-        star_labels, corner_stars[np.isin(side_labels, upper_side_labels)]
+        star_labels, side_corner_stars[np.isin(side_labels, upper_side_labels)]
     )
     # A node between corners is doubled if any of these corners is.
     is_crack_node[crack_facets] = True
-    is_node_above = is_crack_node[cells.cell_nodes] & (is_upper_corner @ cells.supporting_corners.T)
+    is_node_above = is_crack_node[cells.cell_nodes] & (
+        is_upper_corner @ cells.is_supporting_corner.T
+    )
     copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
     node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]

@@ -211,18 +211,21 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     face_numbers_and_positions = [
         _face_corners(plate, face_name, comm) for face_name in CRACK_FACE_NAMES
     ]
-    numbers, positions = (
+    face_node_numbers, face_node_positions = (
         np.concatenate(face_arrays) for face_arrays in zip(*face_numbers_and_positions, strict=True)
     )
-    _, first_positions, node_index = np.unique(numbers, return_index=True, return_inverse=True)
+    _, first_positions, node_index = np.unique(
+        face_node_numbers, return_index=True, return_inverse=True
+    )
     face_corner_nodes = np.split(
-        node_index.reshape(numbers.shape), [len(face_numbers_and_positions[0][0])]
+        node_index.reshape(face_node_numbers.shape), [len(face_numbers_and_positions[0][0])]
     )
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
         plate,
         cracks=find_cracks(
-            *face_corner_nodes, positions.reshape(-1, positions.shape[2])[first_positions]
+            *face_corner_nodes,
+            face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
         ),
     )
 

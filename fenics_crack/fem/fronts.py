@@ -376,7 +376,7 @@ def _front_chains(
     triangle_centres = crack.triangles.mean(axis=1)
     while links:
         first_node = min(
-            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
+            (node for node, node_links in links.items() if len(node_links) == 1), default=min(links)
         )
         chain, is_closed = [first_node], len(links[first_node]) == 2
         while links.get(chain[-1]):

@@ -95,13 +95,13 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
         for name, points, arc_length in tip_ends:
             tip_point = points[-1]
-            offsets = tip_point - points[:-1]
-            growth_direction = offsets[-1] / np.linalg.norm(offsets[-1])
+            corner_offsets = tip_point - points[:-1]
+            growth_direction = corner_offsets[-1] / np.linalg.norm(corner_offsets[-1])
             is_off_line = np.abs(
-                offsets @ [-growth_direction[1], growth_direction[0]]
-            ) > 1e-6 * np.linalg.norm(offsets, axis=1)
+                corner_offsets @ [-growth_direction[1], growth_direction[0]]
+            ) > 1e-6 * np.linalg.norm(corner_offsets, axis=1)
             straight_length = np.linalg.norm(
-                offsets[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
+                corner_offsets[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
             )
             crack_distances = [
                 other_crack.locate(tip_point[None])[0][0]
@@ -228,7 +228,7 @@ def _singular_displacement_derivative(
 
     Returns
     -------
-    component_1, component_2 : numbers or UFL expressions
+    derivative_1, derivative_2 : numbers or UFL expressions
         Components ahead of the crack and normal to it, times 4 G (2 pi)^1/2, G the shear modulus.
     """
     cos_angle, sin_angle = (
@@ -243,11 +243,11 @@ def _singular_displacement_derivative(
         -(kolosov + 2.0 + cos_angle - 2.0 * sin_angle * sin_angle) * sin_half_angle,
         -(kolosov - 2.0 + cos_angle + 2.0 * sin_angle * sin_angle) * cos_half_angle,
     )
-    component_1, component_2 = (
+    derivative_1, derivative_2 = (
         (1.0 - mode) * mode_1_part + mode * mode_2_part
         for mode_1_part, mode_2_part in zip(mode_1_components, mode_2_components, strict=True)
     )
-    return component_1 / r**0.5, component_2 / r**0.5
+    return derivative_1 / r**0.5, derivative_2 / r**0.5
 
 
 def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
@@ -287,12 +287,12 @@ def _weighted_singular_field(
         np.sqrt(np.maximum(r + x_sign * x, 0.0) / (2.0 * r)) for x_sign in (1.0, -1.0)
     )
     kolosov, field_scale = _kolosov_and_field_scale(scene)
-    component_1, component_2 = _singular_displacement_derivative(
+    derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
     scaled_weights = field_scale * _weight_function(r, tip.radius)
-    weighted_field[is_near] = (scaled_weights * component_1)[:, None] * tip.growth_direction + (
-        scaled_weights * component_2
+    weighted_field[is_near] = (scaled_weights * derivative_1)[:, None] * tip.growth_direction + (
+        scaled_weights * derivative_2
     )[:, None] * e_2
     return weighted_field
 
@@ -317,10 +317,10 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
         ufl.sqrt((r + x) / (2.0 * r)),
         ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r)),
     )
-    component_1, component_2 = _singular_displacement_derivative(
+    derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, sin_half_angle, kolosov, mode_constant
     )
-    singular_derivative = field_scale * (component_1 * e_1 + component_2 * e_2)
+    singular_derivative = field_scale * (derivative_1 * e_1 + derivative_2 * e_2)
     xi = (r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION)
     q_slope = -30.0 * xi**2 * (1.0 - xi) ** 2 / (radius * (1.0 - PLATEAU_FRACTION))
     is_on_ramp = ufl.And(ufl.gt(xi, 0.0), ufl.lt(xi, 1.0))

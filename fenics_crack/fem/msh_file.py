@@ -263,13 +263,13 @@ def _select_cells(
     cell_node_numbers = np.concatenate(
         [nodes for group_dimension, *_, nodes in groups if group_dimension == dimension]
     )
-    used_numbers, node_index = np.unique(cell_node_numbers, return_inverse=True)
+    used_numbers, cell_node_index = np.unique(cell_node_numbers, return_inverse=True)
     require(
         np.isin(used_numbers, node_numbers).all(),
         "cells with nodes that do not exist",
         "a whole file",
     )
-    nodes = node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
+    nodes = cell_node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
     nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
     sorted_nodes = np.sort(nodes, axis=1)
     has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
@@ -649,11 +649,12 @@ def check_boundary(
     cell_positions = positions[cells.cell_nodes]
     cell_centres = cell_positions.mean(axis=1)
     cell_radii = np.linalg.norm(cell_positions - cell_centres[:, None], axis=2).max(axis=1)
-    near_points = cKDTree(points).query_ball_point(cell_centres, cell_radii)
+    near_point_lists = cKDTree(points).query_ball_point(cell_centres, cell_radii)
     near_cell_index = np.repeat(
-        np.arange(len(near_points)), [len(near_cell_points) for near_cell_points in near_points]
+        np.arange(len(near_point_lists)),
+        [len(near_point_list) for near_point_list in near_point_lists],
     )
-    near_point_index = np.concatenate(near_points).astype(int)
+    near_point_index = np.concatenate(near_point_lists).astype(int)
     is_other_cell = owner[near_point_index] != near_cell_index
     near_cell_index, near_point_index = (
         near_cell_index[is_other_cell],
