@@ -360,13 +360,13 @@ def _front_chains(
     corner_tree, tolerance = cKDTree(corner_positions), POSITION_TOLERANCE * crack.size
     edges = np.sort(corner_tree.query(crack.front_edges.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
-    edge_ends = np.array(
+    edge_end_nodes = np.array(
         [
             min(corner_tree.query_ball_point(corner_position, tolerance))
             for corner_position in corner_positions[edges.ravel()]
         ]
     )
-    for node, neighbour in edge_ends.reshape(-1, 2):
+    for node, neighbour in edge_end_nodes.reshape(-1, 2):
         links.setdefault(int(node), []).append(int(neighbour))
         links.setdefault(int(neighbour), []).append(int(node))
     triangle_sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
@@ -545,7 +545,7 @@ def front_functionals(
                 nodal_fields
             )
             force_factors[: len(front.station_parameters)] += _pressure_factors(structure, front)
-        valid_stations = [
+        valid_station_indices = [
             station_index
             for station_index in range(len(front.station_parameters))
             if station_index not in front.corner_stations
@@ -555,12 +555,13 @@ def front_functionals(
             (force_rows, force_factors),
         ):
             row_list.append(
-                _rows_by_station(front, factors)[valid_stations].reshape(
-                    3 * len(valid_stations), -1
+                _rows_by_station(front, factors)[valid_station_indices].reshape(
+                    3 * len(valid_station_indices), -1
                 )
             )
         stations += [
-            _make_stations(structure, front)[station_index] for station_index in valid_stations
+            _make_stations(structure, front)[station_index]
+            for station_index in valid_station_indices
         ]
     return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
 
@@ -1072,12 +1073,12 @@ class _Domain:
             )
             auxiliary_stress = self._stress(gradient)
             if normals is not None:
-                frame_normals = np.einsum("cpij,cj->cpi", frame_vectors, normals)
+                normals_in_frame = np.einsum("cpij,cj->cpi", frame_vectors, normals)
                 surface_tensor = (
-                    q[..., None, None] * frame_normals[..., 0, None, None] * auxiliary_stress
+                    q[..., None, None] * normals_in_frame[..., 0, None, None] * auxiliary_stress
                 )
                 surface_tensor[..., 0] -= (
-                    q[..., None] * (auxiliary_stress @ frame_normals[..., None])[..., 0]
+                    q[..., None] * (auxiliary_stress @ normals_in_frame[..., None])[..., 0]
                 )
                 hats_and_tensors = [(hat, surface_tensor)]
             else:
@@ -1186,8 +1187,8 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
-    root_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
-    map_weights, corner_fractions = 2.0 * root_fractions * np.outer(w, w).ravel(), root_fractions**2
+    sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+    map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
     mapped_shapes = np.column_stack(
         [
             corner_fractions,

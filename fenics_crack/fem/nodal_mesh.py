@@ -198,7 +198,7 @@ class NodalMesh:
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
         side_centres = self.points[self.boundary].mean(axis=1)
-        coincident_sides = cKDTree(side_centres).query_pairs(
+        coincident_side_pairs = cKDTree(side_centres).query_pairs(
             1e-6 * self.size, output_type="ndarray"
         )
-        return np.asarray(self.boundary[np.unique(coincident_sides)])
+        return np.asarray(self.boundary[np.unique(coincident_side_pairs)])
