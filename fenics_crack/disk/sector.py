@@ -17,7 +17,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.disk.cyclic import Sector
 from fenics_crack.disk.wheel import Wheel
 from fenics_crack.fem.blocks import RIM_SIDES
-from fenics_crack.fem.cracks import LIP_TAGS, POSITION_TOLERANCE
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, POSITION_TOLERANCE
 from fenics_crack.fem.elasticity import rotation_of
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.modes import multiply
@@ -118,7 +118,7 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     assert sides is not None and frames is not None
     crack_nodes = np.zeros((2, 0), dtype=int)
     if dofs.plate.has_cracks:  # tips belong to both faces and need no bond
-        lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in LIP_TAGS)
+        lower_nodes, upper_nodes = (dofs.nodes_on(name) for name in CRACK_FACE_NAMES)
         lower_nodes, upper_nodes = (
             np.setdiff1d(lower_nodes, upper_nodes),
             np.setdiff1d(upper_nodes, lower_nodes),

@@ -118,7 +118,7 @@ class _Plate:
         )  # fmt: skip
         self.lines = [self._line(boundary, "lips", 2)]
         if not solid:  # whose outline has the mouth
-            self.lines.append(self._line(mesh.crack_faces, "lips", 5))
+            self.lines.append(self._line(mesh.crack_face_sides, "lips", 5))
         self._line(boundary[mesh.is_clamped[boundary].all(axis=1)], "rest", 9)
         self.dots = vtk.pyvista().PolyData(np.zeros((len(fields.areas), 3)))
         if len(fields.areas):

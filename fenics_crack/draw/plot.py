@@ -232,7 +232,7 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     from scipy.spatial import cKDTree
 
     mesh, pairs = NodalMesh(structure.whole), structure.pairs
-    facets = mesh.crack_faces
+    facets = mesh.crack_face_sides
     triangles = facets if facets.shape[1] == 3 else facets[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     tree = cKDTree(pairs.points)
     of_pair = np.zeros(len(tree.data), dtype=int) if pairs.cracks is None else pairs.cracks
@@ -241,7 +241,7 @@ def _over_cracks(structure: Structure, shown: Mapping[str, np.ndarray], where: W
     picture = Picture(2 * len(cracks), columns=2, size=(9.0, 3.4 * len(cracks)), **where)
     for panel, (crack, label) in zip(picture, product(cracks, shown), strict=True):
         nodes, corners = np.unique(triangles[of_crack == crack], return_inverse=True)
-        values = mesh.patch_functions[1][nodes] @ shown[label]
+        values = mesh.centre_and_pressure_functions[1][nodes] @ shown[label]
         _over_crack(panel, mesh.points[nodes], corners.reshape(-1, 3), values, label)
         if len(cracks) > 1:
             panel.set_title(f"crack {crack + 1}", fontsize="medium")

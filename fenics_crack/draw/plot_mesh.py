@@ -65,7 +65,7 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
         (mesh.edges, "#9a9a9a", 0.4, ""),
         (mesh.boundary, "black", 1.2, ""),
         (clamped, COLOURS["green"], 5.0, "clamped"),
-        (mesh.crack_faces, COLOURS["orange"], 2.2, "crack faces"),
+        (mesh.crack_face_sides, COLOURS["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
             look = {"colors": colour, "linewidths": width, "label": label}
@@ -235,7 +235,7 @@ def _solid(picture: Picture, mesh: NodalMesh, load: np.ndarray) -> None:
     plotter = vtk.off_screen_plotter()
     points, facets = mesh.points, mesh.boundary
     clamped = mesh.is_clamped[facets].all(axis=1)
-    is_lip = rows_in(facets, mesh.crack_faces)
+    is_lip = rows_in(facets, mesh.crack_face_sides)
     shown = vtk.surface(points, facets[~clamped & ~is_lip])
     plotter.add_mesh(shown, color="#d8d8d8", opacity=0.35, show_edges=True, edge_color="#9a9a9a")
     plotter.add_mesh(vtk.lines(points, vtk.outline(mesh)), color="black", line_width=3)

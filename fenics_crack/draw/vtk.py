@@ -380,7 +380,7 @@ class PeriodFields:
         self.has_one_load = bool(np.any(self.load)) and one_frame
         self.colour = ("von Mises stress", "Pa") if material else ("displacement", "m")
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.pair_nodes, self.shares = self.mesh.patch_functions
+            self.pair_nodes, self.shares = self.mesh.centre_and_pressure_functions
         else:
             self.pair_nodes = _nodes_of_pairs(structure)
             self.shares = self.pair_nodes * self.areas
@@ -391,7 +391,7 @@ class PeriodFields:
     @property
     def cracked(self) -> bool:
         """True if there are crack faces."""
-        return len(self.mesh.crack_faces) > 0
+        return len(self.mesh.crack_face_sides) > 0
 
     @cached_property
     def moved(self) -> np.ndarray:

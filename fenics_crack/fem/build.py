@@ -50,7 +50,7 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import (
-    LIP_TAGS,
+    CRACK_FACE_NAMES,
     POSITION_TOLERANCE,
     Cracks,
     distribute_front_pressures,
@@ -109,12 +109,12 @@ def pair_crack_faces(
     assemble_columns = (
         _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
     )
-    face_measure = plate.measure_on(*LIP_TAGS)
+    face_measure = plate.measure_on(*CRACK_FACE_NAMES)
     space, weights, columns = assemble_columns(dofs, t, face_measure)
     first_node = space.dofmap.index_map.local_range[0]
     points = space.tabulate_dof_coordinates()[:, :dimension]
     faces = []
-    for name in LIP_TAGS:
+    for name in CRACK_FACE_NAMES:
         nodes = dofs.nodes_on(name, space)
         rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
         faces.append(gather_rows(dofs.comm, rows))
@@ -178,7 +178,7 @@ def _front_pressure_shares(
     ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
     """
     overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * face_measure
-    matrix = compat.assembled_matrix(overlap_form)
+    matrix = compat.assembled_petsc_matrix(overlap_form)
     entries = local_rows(matrix).tocoo()
     matrix.destroy()
     first_node = space.dofmap.index_map.local_range[0]
@@ -337,7 +337,7 @@ def _columns_of_pressures(
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
     work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * face_measure
-    matrix = compat.assembled_matrix(work_form)
+    matrix = compat.assembled_petsc_matrix(work_form)
     columns = local_rows(matrix).tocsc()
     matrix.destroy()
     weights = compat.assembled_vector(t * ufl.TestFunction(space) * face_measure)
@@ -414,7 +414,7 @@ def _watched_pairs(
     crack: Any
     for index, crack in enumerate(cracks):
         pairs = np.flatnonzero(crack_index == index)
-        name, watched_distance = crack.watched_place
+        name, watched_distance = crack.watched_name_and_position
         if len(cracks) > 1:
             name += f" of crack {index + 1}"
         if len(pairs):
@@ -465,7 +465,7 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass = _matrix_forms(scene, dofs.space)
-    matrix = compat.assembled_matrix(mass)
+    matrix = compat.assembled_petsc_matrix(mass)
     load_coefficients, watched_vector = assemble_loads(scene, dofs, matrix)
     clamp = clamp_of(dofs, matrix, load_coefficients)
     matrix.destroy()
@@ -495,7 +495,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         from fenics_crack.disk.sector import match_sides
 
         match_sides(scene, dofs)
-    stiffness, mass = map(compat.assembled_matrix, _matrix_forms(scene, space))
+    stiffness, mass = map(compat.assembled_petsc_matrix, _matrix_forms(scene, space))
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
     t, patches = thickness(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(dofs, t, mouth_only=mouth_only, max_patches=patches)

@@ -121,12 +121,12 @@ def _quiet_compiler() -> Iterator[None]:
 @_quiet_compiler()
 def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
     """Call a DOLFINx constructor that compiles a form or an element (collective)."""
-    key = ffcx.naming.compute_signature(
+    cache_key = ffcx.naming.compute_signature(
         [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))
     )
     return load_form(
         comm,
-        _CACHE_FOLDER / f"{key}.txt",
+        _CACHE_FOLDER / f"{cache_key}.txt",
         lambda options: make_object(*arguments, **{_JIT_KEYWORD: options}),
     )
 
@@ -158,7 +158,7 @@ def compile_form(form: Any) -> Any:
     return _compile(form.ufl_domain().ufl_cargo().comm, form, dolfinx.fem.form, form)
 
 
-def assembled_matrix(form: ufl.Form) -> Any:
+def assembled_petsc_matrix(form: ufl.Form) -> Any:
     """Assemble a bilinear form into a PETSc matrix (collective).
 
     No boundary conditions are applied.
@@ -193,24 +193,30 @@ def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarra
     dimension = mesh.topology.dim
     position = np.append(point, np.zeros(3 - dimension)).astype(float)
     if hasattr(dolfinx.geometry, "bb_tree"):
-        tree = dolfinx.geometry.bb_tree(mesh, dimension, padding=1e-10)
-        candidates = dolfinx.geometry.compute_collisions_points(tree, position)
-        cells = dolfinx.geometry.compute_colliding_cells(mesh, candidates, position).array
+        bounding_box_tree = dolfinx.geometry.bb_tree(mesh, dimension, padding=1e-10)
+        candidate_cells = dolfinx.geometry.compute_collisions_points(bounding_box_tree, position)
+        colliding_cells = dolfinx.geometry.compute_colliding_cells(
+            mesh, candidate_cells, position
+        ).array
     else:
-        tree = dolfinx.geometry.BoundingBoxTree(mesh, dimension, padding=1e-10)
-        candidates = dolfinx.geometry.compute_collisions(tree, position)
-        cells = np.asarray(dolfinx.geometry.compute_colliding_cells(mesh, candidates, position))
-    cells = cells[cells < mesh.topology.index_map(dimension).size_local]
-    if not len(cells):
+        bounding_box_tree = dolfinx.geometry.BoundingBoxTree(mesh, dimension, padding=1e-10)
+        candidate_cells = dolfinx.geometry.compute_collisions(bounding_box_tree, position)
+        colliding_cells = np.asarray(
+            dolfinx.geometry.compute_colliding_cells(mesh, candidate_cells, position)
+        )
+    colliding_cells = colliding_cells[
+        colliding_cells < mesh.topology.index_map(dimension).size_local
+    ]
+    if not len(colliding_cells):
         return np.zeros(0, dtype=np.int32), np.zeros(0)
-    cell = int(cells[0])
-    corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :dimension]
-    reference_point = mesh.geometry.cmap.pull_back(position[None, :dimension], corners)
+    cell_index = int(colliding_cells[0])
+    cell_node_positions = mesh.geometry.x[geometry_dofmap(mesh)[cell_index], :dimension]
+    reference_point = mesh.geometry.cmap.pull_back(position[None, :dimension], cell_node_positions)
     cell_name, variant = mesh.topology.cell_type.name, basix.LagrangeVariant.gll_warped
     cell_type = getattr(basix.CellType, cell_name)
     reference_element = basix.create_element(basix.ElementFamily.P, cell_type, order, variant)
     basis_values = reference_element.tabulate(0, reference_point)[0, 0].ravel()
-    return np.asarray(space.dofmap.cell_dofs(cell)), basis_values
+    return np.asarray(space.dofmap.cell_dofs(cell_index)), basis_values
 
 
 def are_facet_tags_of(tags: Any, mesh: Any) -> bool:
@@ -229,7 +235,7 @@ def _cpp_object(wrapper: Any) -> Any:
     return getattr(wrapper, "_cpp_object", getattr(wrapper, "_mesh", wrapper))
 
 
-def constrained_dofs(space: Any, conditions: Any) -> np.ndarray:
+def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
     """Return True for this rank's dofs that Dirichlet conditions hold at zero: (n_dofs,).
 
     Raises
@@ -246,9 +252,9 @@ def constrained_dofs(space: Any, conditions: Any) -> np.ndarray:
             cpp_space.contains(_cpp_object(condition.function_space)) for condition in conditions
         ):
             raise ValueError("one is of another space")
-        for array in start_values:
-            vector = PETSc.Vec().createWithArray(array, comm=MPI.COMM_SELF)
-            dolfinx.fem.petsc.set_bc(vector, conditions)
+        for start_array in start_values:
+            start_vector = PETSc.Vec().createWithArray(start_array, comm=MPI.COMM_SELF)
+            dolfinx.fem.petsc.set_bc(start_vector, conditions)
         if np.any(zero_start):
             raise ValueError("one holds at another value than zero")
     return np.asarray(one_start == 0.0)
@@ -256,16 +262,18 @@ def constrained_dofs(space: Any, conditions: Any) -> np.ndarray:
 
 def facet_corners(mesh: Any, facets: np.ndarray) -> np.ndarray:
     """Return local geometry nodes at the corners of facets, in cyclic order: (n, k)."""
-    topology, d = mesh.topology, mesh.topology.dim
-    for dimensions in ((d - 1, 0), (d - 1, d), (d, d - 1)):
+    topology, dimension = mesh.topology, mesh.topology.dim
+    for dimensions in ((dimension - 1, 0), (dimension - 1, dimension), (dimension, dimension - 1)):
         topology.create_connectivity(*dimensions)
-    corner_order = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(d)]
+    corner_order = [0, 1, 3, 2] if topology.cell_type.name == "hexahedron" else [*range(dimension)]
     if not len(facets):  # DOLFINx 0.9 divides by their number
         return np.zeros((0, len(corner_order)), dtype=np.int32)
     if _HAS_FUNCTIONSPACE:
-        nodes = dolfinx.mesh.entities_to_geometry(mesh, d - 1, facets)
+        nodes = dolfinx.mesh.entities_to_geometry(mesh, dimension - 1, facets)
     else:
-        nodes = dolfinx.cpp.mesh.entities_to_geometry(_cpp_object(mesh), d - 1, facets, False)
+        nodes = dolfinx.cpp.mesh.entities_to_geometry(
+            _cpp_object(mesh), dimension - 1, facets, False
+        )
     return np.asarray(nodes)[:, corner_order]
 
 
@@ -277,7 +285,7 @@ def geometry_dofmap(mesh: Any) -> np.ndarray:
     return dofmap.array.reshape(dofmap.num_nodes, -1)
 
 
-def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
+def vtk_cells_and_type(space: Any) -> tuple[np.ndarray, int]:
     """Return the owned cells in VTK's form.
 
     Returns

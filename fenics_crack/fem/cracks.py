@@ -26,7 +26,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
 
-LIP_TAGS = ("lower_lip", "upper_lip")
+CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 """Names of the lower and upper faces of all cracks in a mesh."""
 POSITION_TOLERANCE = 1e-6
 """Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
@@ -70,7 +70,7 @@ class CrackPath:
         return np.concatenate([[0.0], np.cumsum(edge_lengths)])
 
     @property
-    def watched_place(self) -> tuple[str, float]:
+    def watched_name_and_position(self) -> tuple[str, float]:
         """Return the reported contact pair's name and position [m].
 
         The pair is at the mouth (position 0), or in the middle between two tips.
@@ -92,8 +92,8 @@ class CrackPath:
         offsets, edge_fractions = offsets_from_edges(points, self.edges)
         distances, corner_arc_lengths = np.linalg.norm(offsets, axis=2), self.corner_arc_lengths
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
-        edge_index, rows = distances.argmin(axis=1), np.arange(len(points))
-        return distances[rows, edge_index], nearest_arc_lengths[rows, edge_index]
+        edge_index, point_index = distances.argmin(axis=1), np.arange(len(points))
+        return distances[point_index, edge_index], nearest_arc_lengths[point_index, edge_index]
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return points below and above a point on the crack.
@@ -110,7 +110,7 @@ class CrackPath:
             point,
             distance_to_crack,
             tip_distance,
-            _facet_normals(self.edges[[edge_index]])[0],
+            _size_weighted_normals(self.edges[[edge_index]])[0],
             length,
         )
 
@@ -123,18 +123,18 @@ class CrackSurface:
     ----------
     triangles : (n, 3, 3) [m]
         Corners of the facets. Each quadrilateral is cut into two triangles.
-    front : (m, 2, 3) [m]
+    front_edges : (m, 2, 3) [m]
         Ends of the front's edges. Empty if the crack separates two bodies.
     has_mouth : bool
         True if the rim reaches the surface of the solid.
     """
 
     triangles: np.ndarray
-    front: np.ndarray
+    front_edges: np.ndarray
     has_mouth: bool
 
     @property
-    def watched_place(self) -> tuple[str, float]:
+    def watched_name_and_position(self) -> tuple[str, float]:
         """Return the reported contact pair's name and position: the farthest from the front.
 
         The position is infinite.
@@ -159,18 +159,18 @@ class CrackSurface:
         """
         distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
-        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front)))
+        block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_edges)))
         for block_start in range(0, len(points), block_size):
             block = slice(block_start, block_start + block_size)
             distances[block] = np.linalg.norm(
                 _offsets_from_triangles(points[block], self.triangles), axis=2
             ).min(1)
             # Larger than any distance between the surface and its front.
-            no_front_distance = 2.0 * self.size
+            front_distance_bound = 2.0 * self.size
             edge_distances = np.linalg.norm(
-                offsets_from_edges(points[block], self.front)[0], axis=2
+                offsets_from_edges(points[block], self.front_edges)[0], axis=2
             )
-            front_distances[block] = edge_distances.min(axis=1, initial=no_front_distance)
+            front_distances[block] = edge_distances.min(axis=1, initial=front_distance_bound)
         return distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
@@ -183,7 +183,7 @@ class CrackSurface:
         nearest_triangle = np.linalg.norm(
             _offsets_from_triangles(position[None], self.triangles)[0], axis=1
         ).argmin()
-        normal = _facet_normals(self.triangles[[nearest_triangle]])[0]
+        normal = _size_weighted_normals(self.triangles[[nearest_triangle]])[0]
         return points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
 
 
@@ -200,8 +200,8 @@ def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.nda
     offsets = corner_offsets - u[..., None] * side_1 - v[..., None] * side_2
     is_outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
     distances = np.where(is_outside, np.inf, np.linalg.norm(offsets, axis=2))
-    for start, stop in ((0, 1), (1, 2), (2, 0)):
-        side_offsets, _ = offsets_from_edges(points, triangles[:, [start, stop]])
+    for start_corner, end_corner in ((0, 1), (1, 2), (2, 0)):
+        side_offsets, _ = offsets_from_edges(points, triangles[:, [start_corner, end_corner]])
         is_nearer = np.linalg.norm(side_offsets, axis=2) < distances
         offsets[is_nearer], distances[is_nearer] = (
             side_offsets[is_nearer],
@@ -210,7 +210,7 @@ def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.nda
     return offsets
 
 
-def _facet_normals(facets: np.ndarray) -> np.ndarray:
+def _size_weighted_normals(facets: np.ndarray) -> np.ndarray:
     """Return normals of edges (n, 2, 2) or triangles (n, 3, 3).
 
     An edge's normal has the edge's length, a triangle's normal twice its area.
@@ -313,11 +313,11 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
     positions : (n,) [m]
         Distance along a path from the beginning, or on a surface from the front.
     """
-    distances, distances_on_crack = np.array([crack.locate(points) for crack in cracks]).transpose(
-        1, 0, 2
-    )
-    crack_index = distances.argmin(axis=0)
-    return crack_index, distances_on_crack[crack_index, np.arange(len(points))]
+    distances_to_cracks, positions_on_cracks = np.array(
+        [crack.locate(points) for crack in cracks]
+    ).transpose(1, 0, 2)
+    crack_index = distances_to_cracks.argmin(axis=0)
+    return crack_index, positions_on_cracks[crack_index, np.arange(len(points))]
 
 
 def label_connected_rows(rows: np.ndarray) -> np.ndarray:
@@ -327,9 +327,9 @@ def label_connected_rows(rows: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
-    link_ends, n_numbered_nodes = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
+    link_ends, n_node_numbers = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
     graph = sparse.coo_matrix(
-        (np.ones(len(link_ends[0]), bool), link_ends), (n_numbered_nodes, n_numbered_nodes)
+        (np.ones(len(link_ends[0]), bool), link_ends), (n_node_numbers, n_node_numbers)
     )
     row_labels = connected_components(graph, directed=False)[1][rows[:, 0]]
     return np.unique(row_labels, return_inverse=True)[1]
@@ -358,8 +358,10 @@ def rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
 
     The order of nodes in a row does not matter.
     """
-    _, kinds, _ = find_unique_rows(np.concatenate([reference_rows, rows]))
-    return np.asarray(np.isin(kinds[len(reference_rows) :], kinds[: len(reference_rows)]))
+    _, unique_index, _ = find_unique_rows(np.concatenate([reference_rows, rows]))
+    return np.asarray(
+        np.isin(unique_index[len(reference_rows) :], unique_index[: len(reference_rows)])
+    )
 
 
 # --- cracks of given faces ------------------------------------------------------------------------
@@ -392,9 +394,13 @@ def find_crack_paths(
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
     crack_paths = []
     for chain in _ordered_chains(lower_edges, common_nodes, positions):
-        first_end, last_end = (tuple(positions[chain[end]]) for end in (0, -1))
+        first_end_position, last_end_position = (
+            tuple(positions[chain[end_index]]) for end_index in (0, -1)
+        )
         is_mouth = chain[0] not in common_nodes, chain[-1] not in common_nodes
-        is_reversed = last_end < first_end if is_mouth[0] == is_mouth[1] else is_mouth[1]
+        is_reversed = (
+            last_end_position < first_end_position if is_mouth[0] == is_mouth[1] else is_mouth[1]
+        )
         points = positions[chain[::-1] if is_reversed else chain]
         crack_paths.append(CrackPath(points, any(is_mouth)))
     return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
@@ -410,16 +416,18 @@ def _ordered_chains(
     from scipy.sparse.csgraph import breadth_first_order
 
     nodes, edge_counts = np.unique(edges, return_counts=True)
-    for node, n_edges in zip(nodes, edge_counts, strict=True):
-        if n_edges > 2 and node not in tips:
-            place = "({:g}, {:g})".format(*positions[node])
+    for node, n_node_edges in zip(nodes, edge_counts, strict=True):
+        if n_node_edges > 2 and node not in tips:
+            position_text = "({:g}, {:g})".format(*positions[node])
             requirement = "cracks that neither branch nor cross, as one of them does here"
-            raise InputError("lips", f"{n_edges} edges of a crack face at {place}", requirement)
+            raise InputError(
+                "lips", f"{n_node_edges} edges of a crack face at {position_text}", requirement
+            )
     # Cracks that share a tip are different: number the tips of each edge anew.
-    unshared_tips = len(positions) + np.arange(edges.size).reshape(edges.shape)
-    edge_labels = label_connected_rows(np.where(np.isin(edges, tips), unshared_tips, edges))
+    new_tip_numbers = len(positions) + np.arange(edges.size).reshape(edges.shape)
+    edge_labels = label_connected_rows(np.where(np.isin(edges, tips), new_tip_numbers, edges))
     for chain_index in range(edge_labels.max() + 1):
-        chain_nodes, local_edges = np.unique(
+        sorted_chain_nodes, local_edges = np.unique(
             edges[edge_labels == chain_index].ravel(), return_inverse=True
         )
         end_nodes = np.flatnonzero(np.bincount(local_edges) == 1)
@@ -428,9 +436,11 @@ def _ordered_chains(
                 "cracks with two ends; a closed curve would cut a piece out of the structure"
             )
             raise InputError("lips", "a closed curve", requirement)
-        graph_entries = np.ones(len(local_edges) // 2), tuple(local_edges.reshape(-1, 2).T)
-        graph = sparse.coo_matrix(graph_entries, (len(chain_nodes),) * 2)
-        yield chain_nodes[breadth_first_order(graph.tocsr(), end_nodes[0], directed=False)[0]]
+        graph_triplets = np.ones(len(local_edges) // 2), tuple(local_edges.reshape(-1, 2).T)
+        graph = sparse.coo_matrix(graph_triplets, (len(sorted_chain_nodes),) * 2)
+        yield sorted_chain_nodes[
+            breadth_first_order(graph.tocsr(), end_nodes[0], directed=False)[0]
+        ]
 
 
 def find_crack_surfaces(
@@ -447,19 +457,27 @@ def find_crack_surfaces(
     positions : (n_nodes, 3) [m]
         Positions of all nodes.
     """
-    edges, edge_counts = np.unique(_edges_of_polygons(lower_facets), axis=0, return_counts=True)
-    rim_edges = edges[edge_counts == 1]
-    is_front = np.isin(rim_edges, upper_facets).all(axis=1)
+    edges, edge_facet_counts = np.unique(
+        _edges_of_polygons(lower_facets), axis=0, return_counts=True
+    )
+    rim_edges = edges[edge_facet_counts == 1]
+    is_front_edge = np.isin(rim_edges, upper_facets).all(axis=1)
     facet_labels, surfaces = label_connected_rows(lower_facets), []
-    triangle_corners = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
+    triangle_columns = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
     for crack_index in range(facet_labels.max() + 1):
-        facets = lower_facets[facet_labels == crack_index]
-        is_on_crack = np.isin(rim_edges, facets).all(axis=1)
-        triangles = positions[
-            np.concatenate([facets[:, corner_index] for corner_index in triangle_corners])
+        crack_facets = lower_facets[facet_labels == crack_index]
+        is_edge_on_crack = np.isin(rim_edges, crack_facets).all(axis=1)
+        triangle_positions = positions[
+            np.concatenate([crack_facets[:, corner_columns] for corner_columns in triangle_columns])
         ]
-        front = positions[rim_edges[is_on_crack & is_front]]
-        surfaces.append(CrackSurface(triangles, front, bool(np.any(is_on_crack & ~is_front))))
+        front_edge_positions = positions[rim_edges[is_edge_on_crack & is_front_edge]]
+        surfaces.append(
+            CrackSurface(
+                triangle_positions,
+                front_edge_positions,
+                bool(np.any(is_edge_on_crack & ~is_front_edge)),
+            )
+        )
     surfaces.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
     return tuple(surfaces)
 
@@ -473,17 +491,17 @@ class Cells:
 
     Attributes
     ----------
-    nodes : (n_cells, k) int
+    cell_nodes : (n_cells, k) int
         Nodes in gmsh's order: corners first.
     facets : (n_facets, n) int
-        Corners of each facet of a cell, as columns of ``nodes``.
-    supporting_corners : (k, n_corners) bool
-        Corners between which each node of a cell lies.
+        Corners of each facet of a cell, as columns of ``cell_nodes``.
+    is_supporting_corner : (k, n_corners) bool
+        True for the corners between which a node of a cell lies.
     """
 
-    nodes: np.ndarray
+    cell_nodes: np.ndarray
     facets: np.ndarray
-    supporting_corners: np.ndarray
+    is_supporting_corner: np.ndarray
 
     @property
     def n_corners(self) -> int:
@@ -491,7 +509,7 @@ class Cells:
         return int(self.facets.max()) + 1
 
     @cached_property
-    def sorted_facets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the facets of all cells, equal ones in succession.
 
         Returns
@@ -501,21 +519,21 @@ class Cells:
         owner : (n,) int
             Cell of each facet.
         local_corners : (n, m) int
-            Columns of ``nodes`` that hold the corners.
+            Columns of ``cell_nodes`` that hold the corners.
         """
-        corners = self.nodes[:, self.facets].reshape(-1, self.facets.shape[1])
+        corners = self.cell_nodes[:, self.facets].reshape(-1, self.facets.shape[1])
         corner_order = np.argsort(corners, axis=1)
         local_corners = np.take_along_axis(
-            np.tile(self.facets, (len(self.nodes), 1)), corner_order, axis=1
+            np.tile(self.facets, (len(self.cell_nodes), 1)), corner_order, axis=1
         )
         corners = np.take_along_axis(corners, corner_order, axis=1)
-        order = np.lexsort(corners.T[::-1])
-        return corners[order], order // len(self.facets), local_corners[order]
+        facet_order = np.lexsort(corners.T[::-1])
+        return corners[facet_order], facet_order // len(self.facets), local_corners[facet_order]
 
     @cached_property
     def is_shared(self) -> np.ndarray:
         """Return True for each sorted facet that equals the next: (n - 1,) bool."""
-        facets = self.sorted_facets[0]
+        facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
@@ -584,14 +602,14 @@ def split_cracks(
         or has all its nodes on its front.
     """
     n_corners, facet_word = cells.facets.shape[1], ("edges", "facets")[positions.shape[1] - 2]
-    corners, first_facets = np.unique(
+    crack_corners, first_facet_index = np.unique(
         np.sort(crack_facets[:, :n_corners], axis=1), axis=0, return_index=True
     )
-    crack_facets = crack_facets[first_facets]  # in the same order as the sorted facets
-    (facets, owner, local_corners), is_shared = cells.sorted_facets, cells.is_shared
-    on_crack = np.isin(np.arange(len(positions)), corners)
-    is_crack_facet = on_crack[facets].all(axis=1)
-    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], corners)
+    crack_facets = crack_facets[first_facet_index]  # in the same order as the sorted facets
+    (facets, owner, local_corners), is_shared = cells.sorted_facets_and_owners, cells.is_shared
+    is_crack_node = np.isin(np.arange(len(positions)), crack_corners)
+    is_crack_facet = is_crack_node[facets].all(axis=1)
+    is_crack_facet[is_crack_facet] = rows_in(facets[is_crack_facet], crack_corners)
     inner_facets = np.flatnonzero(is_shared & is_crack_facet[:-1])
     require(
         len(inner_facets) == len(crack_facets),
@@ -599,55 +617,57 @@ def split_cracks(
         " of cracks not between cells",
         f"inside the structure, with a cell on either side of {facet_word}",
     )
-    outer_facets = facets[cells.is_boundary & on_crack[facets].any(axis=1)]
-    is_split = on_crack.copy()
-    is_split[_front_parts(crack_facets[:, :n_corners], outer_facets)] = False
-    facet_labels = label_connected_rows(corners)
-    closed_labels = np.setdiff1d(facet_labels, facet_labels[is_split[corners].any(axis=1)])
-    require(not len(closed_labels), "all nodes of a crack on its front", "meshed more finely")
+    outer_facets = facets[cells.is_boundary & is_crack_node[facets].any(axis=1)]
+    is_split = is_crack_node.copy()
+    is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
+    facet_labels = label_connected_rows(crack_corners)
+    unsplit_labels = np.setdiff1d(facet_labels, facet_labels[is_split[crack_corners].any(axis=1)])
+    require(not len(unsplit_labels), "all nodes of a crack on its front", "meshed more finely")
 
     # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
     # around a node that is not cut by the crack.
     star_labels = _star_labels(cells, is_shared & ~is_crack_facet[:-1], is_split).reshape(
         -1, cells.n_corners
     )
-    side_facets = np.concatenate([inner_facets, inner_facets + 1])
-    cell, is_fixed = owner[side_facets], ~is_split[facets[side_facets]]
-    corner_stars = star_labels[cell[:, None], local_corners[side_facets]]
-    corner_stars[is_fixed] = star_labels.size + np.arange(is_fixed.sum())
-    side_labels = label_connected_rows(corner_stars)
-    opposite_sides = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # pairs of labels
-    is_split_corner = is_split[cells.nodes[:, : cells.n_corners]]
+    side_facet_index = np.concatenate([inner_facets, inner_facets + 1])
+    side_cells, is_fixed_corner = owner[side_facet_index], ~is_split[facets[side_facet_index]]
+    side_corner_stars = star_labels[side_cells[:, None], local_corners[side_facet_index]]
+    side_corner_stars[is_fixed_corner] = star_labels.size + np.arange(is_fixed_corner.sum())
+    side_labels = label_connected_rows(side_corner_stars)
+    opposite_labels = np.unique(np.sort(np.split(side_labels, 2), axis=0), axis=1)  # in pairs
+    is_split_corner = is_split[cells.cell_nodes[:, : cells.n_corners]]
     require(
-        opposite_sides.size == side_labels.max() + 1
-        and np.all(opposite_sides[0] != opposite_sides[1])
-        and np.all(np.isin(star_labels[is_split_corner], corner_stars)),
+        opposite_labels.size == side_labels.max() + 1
+        and np.all(opposite_labels[0] != opposite_labels[1])
+        and np.all(np.isin(star_labels[is_split_corner], side_corner_stars)),
         "not two sides everywhere along a crack",
         "cracks that neither branch nor cross, and end at their fronts or at the boundary",
     )
-    facet_corners = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
-    normals = _facet_normals(facet_corners)
-    cell_offsets = positions[cells.nodes[cell, : cells.n_corners]].mean(
+    side_corner_positions = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
+    outward_normals = _size_weighted_normals(side_corner_positions)
+    cell_offsets = positions[cells.cell_nodes[side_cells, : cells.n_corners]].mean(
         axis=1
-    ) - facet_corners.mean(axis=1)
-    normals[(cell_offsets * normals).sum(axis=1) > 0.0] *= -1.0  # outward from the material
-    side_normals = np.zeros((opposite_sides.size, positions.shape[1]))
-    np.add.at(side_normals, side_labels, normals)
-    is_first_lower = np.array(
-        [upward_sign(normal) > 0.0 for normal in side_normals[opposite_sides[0]]]
+    ) - side_corner_positions.mean(axis=1)
+    outward_normals[(cell_offsets * outward_normals).sum(axis=1) > 0.0] *= -1.0
+    side_normals = np.zeros((opposite_labels.size, positions.shape[1]))
+    np.add.at(side_normals, side_labels, outward_normals)
+    is_first_side_lower = np.array(
+        [upward_sign(side_normal) > 0.0 for side_normal in side_normals[opposite_labels[0]]]
     )
-    upper_sides = np.where(is_first_lower, opposite_sides[1], opposite_sides[0])
-    is_upper = is_split_corner & np.isin(
-        star_labels, corner_stars[np.isin(side_labels, upper_sides)]
+    upper_side_labels = np.where(is_first_side_lower, opposite_labels[1], opposite_labels[0])
+    is_upper_corner = is_split_corner & np.isin(
+        star_labels, side_corner_stars[np.isin(side_labels, upper_side_labels)]
     )
     # A node between corners is doubled if any of these corners is.
-    on_crack[crack_facets] = True
-    is_above = on_crack[cells.nodes] & (is_upper @ cells.supporting_corners.T)
-    copied_nodes, new_numbers = np.unique(cells.nodes[is_above]), np.arange(len(positions))
-    new_numbers[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
+    is_crack_node[crack_facets] = True
+    is_node_above = is_crack_node[cells.cell_nodes] & (
+        is_upper_corner @ cells.is_supporting_corner.T
+    )
+    copied_nodes, node_map = np.unique(cells.cell_nodes[is_node_above]), np.arange(len(positions))
+    node_map[copied_nodes] = len(positions) + np.arange(len(copied_nodes))
     lower_facets = crack_facets[is_split[crack_facets[:, :n_corners]].any(axis=1)]
-    nodes = np.where(is_above, new_numbers[cells.nodes], cells.nodes)
-    return nodes, copied_nodes, np.stack([lower_facets, new_numbers[lower_facets]], axis=1)
+    nodes = np.where(is_node_above, node_map[cells.cell_nodes], cells.cell_nodes)
+    return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
 def require(condition: object, problem: str, requirement: str) -> None:
@@ -662,24 +682,28 @@ def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
     return np.sort(edges.reshape(-1, 2), axis=1)
 
 
-def _front_parts(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
+def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
     """Return crack front edges (n, 2), or crack tip nodes (n, 1).
 
     A crack's edge is on a front if it belongs to one crack facet only and is off the
     boundary. The same holds for tips.
     """
     n_corners = crack_facets.shape[1]
-    parts = crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)
-    parts, part_counts = np.unique(parts, axis=0, return_counts=True)
+    edges_or_nodes = (
+        crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)
+    )
+    edges_or_nodes, facet_counts = np.unique(edges_or_nodes, axis=0, return_counts=True)
     requirement = "cracks that neither branch nor cross"
-    require(np.all(part_counts <= 2), "more than two sides of a crack meeting", requirement)
-    rim_parts = parts[part_counts == 1]
+    require(np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement)
+    rim_edges_or_nodes = edges_or_nodes[facet_counts == 1]
     # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.
-    boundary_parts = [
-        boundary_facets[:, part_corners]
-        for part_corners in combinations(range(n_corners), parts.shape[1])
+    boundary_edges_or_nodes = [
+        boundary_facets[:, corner_columns]
+        for corner_columns in combinations(range(n_corners), edges_or_nodes.shape[1])
     ]
-    return np.asarray(rim_parts[~rows_in(rim_parts, np.concatenate(boundary_parts))])
+    return np.asarray(
+        rim_edges_or_nodes[~rows_in(rim_edges_or_nodes, np.concatenate(boundary_edges_or_nodes))]
+    )
 
 
 def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
@@ -690,18 +714,18 @@ def _star_labels(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) ->
     """
     from scipy.sparse.csgraph import connected_components
 
-    facets, owner, local_corners = cells.sorted_facets
+    facets, owner, local_corners = cells.sorted_facets_and_owners
     passable_facets = np.flatnonzero(is_passable & is_split[facets[:-1]].any(axis=1))
-    is_split_node = is_split[facets[passable_facets]]
-    corner_index, next_corner_index = (
-        owner[facet_index][:, None] * cells.n_corners + local_corners[facet_index]
-        for facet_index in (passable_facets, passable_facets + 1)
+    is_split_corner = is_split[facets[passable_facets]]
+    flat_corner_index, neighbour_corner_index = (
+        owner[facet_rows][:, None] * cells.n_corners + local_corners[facet_rows]
+        for facet_rows in (passable_facets, passable_facets + 1)
     )
-    n_cell_corners = len(cells.nodes) * cells.n_corners
-    graph_entries = (
-        np.ones(int(is_split_node.sum()), dtype=np.int8),
-        (corner_index[is_split_node], next_corner_index[is_split_node]),
+    n_all_corners = len(cells.cell_nodes) * cells.n_corners
+    graph_triplets = (
+        np.ones(int(is_split_corner.sum()), dtype=np.int8),
+        (flat_corner_index[is_split_corner], neighbour_corner_index[is_split_corner]),
     )
     return np.asarray(
-        connected_components(sparse.coo_matrix(graph_entries, (n_cell_corners, n_cell_corners)))[1]
+        connected_components(sparse.coo_matrix(graph_triplets, (n_all_corners, n_all_corners)))[1]
     )

@@ -133,7 +133,7 @@ def rotation_of(
 
     # One form for each matrix: a sum would be integrated with the highest degree.
     K_g, M_s, K_2, K_3 = (
-        dofs.restrict_matrix(compat.assembled_matrix(form))
+        dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
         for form in (
             t * ufl.inner(ufl.dot(ufl.grad(u), static_stress), ufl.grad(v)) * ufl.dx,
             t * rho * ufl.inner(P * u, v) * ufl.dx,

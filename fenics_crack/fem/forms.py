@@ -21,12 +21,12 @@ from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
 from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
-from fenics_crack.fem.cracks import LIP_TAGS, find_crack_paths, find_crack_surfaces
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, find_crack_paths, find_crack_surfaces
 from fenics_crack.fem.elasticity import constants
 from fenics_crack.fem.plate import Dofs, PlateMesh
 from fenics_crack.model.structure import DampingRule, Structure
 
-CELL_TYPES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
+CELL_TYPE_NAMES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 """Cells that a structure may have, by DOLFINx's names."""
 LOAD_KEYS = ("loads.mean", "loads.sin", "loads.cos")
 """Parts of a load, in the order of their forms."""
@@ -90,65 +90,73 @@ def structure_from_forms(
     bilinear_forms = {"stiffness": stiffness, "mass": mass}
     if not isinstance(damping, DampingRule | None):
         bilinear_forms["damping"] = damping
-    parts, *places = _assemble_parts(space, bilinear_forms, bcs, loads, crack, thickness)
-    structure = Structure.from_matrices(**{"damping": damping} | parts, clearance=clearance)
+    parts_by_name, *nodes_and_pairs = _assemble_parts_and_places(
+        space, bilinear_forms, bcs, loads, crack, thickness
+    )
+    structure = Structure.from_matrices(**{"damping": damping} | parts_by_name, clearance=clearance)
     for key in bilinear_forms:
-        parts[key].destroy()
-    return structure.with_places(*places)
+        parts_by_name[key].destroy()
+    return structure.with_places(*nodes_and_pairs)
 
 
-def _assemble_parts(
-    space: Any, bilinear: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
+def _assemble_parts_and_places(
+    space: Any, bilinear_forms: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
 ) -> tuple[Any, ...]:
     """Assemble the parts of a structure from forms (collective).
 
-    Parameters are those of :func:`structure_from_forms`. ``bilinear`` has the forms "stiffness",
-    "mass" and, if given, "damping".
+    Parameters are those of :func:`structure_from_forms`. ``bilinear_forms`` has the forms
+    "stiffness", "mass" and, if given, "damping".
 
     Returns
     -------
-    parts : dict
+    parts_by_name : dict
         Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the
         matrices.
     nodes : Nodes
-    pairs : Pairs
+    pair_places : Pairs
     """
     _check_space(space)
     check_number("thickness", thickness, 0.0, above=True)
     with reading("loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"):
-        load_forms = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
-        forms = bilinear | {key: form for key, form in load_forms if form is not None}
-    for key, form in forms.items():
-        _check_form(space, key, form, 2 if key in bilinear else 1)
+        load_key_form_pairs = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
+        forms_by_key = bilinear_forms | {
+            key: form for key, form in load_key_form_pairs if form is not None
+        }
+    for key, form in forms_by_key.items():
+        _check_form(space, key, form, 2 if key in bilinear_forms else 1)
     comm = space.mesh.comm  # it ends with the mesh, so use an equivalent one that lasts
-    equal_results, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
+    equal_comm_results, lasting_comms = (MPI.IDENT, MPI.CONGRUENT), (MPI.COMM_WORLD, MPI.COMM_SELF)
     comm = next(
         (
             lasting_comm
             for lasting_comm in lasting_comms
-            if MPI.Comm.Compare(lasting_comm, comm) in equal_results
+            if MPI.Comm.Compare(lasting_comm, comm) in equal_comm_results
         ),
         comm,
     )
     collect_garbage(comm)  # free the matrices of earlier structures
-    is_constrained = on_each(comm, lambda: compat.constrained_dofs(space, bcs))
+    is_constrained = on_each(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
         dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
-        gap, tangential, pairs = pair_crack_faces(dofs, constants(space, thickness)[0])
+        gap_matrix, tangential_matrix, pair_places = pair_crack_faces(
+            dofs, constants(space, thickness)[0]
+        )
     except InputError as error:
         raise InputError("crack", error.value, error.allowed) from None
-    parts: dict[str, Any] = {
-        name: sparse.vstack(comm.allgather(rows)) if gap.shape[1] and rows is not None else None
-        for name, rows in (("gap", gap), ("tangential", tangential))
+    parts_by_name: dict[str, Any] = {
+        matrix_name: sparse.vstack(comm.allgather(rank_rows))
+        if gap_matrix.shape[1] and rank_rows is not None
+        else None
+        for matrix_name, rank_rows in (("gap", gap_matrix), ("tangential", tangential_matrix))
     }
-    for key, form in forms.items():
+    for key, form in forms_by_key.items():
         with reading(key, "a form", "one that DOLFINx can assemble"):
-            if key in bilinear:
-                parts[key] = dofs.restrict_matrix(compat.assembled_matrix(form))
+            if key in bilinear_forms:
+                parts_by_name[key] = dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
             else:
-                load = dofs.restrict_to_free(compat.assembled_vector(form))
-                parts[key.replace("loads.", "force_")] = gather_rows(comm, load)
-    return parts, dofs.nodes(), pairs
+                load_values = dofs.restrict_to_free(compat.assembled_vector(form))
+                parts_by_name[key.replace("loads.", "force_")] = gather_rows(comm, load_values)
+    return parts_by_name, dofs.nodes(), pair_places
 
 
 def _check_space(space: Any) -> None:
@@ -157,7 +165,8 @@ def _check_space(space: Any) -> None:
     with reading("space", type(space).__name__, f"{requirement}, whole"):
         mesh, element = space.mesh, space.ufl_element()
         is_usable = (
-            mesh.topology.cell_type.name in CELL_TYPES and mesh.geometry.dim == mesh.topology.dim
+            mesh.topology.cell_type.name in CELL_TYPE_NAMES
+            and mesh.geometry.dim == mesh.topology.dim
         )
         is_usable = is_usable and element in [
             compat.lagrange_element(mesh, order) for order in (1, 2)
@@ -188,19 +197,36 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
         return PlateMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
     with reading("crack", type(crack).__name__, requirement):
-        tags, *face_tags = crack
-        lower_tag, upper_tag = map(index, face_tags)
-        if lower_tag == upper_tag or not compat.are_facet_tags_of(tags, mesh):
+        facet_tags, *lower_and_upper_tags = crack
+        lower_tag, upper_tag = map(index, lower_and_upper_tags)
+        if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
             raise ValueError("of another mesh, of other entities, or one tag twice")
-    plate = PlateMesh(mesh, tags, {LIP_TAGS[0]: (lower_tag,), LIP_TAGS[1]: (upper_tag,)}, {}, ())
-    faces = [_face_corners(plate, name, comm) for name in LIP_TAGS]
-    numbers, positions = (np.concatenate(arrays) for arrays in zip(*faces, strict=True))
-    _, first_positions, node_index = np.unique(numbers, return_index=True, return_inverse=True)
-    corners = np.split(node_index.reshape(numbers.shape), [len(faces[0][0])])
+    plate = PlateMesh(
+        mesh,
+        facet_tags,
+        {CRACK_FACE_NAMES[0]: (lower_tag,), CRACK_FACE_NAMES[1]: (upper_tag,)},
+        {},
+        (),
+    )
+    face_numbers_and_positions = [
+        _face_corners(plate, face_name, comm) for face_name in CRACK_FACE_NAMES
+    ]
+    face_node_numbers, face_node_positions = (
+        np.concatenate(face_arrays) for face_arrays in zip(*face_numbers_and_positions, strict=True)
+    )
+    _, first_positions, node_index = np.unique(
+        face_node_numbers, return_index=True, return_inverse=True
+    )
+    face_corner_nodes = np.split(
+        node_index.reshape(face_node_numbers.shape), [len(face_numbers_and_positions[0][0])]
+    )
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
         plate,
-        cracks=find_cracks(*corners, positions.reshape(-1, positions.shape[2])[first_positions]),
+        cracks=find_cracks(
+            *face_corner_nodes,
+            face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
+        ),
     )
 
 

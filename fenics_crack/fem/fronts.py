@@ -66,7 +66,7 @@ MAX_RADIUS_BY_CURVATURE = 0.6
 """
 MAX_RADIUS_BY_CLEARANCE = 0.8
 """Maximum radius of the domain, relative to the distance from the clamp or another crack."""
-MAX_ELEMENT_RATIO = 1.25
+MAX_ELEMENT_LENGTH_TO_RADIUS = 1.25
 """Maximum element length along the front, relative to the radius. K is then off by up to 20 %, as
 it may be on the coarser mesh of a stated error."""
 PLATEAU_FRACTION = 0.2
@@ -95,7 +95,7 @@ class Front:
         "the crack front", or "the crack front 2" if there are several.
     crack : int
         Index of the crack.
-    nodes : (n, 3) [m]
+    node_positions : (n, 3) [m]
         Corners of elements along the front, in order. If the front is closed, the last node
         equals the first.
     normals : (n, 3)
@@ -109,19 +109,19 @@ class Front:
         True if the front has no ends.
     at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
-    max_radius : float [m]
+    allowed_radius : float [m]
         Upper bound for the domain's radius.
     """
 
     name: str
     crack: int
-    nodes: np.ndarray
+    node_positions: np.ndarray
     normals: np.ndarray
     parameters: np.ndarray
     curve: Callable[[np.ndarray, int], np.ndarray]
     is_closed: bool
     at_surface: tuple[bool, bool]
-    max_radius: float
+    allowed_radius: float
 
     @cached_property
     def peak_parameters(self) -> np.ndarray:
@@ -130,17 +130,20 @@ class Front:
         A closed front has the first peak also at its end. An open front has a peak in the middle,
         where a half-ellipse is deepest.
         """
-        n_intervals = max(
+        n_station_intervals = max(
             1,
             min(
-                MAX_INTERVALS * (1 + self.is_closed), (len(self.nodes) - 1) // MIN_EDGES_PER_STATION
+                MAX_INTERVALS * (1 + self.is_closed),
+                (len(self.node_positions) - 1) // MIN_EDGES_PER_STATION,
             ),
         )
-        n_intervals -= n_intervals % 2 if n_intervals > 1 and not self.is_closed else 0
+        n_station_intervals -= (
+            n_station_intervals % 2 if n_station_intervals > 1 and not self.is_closed else 0
+        )
         return np.linspace(
             self.parameters[0],
             self.parameters[-1],
-            max(n_intervals, 3 if self.is_closed else 1) + 1,
+            max(n_station_intervals, 3 if self.is_closed else 1) + 1,
         )
 
     @property
@@ -155,11 +158,11 @@ class Front:
     def corner_stations(self) -> list[int]:
         """Return the stations at front corners, where K is undefined, by index."""
         n_stations = len(self.station_parameters)
-        ends = zip(self.at_surface, (0, n_stations - 1), strict=True)
+        end_flags_and_stations = zip(self.at_surface, (0, n_stations - 1), strict=True)
         return (
             []
             if self.is_closed
-            else [station for is_at_surface, station in ends if not is_at_surface]
+            else [station for is_at_surface, station in end_flags_and_stations if not is_at_surface]
         )
 
     def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -191,48 +194,54 @@ class Front:
         )
         return np.asarray(length_weights @ self.hats_and_slopes(t)[0])
 
-    def frame(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def frame_and_curvature(
+        self, t: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return the front's frame and curvature at curve parameters t.
 
         Returns
         -------
-        frame : (..., 3, 3)
+        frame_vectors : (..., 3, 3)
             Rows: unit vectors e_1 ahead of the crack, e_2 normal to it, e_3 along the front.
         speed : (...,)
             Front length per parameter, ds/dt.
-        kappa, kappa_slope : (...,) [1/m], [1/m^2]
+        curvature, curvature_slope : (...,) [1/m], [1/m^2]
             Curvature, and its derivative with respect to the length s along the front.
         """
         c_1, c_2, c_3 = (self.curve(t, order) for order in (1, 2, 3))
         speed = np.linalg.norm(c_1, axis=-1)
         e_3 = c_1 / speed[..., None]
         e_2 = np.stack(
-            [np.interp(t, self.parameters, components) for components in self.normals.T], axis=-1
+            [
+                np.interp(t, self.parameters, normal_components)
+                for normal_components in self.normals.T
+            ],
+            axis=-1,
         )
         e_2 -= (e_2 * e_3).sum(-1, keepdims=True) * e_3
         e_2 /= np.linalg.norm(e_2, axis=-1, keepdims=True)
         e_1 = np.cross(e_2, e_3)
-        kappa = -(c_2 * e_1).sum(-1) / speed**2
-        kappa_slope = -(c_3 * e_1).sum(-1) / speed**3
-        kappa_slope -= 3.0 * kappa * (c_1 * c_2).sum(-1) / speed**3
-        return np.stack([e_1, e_2, e_3], axis=-2), speed, kappa, kappa_slope
+        curvature = -(c_2 * e_1).sum(-1) / speed**2
+        curvature_slope = -(c_3 * e_1).sum(-1) / speed**3
+        curvature_slope -= 3.0 * curvature * (c_1 * c_2).sum(-1) / speed**3
+        return np.stack([e_1, e_2, e_3], axis=-2), speed, curvature, curvature_slope
 
     @cached_property
     def straight_radius(self) -> float:
         """Return the integration domain's radius where the front is straight [m]."""
-        max_length = np.linalg.norm(np.diff(self.nodes, axis=0), axis=1).max()
-        return float(min(RADIUS_IN_ELEMENTS * max_length, self.max_radius))
+        max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
+        return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_radius))
 
-    def is_limited_by_curvature(self, kappa: np.ndarray) -> np.ndarray:
+    def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
         """Return True where the curvature [1/m] limits the integration domain's radius."""
-        return np.asarray(np.abs(kappa) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
+        return np.asarray(np.abs(curvature) * self.straight_radius > MAX_RADIUS_BY_CURVATURE)
 
-    def radius(self, kappa: np.ndarray) -> np.ndarray:
+    def radius(self, curvature: np.ndarray) -> np.ndarray:
         """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
-        is_limited = self.is_limited_by_curvature(kappa)
+        is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
             is_limited,
-            MAX_RADIUS_BY_CURVATURE / np.where(is_limited, np.abs(kappa), 1.0),
+            MAX_RADIUS_BY_CURVATURE / np.where(is_limited, np.abs(curvature), 1.0),
             self.straight_radius,
         )
 
@@ -251,8 +260,8 @@ class Front:
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
         """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
-        samples, tree = self._curve_samples
-        t = samples[tree.query(points)[1]]
+        sample_parameters, sample_tree = self._curve_samples
+        t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
             c_0, c_1, c_2 = (self.curve(t, order) for order in range(3))
             offsets = points - c_0
@@ -298,11 +307,13 @@ class Station:
 
 def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
-    nodes = structure.nodes
-    assert nodes is not None
-    cracks: tuple[CrackSurface, ...] = nodes.mesh_dofs.plate.cracks
-    clamped_points = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
-    front_fields = []
+    structure_nodes = structure.nodes
+    assert structure_nodes is not None
+    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.cracks
+    clamped_points = gather_rows(
+        structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
+    )
+    front_arguments = []
     for crack_index, crack in enumerate(cracks):
         other_corners = [
             other_crack.triangles.reshape(-1, 3)
@@ -310,22 +321,22 @@ def find_fronts(structure: Structure) -> list[Front]:
             if other_crack is not crack
         ]
         obstacle_tree = cKDTree(np.concatenate([clamped_points, *other_corners]))
-        for chain_nodes, normals, is_closed, ends_at_surface in _front_chains(crack):
-            max_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_nodes)[0].min()
-            front_fields.append(
+        for chain_points, normals, is_closed, ends_at_surface in _front_chains(crack):
+            allowed_radius = MAX_RADIUS_BY_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
+            front_arguments.append(
                 (
                     crack_index,
-                    chain_nodes,
+                    chain_points,
                     normals,
-                    *_fit_curve(chain_nodes, is_closed),
+                    *_fit_curve(chain_points, is_closed),
                     is_closed,
                     ends_at_surface,
-                    max_radius,
+                    allowed_radius,
                 )
             )
     return [
-        Front("the crack front" + (f" {index + 1}" if len(front_fields) > 1 else ""), *fields)
-        for index, fields in enumerate(front_fields)
+        Front("the crack front" + (f" {index + 1}" if len(front_arguments) > 1 else ""), *arguments)
+        for index, arguments in enumerate(front_arguments)
     ]
 
 
@@ -345,25 +356,27 @@ def _front_chains(
     ends_at_surface : tuple of bool
         True for each end at the surface of the solid.
     """
-    corners = crack.triangles.reshape(-1, 3)
-    tolerance = POSITION_TOLERANCE * crack.size
-    tree = cKDTree(corners)
-    edges = np.sort(tree.query(crack.front.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
+    corner_positions = crack.triangles.reshape(-1, 3)
+    corner_tree, tolerance = cKDTree(corner_positions), POSITION_TOLERANCE * crack.size
+    edges = np.sort(corner_tree.query(crack.front_edges.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     links: dict[int, list[int]] = {}
-    corner_nodes = np.array(
-        [min(tree.query_ball_point(corner, tolerance)) for corner in corners[edges.ravel()]]
+    edge_end_nodes = np.array(
+        [
+            min(corner_tree.query_ball_point(corner_position, tolerance))
+            for corner_position in corner_positions[edges.ravel()]
+        ]
     )
-    for node, neighbour in corner_nodes.reshape(-1, 2):
+    for node, neighbour in edge_end_nodes.reshape(-1, 2):
         links.setdefault(int(node), []).append(int(neighbour))
         links.setdefault(int(neighbour), []).append(int(node))
-    sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
-    normals = np.cross(sides[:, 0], sides[:, 1])
-    signs = np.array([upward_sign(facet_normal) for facet_normal in normals])
-    normals *= signs[:, None]
-    centres = crack.triangles.mean(axis=1)
+    triangle_sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
+    triangle_normals = np.cross(triangle_sides[:, 0], triangle_sides[:, 1])
+    normal_signs = np.array([upward_sign(triangle_normal) for triangle_normal in triangle_normals])
+    triangle_normals *= normal_signs[:, None]
+    triangle_centres = crack.triangles.mean(axis=1)
     while links:
         first_node = min(
-            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
+            (node for node, node_links in links.items() if len(node_links) == 1), default=min(links)
         )
         chain, is_closed = [first_node], len(links[first_node]) == 2
         while links.get(chain[-1]):
@@ -372,12 +385,14 @@ def _front_chains(
             chain.append(next_node)
         for node in chain:
             links.pop(node, None)
-        points = corners[chain]
+        points = corner_positions[chain]
         point_normals, inward_vectors = np.empty_like(points), np.empty_like(points)
         for index, point in enumerate(points):
-            touching_facets = np.unique(np.array(tree.query_ball_point(point, tolerance)) // 3)
-            point_normals[index] = normals[touching_facets].sum(axis=0)
-            inward_vectors[index] = centres[touching_facets].mean(axis=0) - point
+            near_triangles = np.unique(
+                np.array(corner_tree.query_ball_point(point, tolerance)) // 3
+            )
+            point_normals[index] = triangle_normals[near_triangles].sum(axis=0)
+            inward_vectors[index] = triangle_centres[near_triangles].mean(axis=0) - point
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
         edge_vectors = np.diff(points, axis=0)
         edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
@@ -393,8 +408,8 @@ def _front_chains(
         if is_closed and corner_indices:
             start_index = corner_indices[0]
             points, point_normals = (
-                np.concatenate([rows[start_index:-1], rows[: start_index + 1]])
-                for rows in (points, point_normals)
+                np.concatenate([node_vectors[start_index:-1], node_vectors[: start_index + 1]])
+                for node_vectors in (points, point_normals)
             )
             corner_indices = [corner_index - start_index for corner_index in corner_indices]
         for part_start, part_stop in pairwise(sorted({0, *corner_indices, len(edge_vectors)})):
@@ -411,9 +426,9 @@ def _front_chains(
 
 
 def _fit_curve(
-    nodes: np.ndarray, is_closed: bool
+    node_positions: np.ndarray, is_closed: bool
 ) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
-    """Fit a curve through nodes (n, 3).
+    """Fit a curve through node positions (n, 3) [m].
 
     The curve is an ellipse if all nodes lie on one; otherwise it is a spline.
 
@@ -424,11 +439,11 @@ def _fit_curve(
     curve : callable
         Returns c(t) or its derivatives of a given order.
     """
-    centroid = nodes.mean(axis=0)
-    _, extents, axes = np.linalg.svd(nodes - centroid, full_matrices=False)
-    x, y = ((nodes - centroid) @ axes[:2].T / extents[0]).T
+    centroid = node_positions.mean(axis=0)
+    _, extents, axes = np.linalg.svd(node_positions - centroid, full_matrices=False)
+    x, y = ((node_positions - centroid) @ axes[:2].T / extents[0]).T
     if (
-        len(nodes) > 5
+        len(node_positions) > 5
         and extents[1] > POSITION_TOLERANCE * extents[0]
         and extents[2] <= POSITION_TOLERANCE * extents[0]
     ):
@@ -457,14 +472,16 @@ def _fit_curve(
                     centroid + extents[0] * center @ axes[:2],
                     half_axes.T @ axes[:2],
                 )
-    edge_lengths = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    edge_lengths = np.linalg.norm(np.diff(node_positions, axis=0), axis=1)
     t = np.append(0.0, np.cumsum(edge_lengths))
-    if len(nodes) == 2:
-        nodes = np.array([nodes[0], nodes.mean(axis=0), nodes[1]])
+    if len(node_positions) == 2:
+        node_positions = np.array(
+            [node_positions[0], node_positions.mean(axis=0), node_positions[1]]
+        )
         knots = np.array([0, 0.5, 1]) * t[-1]
     else:
         knots = t
-    spline = CubicSpline(knots, nodes, bc_type="periodic" if is_closed else "not-a-knot")
+    spline = CubicSpline(knots, node_positions, bc_type="periodic" if is_closed else "not-a-knot")
 
     return t, lambda t, order: np.asarray(spline(t, order))
 
@@ -474,8 +491,8 @@ def _evaluate_ellipse(
 ) -> np.ndarray:
     """Evaluate center + half_axes[0] cos t + half_axes[1] sin t, or a derivative: (..., 3)."""
     angle = np.asarray(t)[..., None] + 0.5 * np.pi * order
-    derivative = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
-    return np.asarray(derivative + center if order == 0 else derivative)
+    offset_or_derivative = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
+    return np.asarray(offset_or_derivative + center if order == 0 else offset_or_derivative)
 
 
 # --- functionals ----------------------------------------------------------------------------------
@@ -518,29 +535,34 @@ def front_functionals(
     for front in find_fronts(structure):
         _check_resolved(front)
         domain = _Domain(scene, front, points, cells)
-        displacement_functional, nodal_fields = (
-            _values_at_free_dofs(nodes, domain.nodes, rows)
-            for rows in domain.integrate_functionals(comm)
+        displacement_factors, nodal_fields = (
+            _values_at_free_dofs(nodes, domain.nodes, node_values)
+            for node_values in domain.integrate_factors_and_fields(comm)
         )
-        force_functional = np.zeros((len(displacement_functional), structure.n_pairs))
+        force_factors = np.zeros((len(displacement_factors), structure.n_pairs))
         if structure.pairs.nodes is not None:
-            force_functional -= domain.intensity_factors[:, None] * structure.apply_bt(nodal_fields)
-            force_functional[: len(front.station_parameters)] += _pressure_factors(structure, front)
-        stated_stations = [
-            station
-            for station in range(len(front.station_parameters))
-            if station not in front.corner_stations
+            force_factors -= domain.intensity_per_integral[:, None] * structure.apply_bt(
+                nodal_fields
+            )
+            force_factors[: len(front.station_parameters)] += _pressure_factors(structure, front)
+        valid_station_indices = [
+            station_index
+            for station_index in range(len(front.station_parameters))
+            if station_index not in front.corner_stations
         ]
-        for collected_rows, functional in (
-            (displacement_rows, displacement_functional),
-            (force_rows, force_functional),
+        for row_list, factors in (
+            (displacement_rows, displacement_factors),
+            (force_rows, force_factors),
         ):
-            collected_rows.append(
-                _rows_by_station(front, functional)[stated_stations].reshape(
-                    3 * len(stated_stations), -1
+            row_list.append(
+                _rows_by_station(front, factors)[valid_station_indices].reshape(
+                    3 * len(valid_station_indices), -1
                 )
             )
-        stations += [_make_stations(structure, front)[station] for station in stated_stations]
+        stations += [
+            _make_stations(structure, front)[station_index]
+            for station_index in valid_station_indices
+        ]
     return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
 
 
@@ -569,13 +591,13 @@ def _values_at_free_dofs(
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
     """Return a front's stations, with positions, directions and touching pairs."""
-    pairs, is_in_hats = structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0
+    pairs, is_node_in_hats = (structure.pairs, front.hats_and_slopes(front.parameters)[0] > 0.0)
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
     if pairs.nodes is not None and pairs.pressure_matrix is not None:
-        nearest_nodes = cKDTree(pairs.nodes).query(front.nodes)[1]
+        nearest_crack_nodes = cKDTree(pairs.nodes).query(front.node_positions)[1]
         adjacent_pairs = [
-            np.unique(pairs.pressure_matrix[nearest_nodes[is_in_hat]].nonzero()[1])
-            for is_in_hat in is_in_hats.T
+            np.unique(pairs.pressure_matrix[nearest_crack_nodes[is_node_in_hat]].nonzero()[1])
+            for is_node_in_hat in is_node_in_hats.T
         ]
     fine_parameters = np.linspace(
         front.parameters[0], front.parameters[-1], 50 * len(front.peak_parameters)
@@ -585,7 +607,7 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     )
     station_arc_lengths = np.interp(front.station_parameters, fine_parameters, arc_lengths)
     points = front.curve(front.station_parameters, 0)
-    directions = front.frame(front.station_parameters)[0][:, 0]
+    directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
     return [
         Station(
             f"{front.name} at {quantity(float(station_arc_length), 'm')}",
@@ -603,13 +625,19 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
 
 def _check_resolved(front: Front) -> None:
     """Raise InputError if elements along a front exceed the domain."""
-    edge_lengths = np.linalg.norm(np.diff(front.nodes, axis=0), axis=1)
-    radii = front.radius(front.frame(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2])
+    edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
+    radii = front.radius(
+        front.frame_and_curvature(0.5 * (front.parameters[1:] + front.parameters[:-1]))[2]
+    )
     worst_edge = (edge_lengths / radii).argmax()
-    if edge_lengths[worst_edge] > MAX_ELEMENT_RATIO * radii[worst_edge]:
-        max_length = MAX_ELEMENT_RATIO * radii[worst_edge]
-        position_text = ", ".join(f"{x:.4g}" for x in front.nodes[worst_edge])
-        requirement = f"no longer than {max_length:.3g} m along the front in ({position_text}) m"
+    if edge_lengths[worst_edge] > MAX_ELEMENT_LENGTH_TO_RADIUS * radii[worst_edge]:
+        allowed_length = MAX_ELEMENT_LENGTH_TO_RADIUS * radii[worst_edge]
+        position_text = ", ".join(
+            f"{coordinate:.4g}" for coordinate in front.node_positions[worst_edge]
+        )
+        requirement = (
+            f"no longer than {allowed_length:.3g} m along the front in ({position_text}) m"
+        )
         raise InputError("mesh", f"elements of {edge_lengths[worst_edge]:.3g} m", requirement)
 
 
@@ -623,7 +651,8 @@ def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
     rows = rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
     if not front.is_closed and len(front.station_parameters) > 2:
         first_row, last_row = (
-            1.5 * rows[end] - 0.5 * rows[neighbour] for end, neighbour in ((0, 1), (-1, -2))
+            1.5 * rows[end_station] - 0.5 * rows[neighbour_station]
+            for end_station, neighbour_station in ((0, 1), (-1, -2))
         )
         rows = np.concatenate([first_row[None], rows[1:-1], last_row[None]])
     return rows
@@ -640,33 +669,33 @@ def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2), slope
 
 
-def _collapsed_gauss_rule(dimension: int, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarray, np.ndarray]:
     """Return a Gauss rule for a triangle or a tetrahedron.
 
-    It comes from a square or cube with ``n_points`` per side, collapsed at the first corner.
+    It comes from a square or cube with ``n_side_points`` per side, collapsed at the first corner.
 
     Returns
     -------
-    coordinates : (n_points^d, d + 1)
+    coordinates : (n_side_points^d, d + 1)
         Barycentric coordinates.
-    weights : (n_points^d,)
+    weights : (n_side_points^d,)
         Weights that sum to 1.
     """
     remainder, weights = np.ones(1), np.ones(1)
     coordinates: list[np.ndarray] = []
     for power in range(dimension - 1, -1, -1):
-        x, w = roots_jacobi(n_points, power, 0)
+        x, w = roots_jacobi(n_side_points, power, 0)
         x, w = 0.5 * (1.0 + x), w / w.sum()
-        coordinates = [np.repeat(coordinate, n_points) for coordinate in coordinates]
+        coordinates = [np.repeat(coordinate, n_side_points) for coordinate in coordinates]
         coordinates.append((remainder[:, None] * x).ravel())
         remainder = (remainder[:, None] * (1.0 - x)).ravel()
         weights = (weights[:, None] * w).ravel()
     return np.column_stack([*coordinates, remainder]), weights
 
 
-def _split_into_chunks(cells: np.ndarray, n_points: int) -> list[np.ndarray]:
-    """Split cells, with n_points each, into chunks that fit into memory."""
-    return np.array_split(cells, 1 + len(cells) * n_points // MAX_POINTS_IN_MEMORY)
+def _split_into_chunks(cells: np.ndarray, n_cell_points: int) -> list[np.ndarray]:
+    """Split cells, with n_cell_points each, into chunks that fit into memory."""
+    return np.array_split(cells, 1 + len(cells) * n_cell_points // MAX_POINTS_IN_MEMORY)
 
 
 TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
@@ -681,7 +710,7 @@ class _Domain:
 
     Attributes
     ----------
-    intensity_factors : (3 n_stations,)
+    intensity_per_integral : (3 n_stations,)
         Factor from the interaction integral I to K.
     nodes : (n_nodes,) int
         Global numbers of the cells' nodes.
@@ -708,38 +737,51 @@ class _Domain:
         young, self.nu = scene.material.young, scene.material.poisson
         self.mu = 0.5 * young / (1.0 + self.nu)
         self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
-        plane_modulus = 0.5 * young / (1.0 - self.nu**2)
+        half_plane_strain_modulus = 0.5 * young / (1.0 - self.nu**2)
         mode_moduli = np.repeat(
-            [plane_modulus, plane_modulus, self.mu], len(front.station_parameters)
+            [half_plane_strain_modulus, half_plane_strain_modulus, self.mu],
+            len(front.station_parameters),
         )
-        self.intensity_factors = mode_moduli / np.tile(front.hat_lengths(), 3)
+        self.intensity_per_integral = mode_moduli / np.tile(front.hat_lengths(), 3)
         front_distances = front._curve_samples[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
         is_near = front_distances.min(axis=1) < front.straight_radius
         self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
         self.points, self.cells = points[self.nodes], local_nodes.reshape(-1, cells.shape[1])
-        corners = self.points[self.cells[:, :4]]
+        corner_positions = self.points[self.cells[:, :4]]
         # Nearest to the front first; equally near corners by position. So the order is the same
         # on all ranks, and the rule for an edge on the front takes its ends in a fixed order.
-        sort_keys = np.dstack([corners, front_distances[is_near, :4]]).transpose(2, 0, 1)
+        sort_keys = np.dstack([corner_positions, front_distances[is_near, :4]]).transpose(2, 0, 1)
         self.corner_order = corner_order = np.lexsort(
             np.round(sort_keys / (POSITION_TOLERANCE * front.straight_radius)), axis=-1
         )
-        self.corners = np.take_along_axis(corners, corner_order[..., None], axis=1)
+        self.corners = np.take_along_axis(corner_positions, corner_order[..., None], axis=1)
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
-        facets = [np.sort(np.delete(corner_nodes, k, axis=1), axis=1) for k in range(4)]
+        facets = [
+            np.sort(np.delete(corner_nodes, corner_index, axis=1), axis=1)
+            for corner_index in range(4)
+        ]
         facet_keys = np.ravel_multi_index(np.concatenate(facets).T, (len(self.points),) * 3)
         _, first_facets, facet_counts = np.unique(facet_keys, return_index=True, return_counts=True)
         self.is_outer_facet = (
             np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
         )
-        sides = self.corners[:, 1:] - self.corners[:, :1]
-        self.volumes = np.abs(np.linalg.det(sides)) / 6.0
-        inverse = np.linalg.inv(sides).swapaxes(1, 2)  # rows: gradients of lambda_1 to lambda_3
-        self.gradients = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+        edge_vectors = self.corners[:, 1:] - self.corners[:, :1]
+        self.volumes = np.abs(np.linalg.det(edge_vectors)) / 6.0
+        inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
+            1, 2
+        )  # rows: gradients of lambda_1 to lambda_3
+        self.gradients = np.concatenate(
+            [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
+        )
         centres = self.corners.mean(axis=1)
-        t = front.nearest_parameters(centres)
-        self.side_signs = np.sign(((centres - front.curve(t, 0)) * front.frame(t)[0][:, 1]).sum(-1))
+        centre_parameters = front.nearest_parameters(centres)
+        self.side_signs = np.sign(
+            (
+                (centres - front.curve(centre_parameters, 0))
+                * front.frame_and_curvature(centre_parameters)[0][:, 1]
+            ).sum(-1)
+        )
 
     def _basis_gradients(self, cell_index: np.ndarray) -> np.ndarray:
         """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
@@ -749,79 +791,109 @@ class _Domain:
         """
         inverse_order = self.corner_order[cell_index].argsort(axis=1)
         gradients = np.take_along_axis(self.gradients[cell_index], inverse_order[..., None], axis=1)
-        coefficients = np.zeros((len(cell_index), 10, 4, 3))
-        for a in range(4):
-            coefficients[:, a] = -gradients[:, a, None]
-            coefficients[:, a, a] += 4.0 * gradients[:, a]
-        for edge, (a, b) in enumerate(TETRAHEDRON_EDGES):
-            coefficients[:, 4 + edge, a] = 4.0 * gradients[:, b]
-            coefficients[:, 4 + edge, b] = 4.0 * gradients[:, a]
+        barycentric_coefficients = np.zeros((len(cell_index), 10, 4, 3))
+        for corner_index in range(4):
+            barycentric_coefficients[:, corner_index] = -gradients[:, corner_index, None]
+            barycentric_coefficients[:, corner_index, corner_index] += (
+                4.0 * gradients[:, corner_index]
+            )
+        for edge_index, (corner_index, other_corner_index) in enumerate(TETRAHEDRON_EDGES):
+            barycentric_coefficients[:, 4 + edge_index, corner_index] = (
+                4.0 * gradients[:, other_corner_index]
+            )
+            barycentric_coefficients[:, 4 + edge_index, other_corner_index] = (
+                4.0 * gradients[:, corner_index]
+            )
         return np.take_along_axis(
-            coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
+            barycentric_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
         )
 
-    def integrate_functionals(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    def integrate_factors_and_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Integrate the functionals at nodes, each rank over a share of cells (collective).
 
         Returns
         -------
-        rows : (n_nodes, 3 n_stations, 3)
+        factors : (n_nodes, 3 n_stations, 3)
             Factors for the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
             Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
             derivative of the unit K field along e_1.
         """
         n_rows = 3 * len(self.front.station_parameters)
-        rows, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
-        for chunk in _split_into_chunks(np.arange(len(self.cells)), 10):
-            nodal_fields[self.cells[chunk]] = self._nodal_fields(chunk)
+        factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
+        for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
+            nodal_fields[self.cells[chunk_cells]] = self._nodal_fields(chunk_cells)
         is_at_front = (
-            cKDTree(self.front.nodes).query(self.corners[:, 0])[0]
+            cKDTree(self.front.node_positions).query(self.corners[:, 0])[0]
             < POSITION_TOLERANCE * self.front.straight_radius
         )
         groups = (
             (np.flatnonzero(is_at_front), GAUSS_AT_FRONT),
             (np.flatnonzero(~is_at_front), GAUSS_ELSEWHERE),
         )
-        for chunk, n_gauss in (
-            (cell_chunk, n_points)
-            for group_cells, n_points in groups
-            for cell_chunk in _split_into_chunks(group_cells[comm.rank :: comm.size], n_points**3)
+        for chunk_cells, n_gauss in (
+            (cell_chunk, n_side_points)
+            for group_cells, n_side_points in groups
+            for cell_chunk in _split_into_chunks(
+                group_cells[comm.rank :: comm.size], n_side_points**3
+            )
         ):
-            (rule, weights), (facet_rule, facet_weights) = (
+            (rule_points, weights), (facet_rule_points, facet_weights) = (
                 _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
             )
-            moments = self._integrate_tensors(
-                chunk, rule, self.volumes[chunk, None] * weights, None
+            tensor_integrals = self._integrate_tensors(
+                chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
             )
-            for k in range(4):
-                is_outer = self.is_outer_facet[chunk, k]
+            for corner_index in range(4):
+                is_outer = self.is_outer_facet[chunk_cells, corner_index]
                 if np.any(is_outer):
-                    surface_rule = np.insert(facet_rule, k, 0.0, axis=1)
-                    gradients = self.gradients[chunk[is_outer], k]
-                    areas = 3.0 * self.volumes[chunk[is_outer]] * np.linalg.norm(gradients, axis=1)
-                    normals = -gradients / np.linalg.norm(gradients, axis=1)[:, None]
-                    moments[is_outer] += self._integrate_tensors(
-                        chunk[is_outer], surface_rule, areas[:, None] * facet_weights, normals
+                    surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
+                    barycentric_gradients = self.gradients[chunk_cells[is_outer], corner_index]
+                    areas = (
+                        3.0
+                        * self.volumes[chunk_cells[is_outer]]
+                        * np.linalg.norm(barycentric_gradients, axis=1)
                     )
-            basis_gradients = self._basis_gradients(chunk).reshape(len(chunk), 10, 12)
-            cell_fields = nodal_fields[self.cells[chunk]].reshape(len(chunk), 10, -1).swapaxes(1, 2)
-            field_stress = self._stress(
-                (cell_fields @ basis_gradients).reshape(len(chunk), -1, 3, 4, 3).swapaxes(2, 3)
+                    normals = (
+                        -barycentric_gradients
+                        / np.linalg.norm(barycentric_gradients, axis=1)[:, None]
+                    )
+                    tensor_integrals[is_outer] += self._integrate_tensors(
+                        chunk_cells[is_outer],
+                        surface_rule_points,
+                        areas[:, None] * facet_weights,
+                        normals,
+                    )
+            basis_gradients = self._basis_gradients(chunk_cells).reshape(len(chunk_cells), 10, 12)
+            cell_fields = (
+                nodal_fields[self.cells[chunk_cells]]
+                .reshape(len(chunk_cells), 10, -1)
+                .swapaxes(1, 2)
             )
-            mass_factors = self.volumes[chunk, None, None, None, None] / 20.0
-            moments -= mass_factors * (field_stress + field_stress.sum(axis=2, keepdims=True))
-            moments = moments.swapaxes(2, 3).reshape(len(chunk), -1, 12)
-            cell_rows = basis_gradients @ moments.swapaxes(1, 2)
-            np.add.at(rows, self.cells[chunk], cell_rows.reshape(len(chunk), 10, n_rows, 3))
-        return self.intensity_factors[:, None] * comm.allreduce(rows), nodal_fields
+            corner_stress = self._stress(
+                (cell_fields @ basis_gradients)
+                .reshape(len(chunk_cells), -1, 3, 4, 3)
+                .swapaxes(2, 3)
+            )
+            product_integrals = self.volumes[chunk_cells, None, None, None, None] / 20.0
+            tensor_integrals -= product_integrals * (
+                corner_stress + corner_stress.sum(axis=2, keepdims=True)
+            )
+            tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
+            cell_factors = basis_gradients @ tensor_integrals.swapaxes(1, 2)
+            np.add.at(
+                factors,
+                self.cells[chunk_cells],
+                cell_factors.reshape(len(chunk_cells), 10, n_rows, 3),
+            )
+        return self.intensity_per_integral[:, None] * comm.allreduce(factors), nodal_fields
 
     def _stress(self, gradient: np.ndarray) -> np.ndarray:
         """Return the elastic stress from displacement gradients (..., 3, 3): same shape."""
         stress = self.mu * (gradient + gradient.swapaxes(-1, -2))
-        mean_stress = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
+        volumetric_stress = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
         for k in range(3):
-            stress[..., k, k] += mean_stress
+            stress[..., k, k] += volumetric_stress
         return stress
 
     def _front_coordinates(
@@ -833,27 +905,37 @@ class _Domain:
 
         Returns
         -------
-        frame : (n, m, 3, 3)
-            Rows e_1, e_2, e_3 (:meth:`Front.frame`).
+        frame_vectors : (n, m, 3, 3)
+            Rows e_1, e_2, e_3 (:meth:`Front.frame_and_curvature`).
         xi, y, r : (n, m) [m]
             Coordinates along e_1 and e_2, and distance from the front.
         hat, hat_slope : (n, m, n_stations)
             Hats, and their derivatives with respect to the length along the front.
-        kappa, kappa_slope : (n, m)
+        curvature, curvature_slope : (n, m) [1/m], [1/m^2]
             Front curvature, and its derivative.
         radius : (n, m) [m]
             Integration domain's radius.
         """
         front = self.front
         t = front.nearest_parameters(positions)
-        frame, speed, kappa, kappa_slope = front.frame(t)
+        frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
         offsets = positions - front.curve(t, 0)
-        xi, y = ((offsets * frame[..., k, :]).sum(-1) for k in range(2))
-        radius = front.radius(kappa)
+        xi, y = ((offsets * frame_vectors[..., axis_index, :]).sum(-1) for axis_index in range(2))
+        radius = front.radius(curvature)
         r = np.hypot(xi, y)
         y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
-        return frame, xi, y, r, hat, hat_slope_by_t / speed[..., None], kappa, kappa_slope, radius
+        return (
+            frame_vectors,
+            xi,
+            y,
+            r,
+            hat,
+            hat_slope_by_t / speed[..., None],
+            curvature,
+            curvature_slope,
+            radius,
+        )
 
     def _nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
@@ -863,17 +945,19 @@ class _Domain:
         middle is on neither crack side.
         """
         positions = self.points[self.cells[cell_index]]
-        frame, xi, y, r, hat, _, _, _, radius = self._front_coordinates(positions, cell_index)
-        is_at_front = r < 1e-6 * radius
-        is_at_front[:, 4:] = is_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
-        r = np.where(is_at_front, radius, r)
-        q = np.where(is_at_front, 0.0, _weight_and_slope(r / radius)[0])
-        fields = []
+        frame_vectors, xi, y, r, hat, _, _, _, radius = self._front_coordinates(
+            positions, cell_index
+        )
+        is_node_at_front = r < 1e-6 * radius
+        is_node_at_front[:, 4:] = is_node_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
+        r = np.where(is_node_at_front, radius, r)
+        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / radius)[0])
+        mode_fields = []
         for mode in range(3):
-            _, a_1, _ = self._plane_field(mode, xi, y, r)
-            weighted_field = np.einsum("icp,cpij->cpj", a_1, frame) * q[..., None]
-            fields.append(hat[..., None] * weighted_field[..., None, :])
-        return np.concatenate(fields, axis=2)
+            _, a_by_xi, _ = self._plane_field(mode, xi, y, r)
+            weighted_field = np.einsum("icp,cpij->cpj", a_by_xi, frame_vectors) * q[..., None]
+            mode_fields.append(hat[..., None] * weighted_field[..., None, :])
+        return np.concatenate(mode_fields, axis=2)
 
     def _plane_field(self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray) -> Any:
         """Return the displacement with K = 1 in one mode, and derivatives.
@@ -887,53 +971,69 @@ class _Domain:
 
         Returns
         -------
-        a, a_1, a_2 : (3, ...)
+        a, a_by_xi, a_by_y : (3, ...)
             Components along e_1, e_2, e_3, and their derivatives with respect to xi and y.
         """
         half_angle = 0.5 * np.arctan2(y, xi)
-        c, s, cosine, sine = np.cos(half_angle), np.sin(half_angle), xi / r, y / r
+        cos_half_angle, sin_half_angle, cos_angle, sin_angle = (
+            np.cos(half_angle),
+            np.sin(half_angle),
+            xi / r,
+            y / r,
+        )
         kolosov, zeros = 3.0 - 4.0 * self.nu, np.zeros_like(r)
         if mode == 0:
-            angular_part = np.array([c * (kolosov - cosine), s * (kolosov - cosine), zeros])
+            angular_part = np.array(
+                [
+                    cos_half_angle * (kolosov - cos_angle),
+                    sin_half_angle * (kolosov - cos_angle),
+                    zeros,
+                ]
+            )
             angular_slope = np.array([
-                -0.5 * s * (kolosov - cosine) + c * sine,
-                0.5 * c * (kolosov - cosine) + s * sine, zeros,
+                -0.5 * sin_half_angle * (kolosov - cos_angle) + cos_half_angle * sin_angle,
+                0.5 * cos_half_angle * (kolosov - cos_angle) + sin_half_angle * sin_angle, zeros,
             ])  # fmt: skip
         elif mode == 1:
             angular_part = np.array(
-                [s * (kolosov + 2.0 + cosine), -c * (kolosov - 2.0 + cosine), zeros]
+                [
+                    sin_half_angle * (kolosov + 2.0 + cos_angle),
+                    -cos_half_angle * (kolosov - 2.0 + cos_angle),
+                    zeros,
+                ]
             )
             angular_slope = np.array([
-                0.5 * c * (kolosov + 2.0 + cosine) - s * sine,
-                0.5 * s * (kolosov - 2.0 + cosine) + c * sine, zeros,
+                0.5 * cos_half_angle * (kolosov + 2.0 + cos_angle) - sin_half_angle * sin_angle,
+                0.5 * sin_half_angle * (kolosov - 2.0 + cos_angle) + cos_half_angle * sin_angle,
+                zeros,
             ])  # fmt: skip
         else:
-            angular_part = np.array([zeros, zeros, 4.0 * s])
-            angular_slope = np.array([zeros, zeros, 2.0 * c])
+            angular_part = np.array([zeros, zeros, 4.0 * sin_half_angle])
+            angular_slope = np.array([zeros, zeros, 2.0 * cos_half_angle])
         scale = 0.5 / self.mu / np.sqrt(2.0 * np.pi)
         root_r = np.sqrt(r)
         return (
             scale * root_r * angular_part,
-            scale / root_r * (0.5 * cosine * angular_part - sine * angular_slope),
-            scale / root_r * (0.5 * sine * angular_part + cosine * angular_slope),
+            scale / root_r * (0.5 * cos_angle * angular_part - sin_angle * angular_slope),
+            scale / root_r * (0.5 * sin_angle * angular_part + cos_angle * angular_slope),
         )
 
     def _integrate_tensors(
         self,
         cell_index: np.ndarray,
-        rule: np.ndarray,
+        rule_points: np.ndarray,
         weights: np.ndarray,
-        normal: np.ndarray | None,
+        normals: np.ndarray | None,
     ) -> np.ndarray:
         """Integrate the factor T of grad u in the interaction integral, times lambda_b.
 
         Parameters
         ----------
-        rule : (m, 4)
+        rule_points : (m, 4)
             The integration points' barycentric coordinates lambda_b.
         weights : (n, m) [m^3] or [m^2]
             The points' weights in each cell, or on one facet for each cell.
-        normal : (n, 3) or None
+        normals : (n, 3) or None
             The facets' outward normals. None: integrate over the cells.
 
         Returns
@@ -941,57 +1041,70 @@ class _Domain:
         (n, 3 n_stations, 4, 3, 3)
             Integrals for each cell, row, corner b, and component of T.
         """
-        positions = rule @ self.corners[cell_index]
-        frame, xi, y, r, hat, hat_slope, kappa, kappa_slope, radius = self._front_coordinates(
-            positions, cell_index
+        positions = rule_points @ self.corners[cell_index]
+        frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, radius = (
+            self._front_coordinates(positions, cell_index)
         )
-        if normal is not None:  # At a concave front, crack faces reach ahead of the curve.
+        if normals is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
         q, q_slope = _weight_and_slope(r / radius)
         q_slope /= radius
-        g = 1.0 + kappa * xi
-        k = kappa / g
-        is_limited = self.front.is_limited_by_curvature(kappa)
-        relative_radius_slope = np.where(
-            is_limited, -kappa_slope / np.where(is_limited, kappa, 1.0), 0.0
+        metric = 1.0 + curvature * xi
+        local_curvature = curvature / metric
+        is_limited = self.front.is_limited_by_curvature(curvature)
+        radius_log_slope = np.where(
+            is_limited, -curvature_slope / np.where(is_limited, curvature, 1.0), 0.0
         )
         q_gradient = np.stack(
-            [q_slope * xi / r, q_slope * y / r, -q_slope * r * relative_radius_slope / g], axis=-1
+            [q_slope * xi / r, q_slope * y / r, -q_slope * r * radius_log_slope / metric], axis=-1
         )
-        weighted_rule = weights[..., None] * rule
-        moments = []
+        weighted_rule_points = weights[..., None] * rule_points
+        mode_integrals = []
         for mode in range(3):
-            a, a_1, a_2 = self._plane_field(mode, xi, y, r)
+            a, a_by_xi, a_by_y = self._plane_field(mode, xi, y, r)
             gradient = np.zeros((*r.shape, 3, 3))
-            gradient[..., 0], gradient[..., 1] = np.moveaxis(a_1, 0, -1), np.moveaxis(a_2, 0, -1)
-            gradient[..., 0, 2], gradient[..., 2, 2] = -k * a[2], k * a[0]
-            stress = self._stress(gradient)
-            if normal is not None:
-                m = np.einsum("cpij,cj->cpi", frame, normal)
-                surface_tensor = q[..., None, None] * m[..., 0, None, None] * stress
-                surface_tensor[..., 0] -= q[..., None] * (stress @ m[..., None])[..., 0]
-                hat_tensors = [(hat, surface_tensor)]
+            gradient[..., 0], gradient[..., 1] = (
+                np.moveaxis(a_by_xi, 0, -1),
+                np.moveaxis(a_by_y, 0, -1),
+            )
+            gradient[..., 0, 2], gradient[..., 2, 2] = (
+                -local_curvature * a[2],
+                local_curvature * a[0],
+            )
+            auxiliary_stress = self._stress(gradient)
+            if normals is not None:
+                normals_in_frame = np.einsum("cpij,cj->cpi", frame_vectors, normals)
+                surface_tensor = (
+                    q[..., None, None] * normals_in_frame[..., 0, None, None] * auxiliary_stress
+                )
+                surface_tensor[..., 0] -= (
+                    q[..., None] * (auxiliary_stress @ normals_in_frame[..., None])[..., 0]
+                )
+                hats_and_tensors = [(hat, surface_tensor)]
             else:
-                hat_tensors = self._volume_tensors(
+                hats_and_tensors = self._volume_tensors(
                     a,
-                    a_1,
-                    a_2,
+                    a_by_xi,
+                    a_by_y,
                     gradient,
-                    stress,
-                    (q, q_gradient, g, k, kappa_slope, hat, hat_slope),
+                    auxiliary_stress,
+                    (q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope),
                 )
             total: Any = 0.0
-            for hat_values, tensor in hat_tensors:
-                rotated_tensor = frame.swapaxes(-1, -2) @ tensor @ frame
-                products = weighted_rule[..., None] * rotated_tensor.reshape(*r.shape, 1, 9)
-                products = products.reshape(*r.shape, 36)
-                total = total + hat_values.swapaxes(-1, -2) @ products
-            moments.append(total.reshape(len(cell_index), -1, 4, 3, 3))
-        return np.concatenate(moments, axis=1)
+            for hat_values, tensor in hats_and_tensors:
+                rotated_tensor = frame_vectors.swapaxes(-1, -2) @ tensor @ frame_vectors
+                weighted_tensors = weighted_rule_points[..., None] * rotated_tensor.reshape(
+                    *r.shape, 1, 9
+                )
+                weighted_tensors = weighted_tensors.reshape(*r.shape, 36)
+                total = total + hat_values.swapaxes(-1, -2) @ weighted_tensors
+            mode_integrals.append(total.reshape(len(cell_index), -1, 4, 3, 3))
+        return np.concatenate(mode_integrals, axis=1)
 
     def _volume_tensors(
-        self, a: np.ndarray, a_1: np.ndarray, a_2: np.ndarray, gradient: np.ndarray,
-        stress: np.ndarray, coordinates: tuple[np.ndarray, ...],
+        self, a: np.ndarray, a_by_xi: np.ndarray, a_by_y: np.ndarray,
+        gradient: np.ndarray, auxiliary_stress: np.ndarray,
+        weights_and_geometry: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
         """Return the tensor T that multiplies grad u in one mode's volume integral.
 
@@ -999,37 +1112,55 @@ class _Domain:
 
         Parameters
         ----------
-        a, a_1, a_2 : (3, ...)
+        a, a_by_xi, a_by_y : (3, ...)
             From :meth:`_plane_field`.
-        gradient, stress : (..., 3, 3)
+        gradient, auxiliary_stress : (..., 3, 3)
             Gradient and stress of that field in the frame e_1, e_2, e_3.
-        coordinates : tuple of arrays
-            q, gradient of q, g, k, derivative of kappa, hats, and hat slopes.
+        weights_and_geometry : tuple of arrays
+            q, gradient of q, g, k, derivative of the curvature, hats, and hat slopes.
 
         Returns
         -------
         list of ((..., n_stations), (..., 3, 3))
             Hats with the first tensor, then slopes with the second.
         """
-        q, q_gradient, g, k, kappa_slope, hat, hat_slope = coordinates
-        q_kappa = (q * k)[..., None]
+        q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope = (
+            weights_and_geometry
+        )
+        q_times_curvature = (q * local_curvature)[..., None]
         hat_tensor = gradient[..., :, :1] * q_gradient[..., None, :]
-        hat_tensor[..., 2] += gradient[..., 2] * q_kappa
-        hat_tensor = self._stress(hat_tensor) - (q_gradient[..., :1] + q_kappa)[..., None] * stress
-        hat_tensor[..., 0] += (stress @ q_gradient[..., None])[..., 0]
-        hat_tensor[..., 2] += stress[..., 2] * q_kappa
-        gradient_by_kappa = np.zeros_like(gradient)
-        gradient_by_kappa[..., 0, 2], gradient_by_kappa[..., 2, 2] = -a[2] / g**2, a[0] / g**2
-        stress_divergence = (kappa_slope / g)[..., None] * self._stress(gradient_by_kappa)[..., 2]
-        stress_divergence[..., 0] += k * (stress[..., 0, 0] - stress[..., 2, 2])
-        stress_divergence[..., 0] += self.lame * k * (a_1[0] - k * a[0])
-        stress_divergence[..., 1] += k * stress[..., 1, 0] + self.lame * k * a_2[0]
-        stress_divergence[..., 2] += 2.0 * k * stress[..., 2, 0] - self.mu * k * (a_1[2] - k * a[2])
+        hat_tensor[..., 2] += gradient[..., 2] * q_times_curvature
+        hat_tensor = (
+            self._stress(hat_tensor)
+            - (q_gradient[..., :1] + q_times_curvature)[..., None] * auxiliary_stress
+        )
+        hat_tensor[..., 0] += (auxiliary_stress @ q_gradient[..., None])[..., 0]
+        hat_tensor[..., 2] += auxiliary_stress[..., 2] * q_times_curvature
+        gradient_by_curvature = np.zeros_like(gradient)
+        gradient_by_curvature[..., 0, 2], gradient_by_curvature[..., 2, 2] = (
+            -a[2] / metric**2,
+            a[0] / metric**2,
+        )
+        stress_divergence = (curvature_slope / metric)[..., None] * self._stress(
+            gradient_by_curvature
+        )[..., 2]
+        stress_divergence[..., 0] += local_curvature * (
+            auxiliary_stress[..., 0, 0] - auxiliary_stress[..., 2, 2]
+        )
+        stress_divergence[..., 0] += (
+            self.lame * local_curvature * (a_by_xi[0] - local_curvature * a[0])
+        )
+        stress_divergence[..., 1] += (
+            local_curvature * auxiliary_stress[..., 1, 0] + self.lame * local_curvature * a_by_y[0]
+        )
+        stress_divergence[..., 2] += 2.0 * local_curvature * auxiliary_stress[
+            ..., 2, 0
+        ] - self.mu * local_curvature * (a_by_xi[2] - local_curvature * a[2])
         hat_tensor[..., 0] += q[..., None] * stress_divergence
         slope_tensor = np.zeros_like(gradient)
-        slope_tensor[..., 2] = gradient[..., 0] * (q / g)[..., None]
+        slope_tensor[..., 2] = gradient[..., 0] * (q / metric)[..., None]
         slope_tensor = self._stress(slope_tensor)
-        slope_tensor[..., 0] += stress[..., 2] * (q / g)[..., None]
+        slope_tensor[..., 0] += auxiliary_stress[..., 2] * (q / metric)[..., None]
         return [(hat, hat_tensor), (hat_slope, slope_tensor)]
 
 
@@ -1039,55 +1170,71 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     They come from the integral of the contact pressure p in the interaction integral. A pair's
     force acts as a pressure shaped as the pair's pressure function.
     """
-    pairs = structure.pairs
-    assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None
+    structure_pairs = structure.pairs
+    assert (
+        structure_pairs.nodes is not None
+        and structure_pairs.pressure_matrix is not None
+        and structure_pairs.areas is not None
+    )
     crack: CrackSurface = structure.nodes.mesh_dofs.plate.cracks[front.crack]  # type: ignore[union-attr]
-    node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.nodes)
-    front_distances, nearest_nodes = front_tree.query(crack.triangles)
+    crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
+    corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(
         crack.triangles - crack.triangles.mean(axis=1)[:, None], axis=2
     ).max(axis=1)
-    is_near = front_distances.min(axis=1) < front.straight_radius + 2.0 * triangle_radii
-    factors = np.zeros((len(front.station_parameters), len(pairs.nodes)))
-    rule, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
+    is_near = corner_front_distances.min(axis=1) < front.straight_radius + 2.0 * triangle_radii
+    factors = np.zeros((len(front.station_parameters), len(structure_pairs.nodes)))
+    rule_points, facet_weights = _collapsed_gauss_rule(2, GAUSS_AT_FRONT)
     x, w = np.polynomial.legendre.leggauss(2 * GAUSS_AT_FRONT)
     x, w = 0.5 * (1.0 + x), 0.5 * w
-    z, tau = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
-    map_weights, v = 2.0 * z * np.outer(w, w).ravel(), z**2
-    mapped_shapes = np.column_stack([v, (1.0 - v) * (1.0 - tau), (1.0 - v) * tau])
+    sqrt_fractions, edge_fractions = (grid.ravel() for grid in np.meshgrid(x, x, indexing="ij"))
+    map_weights, corner_fractions = 2.0 * sqrt_fractions * np.outer(w, w).ravel(), sqrt_fractions**2
+    mapped_shapes = np.column_stack(
+        [
+            corner_fractions,
+            (1.0 - corner_fractions) * (1.0 - edge_fractions),
+            (1.0 - corner_fractions) * edge_fractions,
+        ]
+    )
     for corners, corner_distances, corner_front_nodes in zip(
-        crack.triangles[is_near], front_distances[is_near], nearest_nodes[is_near], strict=True
+        crack.triangles[is_near],
+        corner_front_distances[is_near],
+        nearest_front_nodes[is_near],
+        strict=True,
     ):
-        order = corner_distances.argsort()
+        corner_order = corner_distances.argsort()
         is_on_front = corner_distances < POSITION_TOLERANCE * crack.size
         if is_on_front.sum() == 2:
-            order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
-            t_start, t_stop = front.parameters[corner_front_nodes[order[1:]]]
+            corner_order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
+            t_start, t_stop = front.parameters[corner_front_nodes[corner_order[1:]]]
             if front.is_closed and abs(t_stop - t_start) > 0.5 * (
                 front.parameters[-1] - front.parameters[0]
             ):
-                period = front.parameters[-1] - front.parameters[0]
+                parameter_period = front.parameters[-1] - front.parameters[0]
                 t_start, t_stop = (
-                    t_start + period * (t_start < t_stop),
-                    t_stop + period * (t_stop < t_start),
+                    t_start + parameter_period * (t_start < t_stop),
+                    t_stop + parameter_period * (t_stop < t_start),
                 )
-            t = t_start + tau * (t_stop - t_start)
-            offsets = corners[order[0]] - front.curve(t, 0)
-            points = front.curve(t, 0) + v[:, None] * offsets
+            t = t_start + edge_fractions * (t_stop - t_start)
+            corner_offsets = corners[corner_order[0]] - front.curve(t, 0)
+            points = front.curve(t, 0) + corner_fractions[:, None] * corner_offsets
             area_vectors = np.cross(
-                offsets, (1.0 - v)[:, None] * front.curve(t, 1) * (t_stop - t_start)
+                corner_offsets,
+                (1.0 - corner_fractions)[:, None] * front.curve(t, 1) * (t_stop - t_start),
             )
             area_weights = map_weights * np.linalg.norm(area_vectors, axis=1)
             shape_values = mapped_shapes
         else:
-            points, shape_values = rule @ corners[order], rule
-            sides = corners[1:] - corners[0]
-            area_weights = 0.5 * np.linalg.norm(np.cross(*sides)) * facet_weights
+            points, shape_values = rule_points @ corners[corner_order], rule_points
+            triangle_sides = corners[1:] - corners[0]
+            area_weights = 0.5 * np.linalg.norm(np.cross(*triangle_sides)) * facet_weights
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve(t, 0), axis=1)
-        radius = front.radius(front.frame(t)[2])
-        kernel = _weight_and_slope(r / radius)[0] / np.sqrt(r) * area_weights
-        node_numbers = node_tree.query(corners[order])[1]
-        factors[:, node_numbers] += front.hats_and_slopes(t)[0].T @ (kernel[:, None] * shape_values)
+        domain_radii = front.radius(front.frame_and_curvature(t)[2])
+        kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        crack_node_index = crack_node_tree.query(corners[corner_order])[1]
+        factors[:, crack_node_index] += front.hats_and_slopes(t)[0].T @ (
+            kernel[:, None] * shape_values
+        )
     factors *= np.sqrt(2.0 / np.pi) / front.hat_lengths()[:, None]
-    return np.asarray((pairs.pressure_matrix.T @ factors.T).T / pairs.areas)
+    return np.asarray((structure_pairs.pressure_matrix.T @ factors.T).T / structure_pairs.areas)

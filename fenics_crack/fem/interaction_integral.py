@@ -35,7 +35,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import dolfinx, ufl
-from fenics_crack.fem.cracks import LIP_TAGS, CrackPath
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, CrackPath
 from fenics_crack.fem.elasticity import constants, stress
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.receptance import check_matrices
@@ -95,20 +95,20 @@ def find_tips(dofs: Dofs) -> list[Tip]:
             tip_ends.append(("left crack tip", crack.points[::-1], 0.0))
         for name, points, arc_length in tip_ends:
             tip_point = points[-1]
-            offsets = tip_point - points[:-1]
-            growth_direction = offsets[-1] / np.linalg.norm(offsets[-1])
+            corner_offsets = tip_point - points[:-1]
+            growth_direction = corner_offsets[-1] / np.linalg.norm(corner_offsets[-1])
             is_off_line = np.abs(
-                offsets @ [-growth_direction[1], growth_direction[0]]
-            ) > 1e-6 * np.linalg.norm(offsets, axis=1)
+                corner_offsets @ [-growth_direction[1], growth_direction[0]]
+            ) > 1e-6 * np.linalg.norm(corner_offsets, axis=1)
             straight_length = np.linalg.norm(
-                offsets[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
+                corner_offsets[np.flatnonzero(is_off_line).max(initial=-1) + 1 :][0]
             )
             crack_distances = [
                 other_crack.locate(tip_point[None])[0][0]
                 for other_crack in cracks
                 if other_crack is not crack
             ]
-            clearance = min(
+            tip_clearance = min(
                 straight_length,
                 np.linalg.norm(boundary_points - tip_point, axis=1).min(),
                 *crack_distances,
@@ -120,7 +120,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
                     tip_point,
                     growth_direction,
                     arc_length,
-                    MAX_RADIUS_FRACTION * clearance,
+                    MAX_RADIUS_FRACTION * tip_clearance,
                 )
             )
     return tips
@@ -131,7 +131,7 @@ def _outer_points(dofs: Dofs) -> np.ndarray:
     plate = dofs.plate
     topology = plate.mesh.topology
     topology.create_connectivity(1, 2)
-    face_facets = np.concatenate([plate.facets(name) for name in LIP_TAGS])
+    face_facets = np.concatenate([plate.facets(name) for name in CRACK_FACE_NAMES])
     outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
         np.int32
     )
@@ -151,8 +151,8 @@ def _check_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> N
             continue
         clearance = tip.radius / MAX_RADIUS_FRACTION
         problem = f"{tip.name}, {clearance:.3g} m from an edge, a bend or another crack"
-        min_clearance = element_length / MAX_RADIUS_FRACTION
-        requirement = f"further away than {min_clearance:.3g} m where stress intensities are"
+        required_clearance = element_length / MAX_RADIUS_FRACTION
+        requirement = f"further away than {required_clearance:.3g} m where stress intensities are"
         requirement += " requested, or with shorter elements along the crack"
         raise InputError("crack", problem, requirement)
 
@@ -184,18 +184,22 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     check_matrices(structure, "stress intensities")
     assert structure.nodes is not None
     dofs: Dofs = structure.nodes.mesh_dofs
-    tips, face_normals, points = find_tips(dofs), _face_normals(dofs), dofs.points
-    assemble_row, displacement_rows, force_rows = _row_assembler(scene, dofs), [], []
-    is_on_face = np.any(face_normals != 0.0, axis=1)[: dofs.n_own_nodes]
-    _check_resolved(scene, tips, gather_rows(dofs.comm, points[: dofs.n_own_nodes][is_on_face]))
+    tips, face_normals, node_positions = find_tips(dofs), _face_normals(dofs), dofs.points
+    assemble_row, displacement_rows, contact_force_rows = _row_assembler(scene, dofs), [], []
+    is_face_node = np.any(face_normals != 0.0, axis=1)[: dofs.n_own_nodes]
+    _check_resolved(
+        scene, tips, gather_rows(dofs.comm, node_positions[: dofs.n_own_nodes][is_face_node])
+    )
     for tip in tips:
         for mode in range(2):
-            field = _weighted_singular_field(scene, tip, mode, points, face_normals)
-            displacement_rows.append(assemble_row(tip, mode, field))
-            force_rows.append(
-                _pressure_row(scene, structure, tip, mode, dofs.restrict_to_free(field.ravel()))
+            nodal_field = _weighted_singular_field(scene, tip, mode, node_positions, face_normals)
+            displacement_rows.append(assemble_row(tip, mode, nodal_field))
+            contact_force_rows.append(
+                _pressure_row(
+                    scene, structure, tip, mode, dofs.restrict_to_free(nodal_field.ravel())
+                )
             )
-    return tips, np.array(displacement_rows), np.array(force_rows)
+    return tips, np.array(displacement_rows), np.array(contact_force_rows)
 
 
 def _face_normals(dofs: Dofs) -> np.ndarray:
@@ -204,42 +208,53 @@ def _face_normals(dofs: Dofs) -> np.ndarray:
     They are zero away from the crack faces.
     """
     normal, test = ufl.FacetNormal(dofs.plate.mesh), ufl.TestFunction(dofs.space)
-    form = ufl.inner(normal, test) * dofs.plate.measure_on(*LIP_TAGS)
+    form = ufl.inner(normal, test) * dofs.plate.measure_on(*CRACK_FACE_NAMES)
     return compat.assembled_vector(form).reshape(-1, 2)
 
 
-def _singular_field(r: Any, c: Any, s: Any, kappa: float, mode: Any) -> tuple[Any, Any]:
+def _singular_displacement_derivative(
+    r: Any, cos_half_angle: Any, sin_half_angle: Any, kolosov: float, mode: Any
+) -> tuple[Any, Any]:
     """Return the x_1 derivative of the displacement around a tip with K = 1.
 
     Parameters
     ----------
-    r, c, s : numbers or UFL expressions
+    r, cos_half_angle, sin_half_angle : numbers or UFL expressions
         Distance from the tip, and cosine and sine of half the angle from the crack's direction.
-    kappa : float
+    kolosov : float
         Kolosov's constant.
     mode : 0 or 1
         0 for K_I, 1 for K_II.
 
     Returns
     -------
-    x, y : numbers or UFL expressions
+    derivative_1, derivative_2 : numbers or UFL expressions
         Components ahead of the crack and normal to it, times 4 G (2 pi)^1/2, G the shear modulus.
     """
-    cosine, sine = c * c - s * s, 2.0 * c * s
-    mode_1 = ((kappa - cosine - 2.0 * sine * sine) * c, -(kappa - cosine + 2.0 * sine * sine) * s)
-    mode_2 = (
-        -(kappa + 2.0 + cosine - 2.0 * sine * sine) * s,
-        -(kappa - 2.0 + cosine + 2.0 * sine * sine) * c,
+    cos_angle, sin_angle = (
+        cos_half_angle * cos_half_angle - sin_half_angle * sin_half_angle,
+        2.0 * cos_half_angle * sin_half_angle,
     )
-    x, y = ((1.0 - mode) * a + mode * b for a, b in zip(mode_1, mode_2, strict=True))
-    return x / r**0.5, y / r**0.5
+    mode_1_components = (
+        (kolosov - cos_angle - 2.0 * sin_angle * sin_angle) * cos_half_angle,
+        -(kolosov - cos_angle + 2.0 * sin_angle * sin_angle) * sin_half_angle,
+    )
+    mode_2_components = (
+        -(kolosov + 2.0 + cos_angle - 2.0 * sin_angle * sin_angle) * sin_half_angle,
+        -(kolosov - 2.0 + cos_angle + 2.0 * sin_angle * sin_angle) * cos_half_angle,
+    )
+    derivative_1, derivative_2 = (
+        (1.0 - mode) * mode_1_part + mode * mode_2_part
+        for mode_1_part, mode_2_part in zip(mode_1_components, mode_2_components, strict=True)
+    )
+    return derivative_1 / r**0.5, derivative_2 / r**0.5
 
 
-def _material_factors(scene: Scene) -> tuple[float, float]:
-    """Return Kolosov's constant kappa of plane stress, and 1 / (4 G (2 pi)^1/2)."""
+def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
+    """Return Kolosov's constant of plane stress, and 1 / (4 G (2 pi)^1/2)."""
     nu = scene.material.poisson
-    shear = scene.material.young / (2.0 * (1.0 + nu))
-    return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear * np.sqrt(2.0 * np.pi))
+    shear_modulus = scene.material.young / (2.0 * (1.0 + nu))
+    return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear_modulus * np.sqrt(2.0 * np.pi))
 
 
 def _weight_function(r: np.ndarray, radius: float) -> np.ndarray:
@@ -262,20 +277,24 @@ def _weighted_singular_field(
     r = np.linalg.norm(offsets, axis=1)
     is_near = (r < tip.radius) & (r > 1e-9 * tip.radius)
     e_2 = np.array([-tip.growth_direction[1], tip.growth_direction[0]])
-    field = np.zeros_like(points)
+    weighted_field = np.zeros_like(points)
     r, x, y = r[is_near], offsets[is_near] @ tip.growth_direction, offsets[is_near] @ e_2
-    outward_components = normals[is_near] @ e_2
+    normal_components = normals[is_near] @ e_2
     side_signs = np.where(
-        outward_components == 0.0, np.where(y >= 0.0, 1.0, -1.0), -np.sign(outward_components)
+        normal_components == 0.0, np.where(y >= 0.0, 1.0, -1.0), -np.sign(normal_components)
     )
-    c, s = (np.sqrt(np.maximum(r + sign * x, 0.0) / (2.0 * r)) for sign in (1.0, -1.0))
-    kappa, scale = _material_factors(scene)
-    component_1, component_2 = _singular_field(r, c, side_signs * s, kappa, mode)
-    q = scale * _weight_function(r, tip.radius)
-    field[is_near] = (q * component_1)[:, None] * tip.growth_direction + (q * component_2)[
-        :, None
-    ] * e_2
-    return field
+    cos_half_angle, sin_half_angle = (
+        np.sqrt(np.maximum(r + x_sign * x, 0.0) / (2.0 * r)) for x_sign in (1.0, -1.0)
+    )
+    kolosov, field_scale = _kolosov_and_field_scale(scene)
+    derivative_1, derivative_2 = _singular_displacement_derivative(
+        r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
+    )
+    scaled_weights = field_scale * _weight_function(r, tip.radius)
+    weighted_field[is_near] = (scaled_weights * derivative_1)[:, None] * tip.growth_direction + (
+        scaled_weights * derivative_2
+    )[:, None] * e_2
+    return weighted_field
 
 
 def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
@@ -286,32 +305,44 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
-    tip_constants = constants(space, *(0.0,) * 6, *_material_factors(scene), scene.material.young)
-    x0, y0, a, b, radius, mode_constant, kappa, scale, young = tip_constants
-    offset = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([x0, y0])
-    e_1, e_2 = ufl.as_vector([a, b]), ufl.as_vector([-b, a])
+    tip_constants = constants(
+        space, *(0.0,) * 6, *_kolosov_and_field_scale(scene), scene.material.young
+    )
+    tip_x, tip_y, e_1x, e_1y, radius, mode_constant, kolosov, field_scale, young = tip_constants
+    offset = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([tip_x, tip_y])
+    e_1, e_2 = ufl.as_vector([e_1x, e_1y]), ufl.as_vector([-e_1y, e_1x])
     x, y = ufl.dot(offset, e_1), ufl.dot(offset, e_2)
     r = ufl.sqrt(x * x + y * y)
-    c, s = ufl.sqrt((r + x) / (2.0 * r)), ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r))
-    component_1, component_2 = _singular_field(r, c, s, kappa, mode_constant)
-    singular_field = scale * (component_1 * e_1 + component_2 * e_2)
+    cos_half_angle, sin_half_angle = (
+        ufl.sqrt((r + x) / (2.0 * r)),
+        ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r)),
+    )
+    derivative_1, derivative_2 = _singular_displacement_derivative(
+        r, cos_half_angle, sin_half_angle, kolosov, mode_constant
+    )
+    singular_derivative = field_scale * (derivative_1 * e_1 + derivative_2 * e_2)
     xi = (r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION)
     q_slope = -30.0 * xi**2 * (1.0 - xi) ** 2 / (radius * (1.0 - PLATEAU_FRACTION))
     is_on_ramp = ufl.And(ufl.gt(xi, 0.0), ufl.lt(xi, 1.0))
     q_gradient = ufl.conditional(is_on_ramp, q_slope, 0.0) / r * offset
     test = ufl.TestFunction(space)
-    test_strain, singular_strain, nodal_strain = (
-        ufl.sym(ufl.grad(field)) for field in (test, singular_field, nodal_function)
+    test_strain, derivative_strain, nodal_strain = (
+        ufl.sym(ufl.grad(vector_field))
+        for vector_field in (test, singular_derivative, nodal_function)
     )
-    betti = ufl.inner(stress(scene, space, test_strain), ufl.outer(singular_field, q_gradient))
-    betti -= ufl.inner(stress(scene, space, singular_strain), ufl.outer(test, q_gradient))
-    form = 0.5 * young * betti * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
+    betti_integrand = ufl.inner(
+        stress(scene, space, test_strain), ufl.outer(singular_derivative, q_gradient)
+    )
+    betti_integrand -= ufl.inner(
+        stress(scene, space, derivative_strain), ufl.outer(test, q_gradient)
+    )
+    form = 0.5 * young * betti_integrand * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
     form -= 0.5 * young * ufl.inner(stress(scene, space, nodal_strain), test_strain) * ufl.dx
     compiled_form = compat.compile_form(form)
 
-    def assemble_row(tip: Tip, mode: int, field: np.ndarray) -> np.ndarray:
+    def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:
         """Return factors (n_local,) for a tip, a mode and its nodal field w."""
-        nodal_function.x.array[: field.size] = field.ravel()
+        nodal_function.x.array[: nodal_field.size] = nodal_field.ravel()
         nodal_function.x.scatter_forward()
         for constant, value in zip(
             tip_constants, (*tip.point, *tip.growth_direction, tip.radius, mode), strict=False
@@ -323,40 +354,50 @@ def _row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray],
 
 
 def _pressure_row(
-    scene: Scene, structure: Structure, tip: Tip, mode: int, field: np.ndarray
+    scene: Scene, structure: Structure, tip: Tip, mode: int, nodal_field: np.ndarray
 ) -> np.ndarray:
     """Return factors of the contact forces in K_I or K_II of a tip: (n_pairs,).
 
-    ``field`` is w of :func:`_nodal_field`. The pressure along the crack faces replaces the forces
-    at nodes, and has no part in K_II. If only the mouth has a pair, the force stays at the node.
+    ``nodal_field`` is w of :func:`_weighted_singular_field`. The pressure along the crack faces
+    replaces the forces at nodes, and has no part in K_II. If only the mouth has a pair, the force
+    stays at the node.
     """
-    forces = np.zeros(structure.n_pairs)
+    force_factors = np.zeros(structure.n_pairs)
     if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":
-        return forces
+        return force_factors
     pairs, thickness = structure.pairs, scene.geometry.thickness or 1.0
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
-    forces -= structure.apply_bt(field[None])[0]
-    crack_pairs = np.flatnonzero(pairs.cracks == tip.crack)
-    crack_pairs = crack_pairs[np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pairs]))]
-    pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pairs])
-    points, weights = _singular_rule(pair_distances, tip.radius)
-    kappa, scale = _material_factors(scene)
-    point_weights = 2.0 * (kappa + 1.0) * scale * _weight_function(points, tip.radius) * weights
-    hat_values = np.array(
-        [np.interp(points, pair_distances, unit_vector) for unit_vector in np.eye(len(crack_pairs))]
+    force_factors -= structure.apply_bt(nodal_field[None])[0]
+    crack_pair_index = np.flatnonzero(pairs.cracks == tip.crack)
+    crack_pair_index = crack_pair_index[
+        np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pair_index]))
+    ]
+    pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pair_index])
+    points, rule_weights = _singular_rule(pair_distances, tip.radius)
+    kolosov, field_scale = _kolosov_and_field_scale(scene)
+    point_weights = (
+        2.0 * (kolosov + 1.0) * field_scale * _weight_function(points, tip.radius) * rule_weights
     )
-    forces[crack_pairs] += thickness * hat_values @ point_weights / pairs.areas[crack_pairs]
-    return 0.5 * scene.material.young / thickness * forces
+    hat_values = np.array(
+        [
+            np.interp(points, pair_distances, identity_row)
+            for identity_row in np.eye(len(crack_pair_index))
+        ]
+    )
+    force_factors[crack_pair_index] += (
+        thickness * hat_values @ point_weights / pairs.areas[crack_pair_index]
+    )
+    return 0.5 * scene.material.young / thickness * force_factors
 
 
-def _singular_rule(ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _singular_rule(interval_ends: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a rule for integrals of f(r) r^-1/2 up to the radius.
 
-    The results are points r and weights. f is smooth between ``ends``. Gauss's rule is applied to
-    xi in each interval, with xi^2 = r.
+    The results are points r and weights. f is smooth between ``interval_ends``. Gauss's rule is
+    applied to the square root of r in each interval.
     """
-    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *ends, radius], 0.0, radius)))
-    gauss_points, weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
+    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *interval_ends, radius], 0.0, radius)))
+    gauss_points, gauss_weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
     half_widths = 0.5 * np.diff(sqrt_ends)[:, None]
-    xi = sqrt_ends[:-1, None] + half_widths * (1.0 + gauss_points)
-    return (xi**2).ravel(), (2.0 * half_widths * weights).ravel()
+    sqrt_points = sqrt_ends[:-1, None] + half_widths * (1.0 + gauss_points)
+    return (sqrt_points**2).ravel(), (2.0 * half_widths * gauss_weights).ravel()

@@ -18,18 +18,18 @@ import numpy as np
 from fenics_crack.model.matrices import numbered_lines, read_number_rows
 from fenics_crack.scene.fields import LARGEST
 
-VTK_TYPES = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
+VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's type of tetrahedra, wedges and hexahedra, by their number of nodes."""
 GENERATOR_KEYWORDS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
 """Keywords of CalculiX and Abaqus that generate nodes and cells, or rotate them."""
 match_include = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
 """Match an include line of CalculiX or Abaqus."""
-SOLID_TYPES = {
+ANSYS_SOLID_TYPE_NUMBERS = {
     5, 45, 46, 62, 64, 65, 72, 73, 92, 95, 98, 185, 186, 187, 190, 191, 215, 216, 217, 220, 221,
     226, 227, 285,
 }  # fmt: skip
 """Ansys' solid elements. The same blocks also hold surfaces, contact, shells and springs."""
-NASTRAN_NODE_ORDER = {
+NASTRAN_ORDER_BY_NODE_COUNT = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
     20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
 }
@@ -76,15 +76,15 @@ def read_model(path: Path) -> Model:
         raise ValueError("it has no nodes")
     labels = np.array(sorted(nodes), dtype=np.int64)
     points = np.array([nodes[label] for label in labels.tolist()])
-    vtk_cells = {}
-    for vtk_type, rows in cells.items():
-        label_rows = np.array(rows, dtype=np.int64)
-        node_rows = np.minimum(np.searchsorted(labels, label_rows), len(labels) - 1)
-        if np.any(labels[node_rows] != label_rows):
-            missing_label = label_rows[labels[node_rows] != label_rows][0]
+    cells_by_type = {}
+    for vtk_type, label_lists in cells.items():
+        cell_labels = np.array(label_lists, dtype=np.int64)
+        cell_nodes = np.minimum(np.searchsorted(labels, cell_labels), len(labels) - 1)
+        if np.any(labels[cell_nodes] != cell_labels):
+            missing_label = cell_labels[labels[cell_nodes] != cell_labels][0]
             raise ValueError(f"an element has node {missing_label}, which it does not have")
-        vtk_cells[vtk_type] = node_rows
-    return Model(labels, points, vtk_cells)
+        cells_by_type[vtk_type] = cell_nodes
+    return Model(labels, points, cells_by_type)
 
 
 def list_included_files(path: Path) -> list[Path]:
@@ -95,16 +95,18 @@ def list_included_files(path: Path) -> list[Path]:
     """
     if path.suffix.lower() in (".sti", ".mas"):
         return [path.with_suffix(".dof")]
-    files = [path] if path.suffix.lower() == ".inp" else []
-    for file in files:  # the list grows
+    file_paths = [path] if path.suffix.lower() == ".inp" else []
+    for file_path in file_paths:  # the list grows
         with contextlib.suppress(OSError):
-            included_files = [
-                _included_path(file, line)
-                for _, line in numbered_lines(file, "**")
+            included_paths = [
+                _included_path(file_path, line)
+                for _, line in numbered_lines(file_path, "**")
                 if match_include(line)
             ]
-            files += [path for path in included_files if path not in files]
-    return files[1:]
+            file_paths += [
+                included_path for included_path in included_paths if included_path not in file_paths
+            ]
+    return file_paths[1:]
 
 
 def _included_path(path: Path, line: str) -> Path:
@@ -128,7 +130,7 @@ def _add_node(
     ValueError
         A coordinate is too large or no number, or the node has another position already.
     """
-    if not all(abs(x) <= LARGEST for x in position):
+    if not all(abs(coordinate) <= LARGEST for coordinate in position):
         raise ValueError(
             f"line {line_number}: a coordinate of node {label} is no number to {LARGEST:g}"
         )
@@ -151,13 +153,18 @@ def _read_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read an input file of CalculiX or Abaqus into ``nodes`` and ``cells``."""
-    keyword, n_nodes_per_element, cell_labels = "", 0, list[int]()
+    keyword, n_nodes_per_element, element_and_node_labels = "", 0, list[int]()
     for line_number, line in numbered_lines(path, "**"):
         try:
             if line.startswith("*"):
-                keyword, *options = (word.strip().upper() for word in line[1:].split(","))
-                parts = (option.partition("=") for option in options)
-                parameters = {name.strip(): value.strip() for name, _, value in parts}
+                keyword, *options = (
+                    field_text.strip().upper() for field_text in line[1:].split(",")
+                )
+                option_triples = (option.partition("=") for option in options)
+                parameters = {
+                    option_name.strip(): option_value.strip()
+                    for option_name, _, option_value in option_triples
+                }
                 is_in_other_file = keyword in ("NODE", "ELEMENT") and "INPUT" in parameters
                 is_in_other_system = keyword == "NODE" and parameters.get("SYSTEM", "R") != "R"
                 if keyword in GENERATOR_KEYWORDS or is_in_other_file or is_in_other_system:
@@ -165,19 +172,21 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                 if keyword == "INCLUDE":
                     _read_abaqus(_included_path(path, line), nodes, cells)
                 element_type = parameters.get("TYPE", "").strip() if keyword == "ELEMENT" else ""
-                match, cell_labels = re.match(r"C3D(\d+)", element_type), []
-                n_nodes_per_element = int(match[1]) if match is not None else 0
+                type_match, element_and_node_labels = re.match(r"C3D(\d+)", element_type), []
+                n_nodes_per_element = int(type_match[1]) if type_match is not None else 0
             elif keyword == "INSTANCE" and any(map(float, line.strip().rstrip(",").split(","))):
                 raise NotImplementedError  # the instance is moved or rotated
             elif keyword == "NODE":
-                label, *coordinates = line.strip().rstrip(",").split(",")
-                position = (*map(float, coordinates), 0.0, 0.0)[:3]  # zeros may be left out
-                _add_node(nodes, line_number, int(label), position)
-            elif keyword == "ELEMENT" and n_nodes_per_element in VTK_TYPES:
-                cell_labels += map(int, line.strip().rstrip(",").split(","))
-                if len(cell_labels) > n_nodes_per_element:
-                    cells.setdefault(VTK_TYPES[n_nodes_per_element], []).append(cell_labels[1:])
-                    cell_labels = []
+                label_text, *coordinate_texts = line.strip().rstrip(",").split(",")
+                position = (*map(float, coordinate_texts), 0.0, 0.0)[:3]  # zeros may be left out
+                _add_node(nodes, line_number, int(label_text), position)
+            elif keyword == "ELEMENT" and n_nodes_per_element in VTK_TYPE_BY_NODE_COUNT:
+                element_and_node_labels += map(int, line.strip().rstrip(",").split(","))
+                if len(element_and_node_labels) > n_nodes_per_element:
+                    cells.setdefault(VTK_TYPE_BY_NODE_COUNT[n_nodes_per_element], []).append(
+                        element_and_node_labels[1:]
+                    )
+                    element_and_node_labels = []
         except NotImplementedError:
             requirement = (
                 "nodes and elements must be written out where they are, with their numbers"
@@ -208,10 +217,12 @@ def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
             ):
                 raise NotImplementedError
             elif name in ("CTETRA", "CPENTA", "CHEXA"):
-                labels = [int(field) for field in fields[2:] if field]
-                order = NASTRAN_NODE_ORDER.get(len(labels), range(len(labels)))
-                cells.setdefault(VTK_TYPES[len(labels)], []).append(
-                    [labels[index] for index in order]
+                node_labels = [int(field) for field in fields[2:] if field]
+                node_order = NASTRAN_ORDER_BY_NODE_COUNT.get(
+                    len(node_labels), range(len(node_labels))
+                )
+                cells.setdefault(VTK_TYPE_BY_NODE_COUNT[len(node_labels)], []).append(
+                    [node_labels[node_index] for node_index in node_order]
                 )
         except (ValueError, KeyError, IndexError):
             requirement = "a GRID in the basic coordinate system" if name == "GRID" else "a solid"
@@ -239,25 +250,27 @@ def _read_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
     list of str
         Name and fields.
     """
-    first_line, card = 0, list[str]()
+    first_line_number, card = 0, list[str]()
     for line_number, line in numbered_lines(path, "$"):
         line = line.expandtabs(8)
         if "," in line:
             name, *fields = line.split(",")
             fields = fields[:8]
         else:
-            width = 16 if "*" in line[:8] else 8
-            name, field_text = line[:8], line[8:72].ljust(64)
-            fields = [field_text[start : start + width] for start in range(0, 64, width)]
-        card_fields = [field.strip() for field in fields]
+            field_width = 16 if "*" in line[:8] else 8
+            name, fields_text = line[:8], line[8:72].ljust(64)
+            fields = [
+                fields_text[start : start + field_width] for start in range(0, 64, field_width)
+            ]
+        line_fields = [field.strip() for field in fields]
         if name.strip() and name.strip()[0] not in "+*":
             if card:
-                yield first_line, card
-            first_line, card = line_number, [name.strip(" *").upper()]
+                yield first_line_number, card
+            first_line_number, card = line_number, [name.strip(" *").upper()]
         if card:
-            card += card_fields
+            card += line_fields
     if card:
-        yield first_line, card
+        yield first_line_number, card
 
 
 # --- Ansys ----------------------------------------------------------------------------------------
@@ -268,28 +281,28 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
     The line below a block's name states number and width of the fields.
     """
-    block, n_nodes_per_element, cell_labels = "", 0, list[int]()
+    block, n_nodes_per_element, node_labels = "", 0, list[int]()
     integer_width, real_width, n_integers = 0, 0, 0
-    element_types, is_solid, other_types = dict[int, int](), True, set[int]()
+    type_number_by_index, is_solid, other_type_numbers = dict[int, int](), True, set[int]()
     for line_number, line in numbered_lines(path, "!"):
         keyword = line.strip().upper()
         try:
             if keyword.startswith("ET,") and not block:
-                _, type_index, name = keyword.split(",")[:3]
-                element_types[int(type_index)] = int(
-                    name.strip().lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
+                _, type_index_text, type_name = keyword.split(",")[:3]
+                type_number_by_index[int(type_index_text)] = int(
+                    type_name.strip().lstrip("ABCDEFGHIJKLMNOPQRSTUVWXYZ")
                 )
             if keyword.startswith(("NBLOCK", "EBLOCK")):
                 if keyword.startswith("EBLOCK") and "SOLID" not in keyword:
                     raise ValueError
-                block, cell_labels = keyword[:6], []
+                block, node_labels = keyword[:6], []
             elif block and line.lstrip().startswith("("):
-                widths = [int(size) for size in re.findall(r"\d+", line)]
-                n_integers = widths[0]
-                integer_width = widths[1]
-                real_width = widths[3] if len(widths) > 3 else 0
+                format_numbers = [int(number_text) for number_text in re.findall(r"\d+", line)]
+                n_integers = format_numbers[0]
+                integer_width = format_numbers[1]
+                real_width = format_numbers[3] if len(format_numbers) > 3 else 0
             elif keyword.startswith(("N,", "-1")):
-                if cell_labels:
+                if node_labels:
                     raise ValueError  # the last cell is incomplete
                 block = ""
             elif block == "NBLOCK":
@@ -308,22 +321,22 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                     int(line[start : start + integer_width])
                     for start in range(0, len(line), integer_width)
                 ]
-                if not cell_labels:
+                if not node_labels:
                     is_solid = (
-                        integers[1] not in element_types
-                        or element_types[integers[1]] in SOLID_TYPES
+                        integers[1] not in type_number_by_index
+                        or type_number_by_index[integers[1]] in ANSYS_SOLID_TYPE_NUMBERS
                     )
-                    other_types |= set() if is_solid else {element_types[integers[1]]}
+                    other_type_numbers |= set() if is_solid else {type_number_by_index[integers[1]]}
                     n_nodes_per_element, integers = integers[8], integers[11:]
-                cell_labels += integers
-                if len(cell_labels) >= n_nodes_per_element:
-                    if is_solid and len(set(cell_labels)) < n_nodes_per_element:
+                node_labels += integers
+                if len(node_labels) >= n_nodes_per_element:
+                    if is_solid and len(set(node_labels)) < n_nodes_per_element:
                         raise ValueError  # a brick with nodes in the same place
                     if is_solid:
-                        cells.setdefault(VTK_TYPES[n_nodes_per_element], []).append(
-                            cell_labels[:n_nodes_per_element]
+                        cells.setdefault(VTK_TYPE_BY_NODE_COUNT[n_nodes_per_element], []).append(
+                            node_labels[:n_nodes_per_element]
                         )
-                    cell_labels = []
+                    node_labels = []
         except (ValueError, KeyError, IndexError) as error:
             requirement = (
                 "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
@@ -332,9 +345,9 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                 str(error) if "line" in str(error) else f"line {line_number}: not {requirement}"
             )
             raise ValueError(reason) from None
-    if other_types and not cells:
-        type_list = ", ".join(map(str, sorted(other_types)))
-        raise ValueError(f"none of its elements, of types {type_list}, is a solid that is known")
+    if other_type_numbers and not cells:
+        types_text = ", ".join(map(str, sorted(other_type_numbers)))
+        raise ValueError(f"none of its elements, of types {types_text}, is a solid that is known")
 
 
 READERS_BY_ENDING: dict[str, Callable[[Path, NodePositions, CellLabels], None]] = {

@@ -34,8 +34,8 @@ from fenics_crack.basics.errors import InputError, reading
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
 from fenics_crack.fem.cracks import (
+    CRACK_FACE_NAMES,
     FACETS,
-    LIP_TAGS,
     POSITION_TOLERANCE,
     Cells,
     Cracks,
@@ -65,9 +65,9 @@ _FACET_KINDS = {2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}, 3: {4: 2, 11: 9, 5
 """gmsh's kind of facets, for each dimension and each kind of cells that DOLFINx reads."""
 _POINT_KIND = 15
 """gmsh's kind of a point element."""
-_LINEAR_KINDS = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
+_LINEAR_KIND_BY_SHAPE = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
 """gmsh's kind of first-order cells, for each dimension and number of corners."""
-_GROUP_WORDS = {
+_GROUP_TEXTS_BY_DIMENSION = {
     2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
@@ -76,8 +76,8 @@ _FACET_WORDS = {2: "an edge", 3: "a facet"}
 """Word for a facet in messages, for each dimension."""
 
 
-def read_mesh_file(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
-    """Read a mesh file into gmsh's current model, as :func:`load_mesh` does.
+def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
+    """Read a mesh file into gmsh's current model, as :func:`load_mesh_into_gmsh` does.
 
     Raises
     ------
@@ -86,14 +86,14 @@ def read_mesh_file(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
         cannot be found.
     """
     try:
-        return load_mesh(_read_raw_mesh(path), dimension)
+        return load_mesh_into_gmsh(_read_raw_mesh(path), dimension)
     except InputError as error:
         if error.key in ("mesh.file", "lips"):
             raise
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
 
 
-def load_mesh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
+def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
     """Load a mesh of a plate or solid into gmsh's current model.
 
     Returns
@@ -106,57 +106,74 @@ def load_mesh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
     Raises
     ------
     InputError
-        As :func:`read_mesh_file`, with the key "mesh".
+        As :func:`read_mesh_into_gmsh`, with the key "mesh".
     """
-    kind, cells, positions, facets, point_groups = _select_cells(raw_mesh, dimension)
+    kind, cells, positions, facets_by_name, point_groups = _select_cells(raw_mesh, dimension)
     mesh_positions = positions[:, :dimension]
     check_cells(kind, cells, mesh_positions)
-    crack_names = [name for name in facets if CRACK_NAME.match(name)]
+    crack_names = [name for name in facets_by_name if CRACK_NAME.match(name)]
     if dimension == 3:
-        _check_inner_surfaces(cells, facets, crack_names)
+        _check_inner_surfaces(cells, facets_by_name, crack_names)
     if crack_names:
-        crack_facets = np.concatenate([facets.pop(name) for name in crack_names])
-        kept_nodes, node_map = merge_crack_nodes(crack_facets, mesh_positions)
-        merged_cells = replace(cells, nodes=node_map[cells.nodes])
-        nodes, copied_nodes, face_facets = split_cracks(
-            merged_cells, node_map[crack_facets], mesh_positions[kept_nodes]
+        crack_facets = np.concatenate([facets_by_name.pop(name) for name in crack_names])
+        kept_nodes, merged_node_map = merge_crack_nodes(crack_facets, mesh_positions)
+        merged_cells = replace(cells, cell_nodes=merged_node_map[cells.cell_nodes])
+        split_cell_nodes, copied_nodes, face_facet_pairs = split_cracks(
+            merged_cells, merged_node_map[crack_facets], mesh_positions[kept_nodes]
         )
-        facets = _facets_after_split(facets, cells, nodes, node_map)
-        for name, face in zip(LIP_TAGS, face_facets.swapaxes(0, 1), strict=True):
-            facets[name] = np.concatenate([facets.get(name, face[:0]), face])
+        facets_by_name = _facets_after_split(
+            facets_by_name, cells, split_cell_nodes, merged_node_map
+        )
+        for name, crack_face_facets in zip(
+            CRACK_FACE_NAMES, face_facet_pairs.swapaxes(0, 1), strict=True
+        ):
+            facets_by_name[name] = np.concatenate(
+                [facets_by_name.get(name, crack_face_facets[:0]), crack_face_facets]
+            )
         point_groups = [
-            (*group_head, node_map[group_nodes]) for *group_head, group_nodes in point_groups
+            (*group_head, merged_node_map[group_nodes]) for *group_head, group_nodes in point_groups
         ]
         positions = positions[np.concatenate([kept_nodes, kept_nodes[copied_nodes]])]
-        cells, mesh_positions = replace(cells, nodes=nodes), positions[:, :dimension]
-    face_corners = [facets[name][:, : cells.facets.shape[1]] for name in LIP_TAGS if name in facets]
+        cells, mesh_positions = (
+            replace(cells, cell_nodes=split_cell_nodes),
+            positions[:, :dimension],
+        )
+    face_corners = [
+        facets_by_name[name][:, : cells.facets.shape[1]]
+        for name in CRACK_FACE_NAMES
+        if name in facets_by_name
+    ]
     requirement = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
     require(len(face_corners) != 1, "one lip", requirement)
-    cracks: Cracks = ()
+    crack_paths_or_surfaces: Cracks = ()
     if face_corners and dimension == 2:
-        cracks = find_crack_paths(face_corners[0], face_corners[1], mesh_positions)
+        crack_paths_or_surfaces = find_crack_paths(face_corners[0], face_corners[1], mesh_positions)
         _check_tips(cells, mesh_positions, face_corners)
     elif face_corners:
-        cracks = find_crack_surfaces(face_corners[0], face_corners[1], mesh_positions)
-    check_parts(cells, mesh_positions, facets["clamp"], face_corners)
+        crack_paths_or_surfaces = find_crack_surfaces(
+            face_corners[0], face_corners[1], mesh_positions
+        )
+    check_parts(cells, mesh_positions, facets_by_name["clamp"], face_corners)
     check_boundary(kind, cells, mesh_positions, face_corners)
-    tags, facet_groups = _tag_combinations(facets)
-    cell_and_facet_groups = [(dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.nodes)]
+    tags_by_name, facet_groups = _tag_combinations(facets_by_name)
+    cell_and_facet_groups = [
+        (dimension, 1, ("plate", "solid")[dimension - 2], kind, cells.cell_nodes)
+    ]
     cell_and_facet_groups += [
         (dimension - 1, tag, name, _FACET_KINDS[dimension][kind], group_nodes)
         for tag, name, group_nodes in facet_groups
     ]
     _fill_model(positions, cell_and_facet_groups + point_groups)
-    point_positions = {
+    positions_by_point_name = {
         name: np.unique(mesh_positions[group_nodes], axis=0)
         for _, _, name, _, group_nodes in point_groups
     }
-    points = {
+    point_by_name = {
         name: tuple(positions[0].tolist())
-        for name, positions in point_positions.items()
+        for name, positions in positions_by_point_name.items()
         if len(positions) == 1
     }
-    return (tags, points), cracks
+    return (tags_by_name, point_by_name), crack_paths_or_surfaces
 
 
 # --- contents of a file ---------------------------------------------------------------------------
@@ -178,9 +195,9 @@ def _read_raw_mesh(path: Path) -> RawMesh:
         contents = run_reader(Path(__file__).with_name("solid_mesher.py"), file_copy, 300)
         if isinstance(contents, str):
             raise ValueError(contents.replace(str(file_copy), str(path)))
-    max_coordinate = 1e6  # [m]
-    if not np.all(np.abs(contents["positions"]) < max_coordinate):
-        requirement = f"a mesh whose nodes are within {max_coordinate:g} m of the origin"
+    max_allowed_coordinate = 1e6  # [m]
+    if not np.all(np.abs(contents["positions"]) < max_allowed_coordinate):
+        requirement = f"a mesh whose nodes are within {max_allowed_coordinate:g} m of the origin"
         raise InputError("mesh.file", str(path), requirement)
     return contents["numbers"], contents["positions"], unpack_groups(contents)
 
@@ -196,9 +213,14 @@ def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
 
     A group is (dimension, tag, name, gmsh's kind of elements, node numbers).
     """
-    node_rows = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
-    rows = zip(contents["heads"].tolist(), contents["names"].tolist(), node_rows, strict=False)
-    return [(dimension, tag, name, kind, nodes) for (dimension, tag, kind, _), name, nodes in rows]
+    group_nodes = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
+    heads_names_and_nodes = zip(
+        contents["heads"].tolist(), contents["names"].tolist(), group_nodes, strict=False
+    )
+    return [
+        (dimension, tag, name, kind, nodes)
+        for (dimension, tag, kind, _), name, nodes in heads_names_and_nodes
+    ]
 
 
 def _select_cells(
@@ -216,54 +238,60 @@ def _select_cells(
         The cells.
     positions : (n_nodes, 3) [m]
         Positions of the nodes of cells.
-    facets : dict of str to (m, k) int
+    facets_by_name : dict of str to (m, k) int
         Nodes of named facets. A clamp is among them.
     point_groups : list of Group
         Groups of named points.
     """
-    numbers, positions, groups = raw_mesh
-    cell_words, facet_name = _GROUP_WORDS[dimension]
+    node_numbers, positions, groups = raw_mesh
+    cells_requirement, facet_name = _GROUP_TEXTS_BY_DIMENSION[dimension]
     if dimension == 2:
         is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
         require(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
-    kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
+    cell_kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
     requirement = "one of tetrahedra, or of hexahedra with 27 nodes"
     requirement += ": the load of a unit pressure is negative at corners of these"
-    require(kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
-    is_one_kind = len(kinds) == 1 and kinds <= _FACET_KINDS[dimension].keys()
-    require(is_one_kind, f"{len(kinds)} kinds of cells", f"one whose physical {cell_words}")
-    kind = kinds.pop()
-    numbers, first_nodes = np.unique(numbers, return_index=True)
-    cell_nodes = np.concatenate(
+    require(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
+    is_one_cell_kind = len(cell_kinds) == 1 and cell_kinds <= _FACET_KINDS[dimension].keys()
+    require(
+        is_one_cell_kind,
+        f"{len(cell_kinds)} kinds of cells",
+        f"one whose physical {cells_requirement}",
+    )
+    kind = cell_kinds.pop()
+    node_numbers, first_number_index = np.unique(node_numbers, return_index=True)
+    cell_node_numbers = np.concatenate(
         [nodes for group_dimension, *_, nodes in groups if group_dimension == dimension]
     )
-    used_numbers, node_index = np.unique(cell_nodes, return_inverse=True)
+    used_numbers, cell_node_index = np.unique(cell_node_numbers, return_inverse=True)
     require(
-        np.isin(used_numbers, numbers).all(), "cells with nodes that do not exist", "a whole file"
+        np.isin(used_numbers, node_numbers).all(),
+        "cells with nodes that do not exist",
+        "a whole file",
     )
-    nodes = node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
+    nodes = cell_node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
     nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
     sorted_nodes = np.sort(nodes, axis=1)
     has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
     require(
         not has_repeated_node, "a cell with a node twice", "one whose cells have different nodes"
     )
-    facets, point_groups = _select_named_groups(
+    facets_by_name, point_groups = _select_named_groups(
         groups, {0: _POINT_KIND, dimension - 1: _FACET_KINDS[dimension][kind]}, used_numbers
     )
-    named_facets = (
-        f"{facet_name}s named {', '.join(map(repr, facets))}"
-        if facets
+    facet_names_text = (
+        f"{facet_name}s named {', '.join(map(repr, facets_by_name))}"
+        if facets_by_name
         else f"no {facet_name} has a name"
     )
     requirement = f"one with a physical {facet_name} named 'clamp'"
-    require("clamp" in facets, f"no clamp; {named_facets}", requirement)
-    used_positions = positions[first_nodes][np.searchsorted(numbers, used_numbers)]
-    return kind, cells_of_kind(kind, nodes), used_positions, facets, point_groups
+    require("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
+    used_positions = positions[first_number_index][np.searchsorted(node_numbers, used_numbers)]
+    return kind, cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
 
 
 def _select_named_groups(
-    groups: list[Group], kinds: dict[int, int], used_numbers: np.ndarray
+    groups: list[Group], kind_by_dimension: dict[int, int], used_numbers: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[Group]]:
     """Select the named facets and points of a mesh file, and renumber their nodes.
 
@@ -273,30 +301,34 @@ def _select_named_groups(
     ----------
     groups : list of Group
         All groups of the file.
-    kinds : dict of int to int
+    kind_by_dimension : dict of int to int
         gmsh's kind of elements for each dimension of a named group.
     used_numbers : (n_nodes,) int
         Numbers of nodes of cells, in ascending order.
     """
-    rows_by_group: dict[tuple[int, str], list[np.ndarray]] = {}
+    row_lists_by_group: dict[tuple[int, str], list[np.ndarray]] = {}
     for dimension, _, name, kind, nodes in groups:
-        if name and dimension in kinds:
-            is_right_kind = kind == kinds[dimension] and np.isin(nodes, used_numbers).all()
+        if name and dimension in kind_by_dimension:
+            is_right_kind = (
+                kind == kind_by_dimension[dimension] and np.isin(nodes, used_numbers).all()
+            )
             requirement = "one whose named groups hold facets, and corners, of its cells"
             require(is_right_kind, f"other elements in the group {name!r}", requirement)
             n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
-            rows_by_group.setdefault((dimension, name), []).append(rows)
-    merged_rows = {key: np.concatenate(rows) for key, rows in rows_by_group.items()}
-    n_load_points = len(merged_rows.get((0, "load"), [0]))
-    require(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
-    facets = {name: rows for (dimension, name), rows in merged_rows.items() if dimension}
-    point_nodes = {
-        name: rows[:, 0] for (dimension, name), rows in merged_rows.items() if not dimension
+            row_lists_by_group.setdefault((dimension, name), []).append(rows)
+    rows_by_group = {
+        group_key: np.concatenate(rows) for group_key, rows in row_lists_by_group.items()
     }
-    return facets, [
+    n_load_points = len(rows_by_group.get((0, "load"), [0]))
+    require(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
+    facets_by_name = {name: rows for (dimension, name), rows in rows_by_group.items() if dimension}
+    point_nodes_by_name = {
+        name: rows[:, 0] for (dimension, name), rows in rows_by_group.items() if not dimension
+    }
+    return facets_by_name, [
         (0, tag, name, _POINT_KIND, nodes)
-        for tag, (name, nodes) in enumerate(point_nodes.items(), 1)
+        for tag, (name, nodes) in enumerate(point_nodes_by_name.items(), 1)
     ]
 
 
@@ -305,47 +337,60 @@ def cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
 
     A node lies between the corners whose linear basis functions are not zero at the node.
     """
-    _, dimension, *_, corners = gmsh.model.mesh.getElementProperties(kind)
-    supports = _basis_functions(_LINEAR_KINDS[dimension, corners], _reference_nodes(kind)) > 1e-9
-    corner_index = np.arange(corners)
-    facets = (
-        FACETS[corners]
-        if dimension == 3
-        else np.column_stack([corner_index, np.roll(corner_index, -1)])
+    _, dimension, *_, n_corners = gmsh.model.mesh.getElementProperties(kind)
+    is_supporting_corner = (
+        _basis_functions(_LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_nodes(kind)) > 1e-9
     )
-    return Cells(nodes, facets, supports)
+    corner_indices = np.arange(n_corners)
+    facets = (
+        FACETS[n_corners]
+        if dimension == 3
+        else np.column_stack([corner_indices, np.roll(corner_indices, -1)])
+    )
+    return Cells(nodes, facets, is_supporting_corner)
 
 
 def _facets_after_split(
-    named_facets: dict[str, np.ndarray], cells: Cells, nodes: np.ndarray, node_map: np.ndarray
+    facets_by_name: dict[str, np.ndarray],
+    cells: Cells,
+    split_cell_nodes: np.ndarray,
+    node_map: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """Renumber named facets after nodes were doubled along cracks.
 
     Parameters
     ----------
-    named_facets : dict of str to (m, k) int
+    facets_by_name : dict of str to (m, k) int
         Facets with the nodes before the split.
     cells : Cells
         Cells before the split.
-    nodes : (n_cells, k) int
+    split_cell_nodes : (n_cells, k) int
         Nodes of the cells after the split. Facets at a crack take these from their own cell.
     node_map : (n_nodes,) int
         New number of each node. Facets elsewhere take this number.
     """
-    facets, owner, _ = cells.sorted_facets
-    n_key_corners = min(facets.shape[1], 3)  # three corners identify a facet
-    key_weights = (int(cells.nodes.max()) + 1) ** np.arange(n_key_corners)[::-1]
-    facet_keys, n_corners = facets[:, :n_key_corners] @ key_weights, facets.shape[1]
-    split_nodes = np.unique(cells.nodes[nodes != node_map[cells.nodes]])
-    new_facets = {}
-    for name, rows in named_facets.items():
-        new_facets[name] = node_map[rows]
-        split_rows = np.flatnonzero(np.isin(rows, split_nodes).any(axis=1))
-        row_keys = np.sort(rows[split_rows, :n_corners], axis=1)[:, :n_key_corners] @ key_weights
-        cell = owner[np.minimum(np.searchsorted(facet_keys, row_keys), len(facet_keys) - 1)]
-        columns = np.argmax(cells.nodes[cell][:, None, :] == rows[split_rows][:, :, None], axis=2)
-        new_facets[name][split_rows] = np.take_along_axis(nodes[cell], columns, axis=1)
-    return new_facets
+    sorted_facets, owner, _ = cells.sorted_facets_and_owners
+    n_key_corners = min(sorted_facets.shape[1], 3)  # three corners identify a facet
+    key_weights = (int(cells.cell_nodes.max()) + 1) ** np.arange(n_key_corners)[::-1]
+    facet_keys, n_corners = sorted_facets[:, :n_key_corners] @ key_weights, sorted_facets.shape[1]
+    changed_nodes = np.unique(cells.cell_nodes[split_cell_nodes != node_map[cells.cell_nodes]])
+    new_facets_by_name = {}
+    for name, facet_nodes in facets_by_name.items():
+        new_facets_by_name[name] = node_map[facet_nodes]
+        split_rows = np.flatnonzero(np.isin(facet_nodes, changed_nodes).any(axis=1))
+        split_facet_keys = (
+            np.sort(facet_nodes[split_rows, :n_corners], axis=1)[:, :n_key_corners] @ key_weights
+        )
+        owner_cells = owner[
+            np.minimum(np.searchsorted(facet_keys, split_facet_keys), len(facet_keys) - 1)
+        ]
+        columns = np.argmax(
+            cells.cell_nodes[owner_cells][:, None, :] == facet_nodes[split_rows][:, :, None], axis=2
+        )
+        new_facets_by_name[name][split_rows] = np.take_along_axis(
+            split_cell_nodes[owner_cells], columns, axis=1
+        )
+    return new_facets_by_name
 
 
 def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]) -> None:
@@ -354,47 +399,47 @@ def _check_tips(cells: Cells, positions: np.ndarray, face_edges: Sequence[np.nda
     At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
     corners of the lower and upper face's edges, (n, 2) each.
     """
-    boundary_edges = cells.sorted_facets[0][cells.is_boundary]
+    boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary]
     boundary_edges = boundary_edges[~rows_in(boundary_edges, np.concatenate(face_edges))]
-    closed_mouths = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
-    if len(closed_mouths):
-        position_text = "({:g}, {:g})".format(*positions[closed_mouths[0]])
+    closed_mouth_nodes = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
+    if len(closed_mouth_nodes):
+        position_text = "({:g}, {:g})".format(*positions[closed_mouth_nodes[0]])
         requirement = "open there, with a node of each face; or of one curve named 'crack'"
         problem = f"a mouth at {position_text} that is closed"
         raise InputError("lips", problem, f"{requirement}, which is split")
 
 
 def _tag_combinations(
-    curves: dict[str, np.ndarray],
+    edges_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
     """Tag the edges of named curves, with one tag for each combination of names.
 
     Parameters
     ----------
-    curves : dict of str to (m, k) int
+    edges_by_name : dict of str to (m, k) int
         Nodes of each curve's edges, or of each surface's facets. An edge may be on several curves.
 
     Returns
     -------
-    tags : dict of str to tuple of int
+    tags_by_name : dict of str to tuple of int
         Tags that make up each curve.
-    edge_groups : list of (int, str, (m, k) int)
+    tagged_edges : list of (int, str, (m, k) int)
         Tag, joined names, and edges of each combination.
     """
-    edges = np.concatenate(list(curves.values()))
-    curve_index = np.repeat(
-        np.arange(len(curves)), [len(curve_edges) for curve_edges in curves.values()]
+    all_edges = np.concatenate(list(edges_by_name.values()))
+    edge_curve_index = np.repeat(
+        np.arange(len(edges_by_name)), [len(curve_edges) for curve_edges in edges_by_name.values()]
     )
-    first_rows, unique_index, _ = find_unique_rows(edges)
-    is_on_curve = np.zeros((len(first_rows), len(curves)), dtype=bool)
-    is_on_curve[unique_index, curve_index] = True
+    first_edge_index, unique_index, _ = find_unique_rows(all_edges)
+    is_on_curve = np.zeros((len(first_edge_index), len(edges_by_name)), dtype=bool)
+    is_on_curve[unique_index, edge_curve_index] = True
     combinations, combination_index = np.unique(is_on_curve, axis=0, return_inverse=True)
-    edge_groups, names = [], np.array(list(curves))
+    tagged_edges, curve_names = [], np.array(list(edges_by_name))
     for index, combination in enumerate(combinations):
-        curve_edges = edges[np.sort(first_rows[combination_index.ravel() == index])]
-        edge_groups.append((index + 1, " and ".join(names[combination]), curve_edges))
-    tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in combinations.T]
-    return dict(zip(curves, tags, strict=True)), edge_groups
+        combination_edges = all_edges[np.sort(first_edge_index[combination_index.ravel() == index])]
+        tagged_edges.append((index + 1, " and ".join(curve_names[combination]), combination_edges))
+    curve_tags = [tuple((np.flatnonzero(column) + 1).tolist()) for column in combinations.T]
+    return dict(zip(edges_by_name, curve_tags, strict=True)), tagged_edges
 
 
 def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
@@ -406,9 +451,9 @@ def _fill_model(positions: np.ndarray, groups: list[Group]) -> None:
     model, dimension = gmsh.model, groups[0][0]
     node_entity = model.addDiscreteEntity(dimension)
     model.mesh.addNodes(dimension, node_entity, 1 + np.arange(len(positions)), positions.ravel())
-    for dimension, tag, name, kind, nodes in groups:
+    for dimension, tag, name, kind, element_nodes in groups:
         entity = model.addDiscreteEntity(dimension)
-        model.mesh.addElementsByType(entity, kind, [], nodes.ravel() + 1)
+        model.mesh.addElementsByType(entity, kind, [], element_nodes.ravel() + 1)
         model.addPhysicalGroup(dimension, [entity], tag)
         model.setPhysicalName(dimension, tag, name)
 
@@ -421,8 +466,8 @@ MIN_DETERMINANT = 1e-9
 
 def _mesh_error(problem: str, position: np.ndarray, requirement: str) -> InputError:
     """Return the error for a mesh with a problem at a position."""
-    coordinates = ", ".join(f"{coordinate:g}" for coordinate in position)
-    return InputError("mesh", f"{problem} at ({coordinates})", requirement)
+    position_text = ", ".join(f"{coordinate:g}" for coordinate in position)
+    return InputError("mesh", f"{problem} at ({position_text})", requirement)
 
 
 def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
@@ -440,7 +485,7 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         Positions of all nodes.
     """
     dimension, facet_word = positions.shape[1], _FACET_WORDS[positions.shape[1]]
-    cell_positions, reference_nodes = positions[cells.nodes], _reference_nodes(kind)
+    cell_positions, reference_nodes = positions[cells.cell_nodes], _reference_nodes(kind)
     gradients = _basis_functions(kind, reference_nodes, "GradLagrange").reshape(
         len(reference_nodes), len(reference_nodes), 3
     )[..., :dimension]
@@ -450,32 +495,36 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     )
     min_determinants = determinants.min(axis=0)
     max_determinants = determinants.max(axis=0)
-    min_moduli = np.abs(determinants).min(axis=0)
-    cell_volumes = np.ptp(cell_positions, axis=1).max(axis=1) ** dimension
-    max_moduli = np.maximum(-min_determinants, max_determinants)
+    min_abs_determinants = np.abs(determinants).min(axis=0)
+    cube_volumes = np.ptp(cell_positions, axis=1).max(axis=1) ** dimension
+    max_abs_determinants = np.maximum(-min_determinants, max_determinants)
     extent_word = ("area", "volume")[dimension - 2]
     # In a plane a corner may have 180 degrees.
-    is_flat = (max_moduli if dimension == 2 else min_moduli) <= MIN_DETERMINANT * cell_volumes
-    is_folded = np.minimum(-min_determinants, max_determinants) > MIN_DETERMINANT * max_moduli
+    is_flat = (
+        max_abs_determinants if dimension == 2 else min_abs_determinants
+    ) <= MIN_DETERMINANT * cube_volumes
+    is_folded = (
+        np.minimum(-min_determinants, max_determinants) > MIN_DETERMINANT * max_abs_determinants
+    )
     for problem, is_wrong in (
         (f"a cell without {extent_word}", is_flat),
         ("a folded cell", is_folded),
     ):
         if np.any(is_wrong):
             requirement = f"one of cells that are convex and have {extent_word}"
-            if cells.nodes.shape[1] > cells.n_corners:
+            if cells.cell_nodes.shape[1] > cells.n_corners:
                 requirement += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
             raise _mesh_error(
                 problem, cell_positions[np.argmax(is_wrong)].mean(axis=0), requirement
             )
-    facets, owner, _ = cells.sorted_facets
-    facet_corners = positions[facets]
+    sorted_facets, owner, _ = cells.sorted_facets_and_owners
+    facet_corner_positions = positions[sorted_facets]
     cell_centres = cell_positions[:, : cells.n_corners].mean(axis=1)
-    edge_vectors = (
-        np.append(facet_corners[:, 1:dimension], cell_centres[owner, None], axis=1)
-        - facet_corners[:, :1]
+    corner_vectors = (
+        np.append(facet_corner_positions[:, 1:dimension], cell_centres[owner, None], axis=1)
+        - facet_corner_positions[:, :1]
     )
-    sides, is_shared = np.sign(np.linalg.det(edge_vectors)), cells.is_shared
+    side_signs, is_shared = np.sign(np.linalg.det(corner_vectors)), cells.is_shared
     side_requirement = (
         f"one of cells beside each other: these lie on one side of {facet_word} of both"
     )
@@ -485,26 +534,33 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
             is_shared[1:] & is_shared[:-1],
             f"one of at most two cells at {facet_word}",
         ),
-        ("cells that overlap", is_shared & (sides[1:] == sides[:-1]), side_requirement),
+        ("cells that overlap", is_shared & (side_signs[1:] == side_signs[:-1]), side_requirement),
     ):
         if np.any(is_wrong):
-            raise _mesh_error(problem, facet_corners[np.argmax(is_wrong)].mean(axis=0), requirement)
+            raise _mesh_error(
+                problem, facet_corner_positions[np.argmax(is_wrong)].mean(axis=0), requirement
+            )
 
 
 def _check_inner_surfaces(
-    cells: Cells, named_facets: dict[str, np.ndarray], crack_names: list[str]
+    cells: Cells, facets_by_name: dict[str, np.ndarray], crack_names: list[str]
 ) -> None:
     """Raise InputError if a named surface inside the mesh is neither crack nor clamp.
 
-    ``named_facets`` are the nodes of facets by name. Such a surface would not separate anything.
+    ``facets_by_name`` are the nodes of facets by name. Such a surface would not separate anything.
     """
-    facets, _, _ = cells.sorted_facets
-    shared_facets, n_corners = facets[1:][cells.is_shared], facets.shape[1]
-    corners = {name: np.sort(rows[:, :n_corners], axis=1) for name, rows in named_facets.items()}
-    crack_facets = np.concatenate([facets[:0], *(corners[name] for name in crack_names)])
-    for name, rows in corners.items():
-        is_inside = rows_in(rows, shared_facets) & ~rows_in(rows, crack_facets)
-        if name != "clamp" and np.any(is_inside):
+    sorted_facets, _, _ = cells.sorted_facets_and_owners
+    shared_facets, n_corners = sorted_facets[1:][cells.is_shared], sorted_facets.shape[1]
+    corners_by_name = {
+        name: np.sort(facet_rows[:, :n_corners], axis=1)
+        for name, facet_rows in facets_by_name.items()
+    }
+    crack_facets = np.concatenate(
+        [sorted_facets[:0], *(corners_by_name[name] for name in crack_names)]
+    )
+    for name, facet_rows in corners_by_name.items():
+        is_inner_facet = rows_in(facet_rows, shared_facets) & ~rows_in(facet_rows, crack_facets)
+        if name != "clamp" and np.any(is_inner_facet):
             requirement = (
                 "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
             )
@@ -532,22 +588,26 @@ def check_parts(
     face_facets : sequence of (n, d) int
         Corners of facets on crack faces.
     """
-    part_labels = label_connected_rows(cells.nodes)
+    part_labels = label_connected_rows(cells.cell_nodes)
 
     def is_in_part_with(nodes: np.ndarray) -> np.ndarray:
         """Return True for cells whose part has one of the nodes: (n_cells,)."""
-        return np.isin(part_labels, part_labels[np.isin(cells.nodes, nodes).any(axis=1)])
+        return np.isin(part_labels, part_labels[np.isin(cells.cell_nodes, nodes).any(axis=1)])
 
-    is_loose = ~is_in_part_with(clamped_nodes)
-    if np.any(is_loose):
-        is_held_by_contact = any(np.any(is_in_part_with(face) & is_loose) for face in face_facets)
+    is_loose_cell = ~is_in_part_with(clamped_nodes)
+    if np.any(is_loose_cell):
+        is_held_by_contact = any(
+            np.any(is_in_part_with(face) & is_loose_cell) for face in face_facets
+        )
         problem = "a part held by contact alone" if is_held_by_contact else "a part without a clamp"
         requirement = (
             f"one whose parts each have {_FACET_WORDS[positions.shape[1]]} in 'clamp', or share"
             " nodes"
         )
         requirement += " with one that has: nothing else holds them"
-        raise _mesh_error(problem, positions[cells.nodes[is_loose]].mean(axis=(0, 1)), requirement)
+        raise _mesh_error(
+            problem, positions[cells.cell_nodes[is_loose_cell]].mean(axis=(0, 1)), requirement
+        )
 
 
 def check_boundary(
@@ -572,8 +632,10 @@ def check_boundary(
     """
     from scipy.spatial import cKDTree
 
-    facets, owner, local_corners = (rows[cells.is_boundary] for rows in cells.sorted_facets)
-    is_outer = ~rows_in(facets, np.concatenate([*face_facets, facets[:0]]))
+    boundary_facets, owner, local_corners = (
+        rows[cells.is_boundary] for rows in cells.sorted_facets_and_owners
+    )
+    is_outer = ~rows_in(boundary_facets, np.concatenate([*face_facets, boundary_facets[:0]]))
     owner, local_corners = owner[is_outer], local_corners[is_outer]
     reference_corners = _reference_nodes(kind)[local_corners]
     reference_centre = reference_corners.mean(axis=1, keepdims=True)
@@ -582,21 +644,25 @@ def check_boundary(
     )
     owner = np.repeat(owner, reference_points.shape[1])
     basis_values = _basis_functions(kind, reference_points.reshape(-1, 3))
-    points = np.einsum("in,inx->ix", basis_values, positions[cells.nodes[owner]])
+    points = np.einsum("in,inx->ix", basis_values, positions[cells.cell_nodes[owner]])
 
-    cell_positions = positions[cells.nodes]
-    centres = cell_positions.mean(axis=1)
-    cell_radii = np.linalg.norm(cell_positions - centres[:, None], axis=2).max(axis=1)
-    near_points = cKDTree(points).query_ball_point(centres, cell_radii)
-    cell_index = np.repeat(
-        np.arange(len(near_points)), [len(cell_points) for cell_points in near_points]
+    cell_positions = positions[cells.cell_nodes]
+    cell_centres = cell_positions.mean(axis=1)
+    cell_radii = np.linalg.norm(cell_positions - cell_centres[:, None], axis=2).max(axis=1)
+    near_point_lists = cKDTree(points).query_ball_point(cell_centres, cell_radii)
+    near_cell_index = np.repeat(
+        np.arange(len(near_point_lists)),
+        [len(near_point_list) for near_point_list in near_point_lists],
     )
-    point_index = np.concatenate(near_points).astype(int)
-    is_other_cell = owner[point_index] != cell_index
-    cell_index, point_index = cell_index[is_other_cell], point_index[is_other_cell]
+    near_point_index = np.concatenate(near_point_lists).astype(int)
+    is_other_cell = owner[near_point_index] != near_cell_index
+    near_cell_index, near_point_index = (
+        near_cell_index[is_other_cell],
+        near_point_index[is_other_cell],
+    )
     if np.any(
         is_covered := _are_in_cells(
-            kind, cells.n_corners, cell_positions[cell_index], points[point_index]
+            kind, cells.n_corners, cell_positions[near_cell_index], points[near_point_index]
         )
     ):
         requirement = (
@@ -605,7 +671,7 @@ def check_boundary(
         requirement += " Coherence Mesh), but for the faces of named cracks"
         requirement += " ('crack', or 'lower_lip' and 'upper_lip')"
         problem = "cells that overlap, or touch without a node of both,"
-        raise _mesh_error(problem, points[point_index[is_covered][0]], requirement)
+        raise _mesh_error(problem, points[near_point_index[is_covered][0]], requirement)
 
 
 def _are_in_cells(
@@ -616,7 +682,9 @@ def _are_in_cells(
     Points are (n, d) [m], and nodes of the cells (n, n_nodes, d) [m].
     """
     dimension = points.shape[1]
-    linear_values = _basis_functions(_LINEAR_KINDS[dimension, n_corners], _reference_nodes(kind))
+    linear_values = _basis_functions(
+        _LINEAR_KIND_BY_SHAPE[dimension, n_corners], _reference_nodes(kind)
+    )
     curvature_offsets = cell_positions - np.einsum(
         "nc,icx->inx", linear_values, cell_positions[:, :n_corners]
     )
@@ -659,7 +727,7 @@ def _are_in_cells(
         "in,inx->ix", _basis_functions(kind, reference_points), cell_positions
     )
     is_in_reference_cell = (
-        _basis_functions(_LINEAR_KINDS[dimension, n_corners], reference_points).min(axis=1)
+        _basis_functions(_LINEAR_KIND_BY_SHAPE[dimension, n_corners], reference_points).min(axis=1)
         >= -POSITION_TOLERANCE
     )
     is_inside[is_inside] = is_in_reference_cell & (

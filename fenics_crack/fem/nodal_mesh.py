@@ -11,7 +11,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem.cracks import FACETS, find_unique_rows
 from fenics_crack.model.structure import Structure
 
-_TRIANGLES = {
+_TRIANGLES_BY_NODE_COUNT = {
     3: [(0, 1, 2)],
     4: [(0, 1, 2), (0, 2, 3)],
     6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
@@ -45,21 +45,21 @@ class NodalMesh:
         self.structure = whole_structure
         self.points = gather_rows(comm, nodes.points)
         self.size = float(np.ptp(self.points, axis=0).max())
-        self._dofs = gather_rows(comm, nodes.dofs)
+        self._node_dofs = gather_rows(comm, nodes.dofs)
         self._frames = None if nodes.frames is None else gather_rows(comm, nodes.frames)
-        self.is_clamped = np.all(self._dofs < 0, axis=1)
+        self.is_clamped = np.all(self._node_dofs < 0, axis=1)
         self.cells = np.concatenate(
             [rank_cells for rank_cells in comm.allgather(nodes.cells) if len(rank_cells)]
         )
         self.vtk_type = nodes.vtk_type
 
-    def nodal_vectors(self, rows: np.ndarray) -> np.ndarray:
+    def nodal_vectors(self, dof_rows: np.ndarray) -> np.ndarray:
         """Return nodal vectors (m, n_nodes, d) for dof values (m, n_local).
 
         Clamped components are zero.
         """
-        dof_values = np.concatenate(self.structure.comm.allgather(rows), axis=1)
-        vectors = np.where(self._dofs >= 0, dof_values[:, np.maximum(self._dofs, 0)], 0.0)
+        dof_values = np.concatenate(self.structure.comm.allgather(dof_rows), axis=1)
+        vectors = np.where(self._node_dofs >= 0, dof_values[:, np.maximum(self._node_dofs, 0)], 0.0)
         return vectors if self._frames is None else np.einsum("nij,mnj->mni", self._frames, vectors)
 
     def to_nodal_frames(self, vectors: np.ndarray) -> np.ndarray:
@@ -78,47 +78,57 @@ class NodalMesh:
     @property
     def triangles(self) -> np.ndarray:
         """Return nodes of the triangles that a plate's cells are cut into: (n, 3)."""
-        return self.cells[:, _TRIANGLES[self.cells.shape[1]]].reshape(-1, 3)
+        return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
-    def patch_functions(self) -> tuple[np.ndarray, np.ndarray]:
+    def centre_and_pressure_functions(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the patches of a solid's contact pairs as functions of the nodes.
 
         Returns
         -------
-        patch_centres : (n_nodes, n_pairs)
+        centre_functions : (n_nodes, n_pairs)
             1 at the two nodes in the centre of each patch.
-        shares : (n_nodes, n_pairs)
+        pressure_functions : (n_nodes, n_pairs)
             Pressure functions on the crack faces, linear between corners of facets. If the
             pairs' shares are unknown, each corner has the nearest pair, and fronts have none.
         """
         from scipy.spatial import cKDTree
 
-        points, tolerance, pairs = self.points, 1e-6 * self.size, self.structure.pairs
-        corners = np.unique(facets := self.crack_faces)
+        points, tolerance, structure_pairs = self.points, 1e-6 * self.size, self.structure.pairs
+        corners = np.unique(crack_facets := self.crack_face_sides)
         corner_points = points[corners]
-        distance, pair = cKDTree(self.structure.pair_points).query(corner_points)
+        distances, nearest_pair_index = cKDTree(self.structure.pair_points).query(corner_points)
         has_twin = (
             cKDTree(corner_points).query_ball_point(corner_points, tolerance, return_length=True)
             > 1
         )
-        patch_centres, shares = np.zeros((2, len(points), self.structure.n_pairs))
-        patch_centres[corners[distance <= tolerance], pair[distance <= tolerance]] = 1.0
-        if pairs.nodes is not None and pairs.pressure_matrix is not None:
-            shares[corners] = pairs.pressure_matrix[
-                cKDTree(pairs.nodes).query(corner_points)[1]
+        centre_functions, pressure_functions = np.zeros((2, len(points), self.structure.n_pairs))
+        centre_functions[
+            corners[distances <= tolerance], nearest_pair_index[distances <= tolerance]
+        ] = 1.0
+        if structure_pairs.nodes is not None and structure_pairs.pressure_matrix is not None:
+            pressure_functions[corners] = structure_pairs.pressure_matrix[
+                cKDTree(structure_pairs.nodes).query(corner_points)[1]
             ].toarray()
         else:
-            shares[corners[has_twin], pair[has_twin]] = 1.0
-        edge_ends = np.stack([facets, np.roll(facets, -1, axis=1)], axis=2).reshape(-1, 2)
-        edge_ends = (
-            np.concatenate([edge_ends, facets[:, [0, 2]]]) if facets.shape[1] == 4 else edge_ends
+            pressure_functions[corners[has_twin], nearest_pair_index[has_twin]] = 1.0
+        edge_end_nodes = np.stack(
+            [crack_facets, np.roll(crack_facets, -1, axis=1)], axis=2
+        ).reshape(-1, 2)
+        edge_end_nodes = (
+            np.concatenate([edge_end_nodes, crack_facets[:, [0, 2]]])
+            if crack_facets.shape[1] == 4
+            else edge_end_nodes
         )
-        other_nodes = np.setdiff1d(np.arange(len(points)), corners)
-        distance, edge = cKDTree(points[edge_ends].mean(axis=1)).query(points[other_nodes])
-        is_on_edge = distance <= tolerance
-        shares[other_nodes[is_on_edge]] = shares[edge_ends[edge[is_on_edge]]].mean(axis=1)
-        return patch_centres, shares
+        non_corner_nodes = np.setdiff1d(np.arange(len(points)), corners)
+        distances, nearest_edge_index = cKDTree(points[edge_end_nodes].mean(axis=1)).query(
+            points[non_corner_nodes]
+        )
+        is_on_edge = distances <= tolerance
+        pressure_functions[non_corner_nodes[is_on_edge]] = pressure_functions[
+            edge_end_nodes[nearest_edge_index[is_on_edge]]
+        ].mean(axis=1)
+        return centre_functions, pressure_functions
 
     @cached_property
     def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -132,24 +142,28 @@ class NodalMesh:
             Nodes of each side, in cyclic order. A facet has its corners only.
         cell_counts : (n,) int
             Number of cells with this side: 1 on the boundary.
-        cells : (n,) int
-            Index of one of these cells.
+        cell_index : (n,) int
+            One of these cells.
         """
         n_nodes_per_cell = self.cells.shape[1]
-        n_corners = 3 if n_nodes_per_cell in (3, 6) else 4
-        corner_index = np.arange(n_corners)
+        n_cell_corners = 3 if n_nodes_per_cell in (3, 6) else 4
+        corner_indices = np.arange(n_cell_corners)
         local_sides = np.column_stack(
-            [corner_index, n_corners + corner_index, np.roll(corner_index, -1)]
+            [corner_indices, n_cell_corners + corner_indices, np.roll(corner_indices, -1)]
         )
-        local_sides = local_sides if n_nodes_per_cell > n_corners else local_sides[:, ::2]
+        local_sides = local_sides if n_nodes_per_cell > n_cell_corners else local_sides[:, ::2]
         if self.dimension == 3:
             local_sides = FACETS[4 if n_nodes_per_cell in (4, 10) else 8]
         sides = self.cells[:, local_sides].reshape(-1, local_sides.shape[1])
         first_sides, _, cell_counts = find_unique_rows(
             sides if self.dimension == 3 else sides[:, [0, -1]]
         )
-        order = np.argsort(first_sides)
-        return sides[first_sides[order]], cell_counts[order], first_sides[order] // len(local_sides)
+        side_order = np.argsort(first_sides)
+        return (
+            sides[first_sides[side_order]],
+            cell_counts[side_order],
+            first_sides[side_order] // len(local_sides),
+        )
 
     @property
     def edges(self) -> np.ndarray:
@@ -163,21 +177,28 @@ class NodalMesh:
         A plate has edges, as in ``edges``. A solid has facets with 3 or 4 corners, anticlockwise
         seen from outside.
         """
-        sides, cell_counts, cells = self._sides
-        sides, cells = sides[cell_counts == 1], self.cells[cells[cell_counts == 1]]
+        sides, cell_counts, cell_index = self._sides
+        sides, cells = sides[cell_counts == 1], self.cells[cell_index[cell_counts == 1]]
         if self.dimension == 3:
-            points, n_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
-            outward_vectors = points.mean(axis=1) - self.points[cells[:, :n_corners]].mean(axis=1)
-            normals = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-            is_inward = (normals * outward_vectors).sum(axis=1) < 0.0
+            side_positions, n_cell_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8
+            outward_vectors = side_positions.mean(axis=1) - self.points[
+                cells[:, :n_cell_corners]
+            ].mean(axis=1)
+            area_normals = np.cross(
+                side_positions[:, 1] - side_positions[:, 0],
+                side_positions[:, 2] - side_positions[:, 0],
+            )
+            is_inward = (area_normals * outward_vectors).sum(axis=1) < 0.0
             sides[is_inward] = sides[is_inward, ::-1]
         return np.asarray(sides)
 
     @cached_property
-    def crack_faces(self) -> np.ndarray:
+    def crack_face_sides(self) -> np.ndarray:
         """Return the boundary sides that coincide with another side: (n, k) nodes."""
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
-        centres = self.points[self.boundary].mean(axis=1)
-        pairs = cKDTree(centres).query_pairs(1e-6 * self.size, output_type="ndarray")
-        return np.asarray(self.boundary[np.unique(pairs)])
+        side_centres = self.points[self.boundary].mean(axis=1)
+        coincident_side_pairs = cKDTree(side_centres).query_pairs(
+            1e-6 * self.size, output_type="ndarray"
+        )
+        return np.asarray(self.boundary[np.unique(coincident_side_pairs)])

@@ -149,9 +149,9 @@ def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
         Cracks of the mesh.
     """
     if scene.mesh.layout == "file":
-        from fenics_crack.fem.msh_file import read_mesh_file  # only mesh files need its checks
+        from fenics_crack.fem.msh_file import read_mesh_into_gmsh  # only mesh files need its checks
 
-        parts_and_cracks = read_mesh_file(Path(str(scene.mesh.file)), scene.dimension)
+        parts_and_cracks = read_mesh_into_gmsh(Path(str(scene.mesh.file)), scene.dimension)
     else:
         parts_and_cracks = mesh_plate(scene) if scene.dimension == 2 else mesh_solid(scene)
     gmsh.model.mesh.renumberNodes()
@@ -276,7 +276,7 @@ class Dofs:
 
     def nodes(self) -> Nodes:
         """Return this rank's node positions, dofs and cells for searches and pictures."""
-        cells, vtk_type = compat.vtk_cells(self.space)
+        cells, vtk_type = compat.vtk_cells_and_type(self.space)
         numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
         return Nodes(
             points=self.points.copy(),

@@ -33,7 +33,7 @@ from fenics_crack.fem.blocks import (
     scale_to_mesh_unit,
 )
 from fenics_crack.fem.compat import ufl
-from fenics_crack.fem.cracks import LIP_TAGS, Cracks, NamedParts, rows_in
+from fenics_crack.fem.cracks import CRACK_FACE_NAMES, Cracks, NamedParts, rows_in
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.structure import Structure
@@ -70,13 +70,13 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
         The file of a part or a crack cannot be used, gmsh cannot mesh the solid, or a crack's
         surface cannot be split.
     """
-    from fenics_crack.fem.msh_file import load_mesh, unpack_groups  # it splits cracks
+    from fenics_crack.fem.msh_file import load_mesh_into_gmsh, unpack_groups  # it splits cracks
 
     contents, unit = _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
-        names, cracks = load_mesh(
+        names, cracks = load_mesh_into_gmsh(
             (contents["numbers"], unit * contents["positions"], unpack_groups(contents)), 3
         )
     except InputError as error:
@@ -118,14 +118,14 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
     assert structure.nodes is not None
     plate, comm, rows = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
     space = compat.function_space(plate.mesh, 1, vectors=False)
-    for name in sorted(set(plate.groups) - {*LIP_TAGS}):
+    for name in sorted(set(plate.groups) - {*CRACK_FACE_NAMES}):
         weights = compat.assembled_vector(ufl.TestFunction(space) * plate.measure_on(name))
         points = space.tabulate_dof_coordinates()[: len(weights)]
         area = comm.allreduce(weights.sum())
         centre_text = format_point(comm.allreduce(weights @ points) / area, ".4g")
         rows[f"face {name}"] = f"{1e6 * area:.4g} mm^2 around {centre_text} m"
     mesh = NodalMesh(structure)
-    sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_faces)]
+    sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_face_sides)]
     surface = mesh.points[sides]
     rows |= {
         f"{key}.point": f"{quantity(distance.min().round(12), 'm')} from the surface"
@@ -135,13 +135,15 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
         )
     }
     for front in find_fronts(structure):
-        positions = np.append(0.0, np.linalg.norm(np.diff(front.nodes, axis=0), axis=1).cumsum())
+        positions = np.append(
+            0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
+        )
         is_inner = front.is_closed | (np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE)
-        inner_nodes, parameters = front.nodes[is_inner], front.parameters[is_inner]
-        rays = zip(inner_nodes, front.frame(parameters)[0][:, 0], strict=True)
+        inner_nodes, parameters = front.node_positions[is_inner], front.parameters[is_inner]
+        rays = zip(inner_nodes, front.frame_and_curvature(parameters)[0][:, 0], strict=True)
         ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
-        in_plane = np.abs((surface - front.nodes[0]) @ front.normals[0]) < 1e-6 * mesh.size
-        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_faces), axis=1)]
+        in_plane = np.abs((surface - front.node_positions[0]) @ front.normals[0]) < 1e-6 * mesh.size
+        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_face_sides), axis=1)]
         distances = solid_mesher.triangle_distances(inner_nodes, mouth)
         depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""

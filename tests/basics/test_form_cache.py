@@ -39,7 +39,7 @@ def assemble(comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     mesh = compat.dolfinx.mesh.create_unit_square(comm, 2, 2)
     space = compat.function_space(mesh, 1, vectors=False)
     form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * ufl.dx
-    matrix = compat.assembled_matrix(form)
+    matrix = compat.assembled_petsc_matrix(form)
     ones = matrix.createVecRight()
     ones.set(1.0)
     return float((matrix * ones).sum())

@@ -83,7 +83,7 @@ def test_patches_of_a_solid() -> None:
     solution = fc.solve_harmonic_balance(study.structure, 3500.0, study.contact, harmonics=5)
     fields = PeriodFields(solution, 8)
     mesh, force = fields.mesh, fields.force
-    facets = mesh.crack_faces
+    facets = mesh.crack_face_sides
     assert len(np.setdiff1d(np.flatnonzero(fields.shares.any(axis=1)), facets))  # of edges
     one, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
     areas = 0.5 * np.linalg.norm(np.cross(one, two), axis=1)
@@ -219,7 +219,7 @@ def test_stress_is_not_smeared_across_the_crack(paper_scene: fc.Scene) -> None:
     one, two = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[-5.0, 6.0], [0.0, -1.0]])
     field = np.where(upper[:, None], mesh.points @ one.T, mesh.points @ two.T)
     stress = nodal_stress(mesh, field, scene.material)
-    lips = np.unique(mesh.crack_faces)
+    lips = np.unique(mesh.crack_face_sides)
     near = lips[mesh.points[lips, 0] < 0.015]
     assert np.count_nonzero(upper[near]) == np.count_nonzero(~upper[near]) >= 2
     assert np.allclose(stress[near[upper[near]]], hooke(scene, one), rtol=1e-10)
@@ -231,12 +231,12 @@ def test_lips_and_boundary_are_found(paper_scene: fc.Scene, cells: str, order: i
     """The boundary's edges are as long as the plate's sides and both lips."""
     structure = fc.build_structure(graded(paper_scene, cells, order))
     mesh = NodalMesh(structure)
-    for edges, length in ((mesh.boundary, 0.5), (mesh.crack_faces, 0.1)):
+    for edges, length in ((mesh.boundary, 0.5), (mesh.crack_face_sides, 0.1)):
         assert edges.shape[1] == order + 1
         ends = mesh.points[edges]
         assert np.linalg.norm(ends[:, -1] - ends[:, 0], axis=1).sum() == pytest.approx(length)
         assert np.allclose(ends[:, order // 2], 0.5 * (ends[:, 0] + ends[:, -1])) or order == 1
-    assert len(np.unique(mesh.crack_faces)) == 2 * structure.n_pairs + 1  # the tip
+    assert len(np.unique(mesh.crack_face_sides)) == 2 * structure.n_pairs + 1  # the tip
     assert np.array_equal(mesh.is_clamped, mesh.points[:, 1] < 1e-12)
 
 

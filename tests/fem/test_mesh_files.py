@@ -22,7 +22,7 @@ from fenics_crack.fem.msh_file import (
     check_boundary,
     check_cells,
     check_parts,
-    load_mesh,
+    load_mesh_into_gmsh,
 )
 from fenics_crack.fem.plate import build_mesh
 
@@ -242,7 +242,7 @@ def put_lips(cells: np.ndarray, places: np.ndarray, clamp: Edges, **curves: Edge
         groups.append((1, tag, name, 1, np.ravel(own)))
     with gmsh_model():
         spatial = np.column_stack([places, np.zeros(len(places))])
-        return load_mesh((np.arange(len(places)), spatial, groups), 2)[1]
+        return load_mesh_into_gmsh((np.arange(len(places)), spatial, groups), 2)[1]
 
 
 def test_text_of_the_documentation(tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ def test_lips_are_those_of_the_crack(cracked: tuple[fc.Structure, float, dict[st
     pairs."""
     structure, area, crack = cracked
     mesh = NodalMesh(structure)
-    lips = mesh.points[mesh.crack_faces]
+    lips = mesh.points[mesh.crack_face_sides]
     normals = np.cross(lips[:, 1] - lips[:, 0], lips[:, 2] - lips[:, 0])
     assert lips[..., 1] == pytest.approx(crack["height"], abs=1e-12)
     both = 0.5 * np.linalg.norm(normals, axis=1).sum()
@@ -139,7 +139,7 @@ def test_pairs_measure_the_gap(cracked: tuple[fc.Structure, float, dict[str, Any
     above[mesh.cells[middles[:, 1] > crack["height"]]] = True
     below = np.zeros(len(mesh.points), dtype=bool)
     below[mesh.cells[middles[:, 1] < crack["height"]]] = True
-    on_lips = np.unique(mesh.crack_faces)
+    on_lips = np.unique(mesh.crack_face_sides)
     upper = np.isin(np.arange(len(above)), on_lips) & above & ~below
     # Nodes in the middle of edges between two corners of a lip belong to it, too.
     upper |= above & ~below & np.isclose(mesh.points[:, 1], crack["height"], atol=1e-12)
@@ -165,7 +165,7 @@ def test_a_surface_without_a_front_parts_two_bodies() -> None:
     (crack,) = find_crack_surfaces(lips[:, 0], lips[:, 1], np.concatenate([places, places[twins]]))
     assert twins.tolist() == [4, 5, 6, 7] and not np.intersect1d(*nodes).size
     assert np.sort(lips[0], axis=1).tolist() == [[4, 5, 6, 7], [12, 13, 14, 15]]
-    assert not len(crack.front) and crack.points_beside((0.5, 1.0, 0.5)) is not None
+    assert not len(crack.front_edges) and crack.points_beside((0.5, 1.0, 0.5)) is not None
 
 
 def test_plates_cells_are_refused() -> None:
@@ -1109,7 +1109,9 @@ def test_compiler_is_quiet(
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
     before = logging.root.level, list(logging.root.filters), logging.root.manager.disable
     space = compat.function_space(mesh, 1)
-    compat.assembled_matrix(ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * ufl.dx)
+    compat.assembled_petsc_matrix(
+        ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * ufl.dx
+    )
     assert list(tmp_path.glob("*/*.so")) and not caplog.records
     caplog.set_level(logging.INFO, "user")
     with compat._quiet_compiler():
