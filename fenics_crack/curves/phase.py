@@ -234,7 +234,7 @@ class ResonanceSystem(CurveSystem):
         slow_gap_coefficients = slow_gap_coefficients / self.start
         self.vibration_size = float(np.linalg.norm(slow_gap_coefficients[1:]))
         self.start_unknown = np.append(slow_gap_coefficients / self.vibration_size, 1.0)
-        self.problem, self.drive, self.n_time_means = equations.problem, drive, waves.n_time_means
+        self.problem, self.drive = equations.problem, drive
         self.n_time_means, self.shape = equations.n_time_means, self.start_unknown.shape
 
     def rounding(self, parameter: float) -> float:
