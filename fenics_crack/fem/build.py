@@ -56,7 +56,7 @@ from fenics_crack.fem.cracks import (
     distribute_front_pressures,
     locate_on_cracks,
 )
-from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
+from fenics_crack.fem.elasticity import assemble_rotation, constants, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_of
@@ -119,7 +119,7 @@ def pair_crack_faces(
         rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
         faces.append(gather_rows(dofs.comm, rows))
     lower_rows, upper_rows, crack_index, distances_on_crack, n_inside = _match_faces(
-        plate.cracks, *faces
+        plate.crack_geometries, *faces
     )
     lower_nodes = lower_rows[:, 0].astype(int)
     lower_gap = columns[:, lower_nodes]
@@ -144,7 +144,9 @@ def pair_crack_faces(
             kept_pairs = np.array(
                 [
                     *_watched_pairs(
-                        plate.cracks, crack_index[:n_inside], distances_on_crack[:n_inside]
+                        plate.crack_geometries,
+                        crack_index[:n_inside],
+                        distances_on_crack[:n_inside],
                     ).values()
                 ]
             )
@@ -160,7 +162,7 @@ def pair_crack_faces(
         areas,
         crack_index,
         distances_on_crack,
-        _watched_pairs(plate.cracks, crack_index, distances_on_crack),
+        _watched_pairs(plate.crack_geometries, crack_index, distances_on_crack),
         **fields,
     )
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
@@ -321,7 +323,7 @@ def _columns_of_nodes(
     normals = normal_integrals[face_nodes] / weights[face_nodes, None]
     rows = dimension * face_nodes[:, None] + np.arange(dimension)
     columns = np.repeat(dofs.first_node + face_nodes, dimension)
-    shape = len(dofs.numbers), space.dofmap.index_map.size_global
+    shape = len(dofs.structure_dof_numbers), space.dofmap.index_map.size_global
     return space, weights, sparse.csc_matrix((normals.ravel(), (rows.ravel(), columns)), shape)
 
 
@@ -448,7 +450,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     structure, dofs = _assemble_at_rest(scene, comm)
     if scene.speed > 0.0:
         begin("rotation")
-        structure = rotation_of(scene, dofs, structure).at(scene.speed)
+        structure = assemble_rotation(scene, dofs, structure).at(scene.speed)
     return structure
 
 
@@ -502,7 +504,7 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     body = Body(
         dofs.restrict_matrix(mass), dofs.restrict_matrix(stiffness), gap,
         dofs.restrict_to_free(load_coefficients), clearance_of(scene, pairs),
-        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.nodes(),
+        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
     return Structure(body), dofs

@@ -148,7 +148,7 @@ def _assemble_parts(
             else:
                 load = dofs.restrict_to_free(compat.assembled_vector(form))
                 parts[key.replace("loads.", "force_")] = gather_rows(comm, load)
-    return parts, dofs.nodes(), pairs
+    return parts, dofs.make_node_data(), pairs
 
 
 def _check_space(space: Any) -> None:
@@ -200,7 +200,9 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
         plate,
-        cracks=find_cracks(*corners, positions.reshape(-1, positions.shape[2])[first_positions]),
+        crack_geometries=find_cracks(
+            *corners, positions.reshape(-1, positions.shape[2])[first_positions]
+        ),
     )
 
 

@@ -300,7 +300,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
     nodes = structure.nodes
     assert nodes is not None
-    cracks: tuple[CrackSurface, ...] = nodes.mesh_dofs.plate.cracks
+    cracks: tuple[CrackSurface, ...] = nodes.mesh_dofs.plate.crack_geometries
     clamped_points = gather_rows(structure.comm, nodes.points[np.all(nodes.dofs < 0, axis=1)])
     front_fields = []
     for crack_index, crack in enumerate(cracks):
@@ -1041,7 +1041,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.shares is not None and pairs.areas is not None
-    crack: CrackSurface = structure.nodes.mesh_dofs.plate.cracks[front.crack]  # type: ignore[union-attr]
+    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_geometries[front.crack]  # type: ignore[union-attr]
     node_tree, front_tree = cKDTree(pairs.nodes), cKDTree(front.nodes)
     front_distances, nearest_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(

@@ -69,7 +69,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         two faces.
     """
     load_coefficients, watched_vector = (
-        np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))),
+        np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers))),
         None,
     )
     excitation = scene.excitation
@@ -140,7 +140,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     """
     if face_points := [
         both_points
-        for crack in dofs.plate.cracks
+        for crack in dofs.plate.crack_geometries
         if (both_points := crack.points_beside(point)) is not None
     ]:
         (lower_point, upper_point), *_ = face_points
@@ -253,7 +253,7 @@ def _watch_edge_middle(dofs: Dofs, edge: str, load_coefficients: np.ndarray) -> 
 
     It is 1 at the node nearest to the middle, in the direction of most of the load.
     """
-    nodal_coefficients = np.where(dofs.numbers < 0, 0.0, load_coefficients).reshape(
+    nodal_coefficients = np.where(dofs.structure_dof_numbers < 0, 0.0, load_coefficients).reshape(
         len(load_coefficients), -1, dofs.dimension
     )
     component_sums = np.abs(dofs.comm.allgather(nodal_coefficients.sum(axis=1))).sum(axis=(0, 1))
