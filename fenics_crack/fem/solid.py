@@ -130,7 +130,7 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
     rows |= {
         f"{key}.point": f"{quantity(distance.min().round(12), 'm')} from the surface"
         for key, crack in scene.all_cracks.items()
-        for distance in solid_mesher.triangle_distances(
+        for distance in solid_mesher.pairwise_triangle_distances(
             np.reshape(crack.point or (), (-1, 3)), surface
         )
     }
@@ -142,7 +142,7 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
         ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
         in_plane = np.abs((surface - front.nodes[0]) @ front.normals[0]) < 1e-6 * mesh.size
         mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_faces), axis=1)]
-        distances = solid_mesher.triangle_distances(inner_nodes, mouth)
+        distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth)
         depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
         rows[front.name] = (
