@@ -228,13 +228,13 @@ def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
 
     def scale_table(table: Any) -> Any:
         """Return a table with its lengths in the unit."""
-        lengths = {
+        scaled_length_by_name = {
             field.name: np.divide(value, unit).tolist()
             for field in fields(table)
             if field.metadata.get("unit") == "m"
             and (value := getattr(table, field.name)) is not None
         }
-        return replace(table, **lengths)
+        return replace(table, **scaled_length_by_name)
 
     unit_scene = copy(scene)  # similar to the scene, so its checks hold
     for table_name in ("geometry", "mesh", "crack", "disk", "excitation"):
@@ -293,7 +293,10 @@ def _graded_columns_and_rows(
 
 
 def _graded_intervals(
-    extent: float, tips: list[tuple[float, float]], faces: list[_GradedFace], size: float
+    extent: float,
+    tip_positions_and_sizes: list[tuple[float, float]],
+    faces: list[_GradedFace],
+    size: float,
 ) -> list[Interval]:
     """Divide a side into intervals with given element lengths.
 
@@ -301,7 +304,7 @@ def _graded_intervals(
     ----------
     extent : float [m]
         Length of the side.
-    tips : list of (position, length)
+    tip_positions_and_sizes : list of (position, length)
         Element length at each tip, or at each crack.
     faces : list of _GradedFace
         Crack faces along the side.
@@ -313,7 +316,11 @@ def _graded_intervals(
 
     def lengths_at_tip(position: float) -> list[float]:
         """Return the element lengths given for a position."""
-        return [tip_length for tip, tip_length in tips if abs(tip - position) <= tolerance]
+        return [
+            tip_length
+            for tip, tip_length in tip_positions_and_sizes
+            if abs(tip - position) <= tolerance
+        ]
 
     def element_length(position: float, faces_along: list[_GradedFace]) -> float:
         """Return the element length at a position along crack faces."""
@@ -328,8 +335,10 @@ def _graded_intervals(
         for face in faces_along if len(faces_along) == 1 else ():
             ends = sorted((face.coarse_end, face.tip))
             if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
-                ratio = face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
-                return [Interval(start, stop, face.n_elements, ratio)]
+                length_ratio = (
+                    face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
+                )
+                return [Interval(start, stop, face.n_elements, length_ratio)]
         start_length = element_length(start, faces_along)
         stop_length = element_length(stop, faces_along)
         if not (lengths_at_tip(start) and lengths_at_tip(stop)):
@@ -344,7 +353,9 @@ def _graded_intervals(
         return [_graded_interval(*segment, faces_along) for segment in segments]
 
     interval_bounds = [0.0]
-    cuts = [position for position, _ in tips] + [face.coarse_end for face in faces]
+    cuts = [position for position, _ in tip_positions_and_sizes] + [
+        face.coarse_end for face in faces
+    ]
     for position in sorted([*cuts, extent]):
         if position - interval_bounds[-1] > tolerance:
             interval_bounds.append(position)
@@ -404,12 +415,12 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
         Cracks in the order of the scene.
     """
     unit_scene, unit = scale_to_mesh_unit(scene)
-    groups = _draw_blocks(scene, unit_scene)
+    facet_tags_by_group = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
         rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
-            get_group_entities(1, *groups[name]).tolist() for name in RIM_SIDES
+            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDES
         )
         rim.set_periodic(0, left_curves, right_curves)
         _mesh_with_gradings(scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()])
@@ -418,7 +429,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     else:
         gmsh.model.mesh.generate(2)
     _scale_nodes(unit)
-    return (groups, {}), _crack_paths(scene)
+    return (facet_tags_by_group, {}), _crack_paths(scene)
 
 
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
@@ -612,7 +623,7 @@ class DiskRim:
 
     Attributes
     ----------
-    middle, axis : float [m]
+    blade_middle, axis_height : float [m]
         Position of the blade's middle across the blade, and of the axis along it.
     inner_radius, outer_radius : float [m]
         Radii of the circles.
@@ -623,7 +634,7 @@ class DiskRim:
     def __init__(self, scene: Scene) -> None:
         """Read the rim from a scene whose disk is meshed here."""
         self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis[0]
-        self.middle, self.axis = (
+        self.blade_middle, self.axis_height = (
             float(axis_point[0 if scene.dimension == 2 else 2]),
             float(axis_point[1]),
         )
@@ -640,14 +651,18 @@ class DiskRim:
 
     def foot_height(self, position: float) -> float:
         """Return the blade foot's height y on the rim, at a position across [m]."""
-        return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
+        return self.axis_height + math.sqrt(
+            self.outer_radius**2 - (position - self.blade_middle) ** 2
+        )
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
         """Return a point at a radius and an angle.
 
         The angle is measured from the middle of the blade to the right.
         """
-        return self.middle + radius * math.sin(angle), self.axis + radius * math.cos(angle)
+        return self.blade_middle + radius * math.sin(angle), self.axis_height + radius * math.cos(
+            angle
+        )
 
     def draw_with_blade(
         self, width: float, height: float, thickness: float
@@ -666,7 +681,7 @@ class DiskRim:
         left_inner_point, right_inner_point, left_outer_point, right_outer_point = (
             occ.addPoint(0.0, y, z) for z, y in rim_corner_positions
         )
-        center = occ.addPoint(0.0, self.axis, self.middle)
+        center = occ.addPoint(0.0, self.axis_height, self.blade_middle)
         rim_curves = [
             occ.addCircleArc(left_inner_point, center, right_inner_point),
             occ.addLine(right_inner_point, right_outer_point),
@@ -704,7 +719,10 @@ class DiskRim:
 
     def name_of(self, center: tuple[float, float, float]) -> str:
         """Name a face on a solid's rim, given the face's center of mass."""
-        offset_across_blade, offset_along_blade = center[2] - self.middle, center[1] - self.axis
+        offset_across_blade, offset_along_blade = (
+            center[2] - self.blade_middle,
+            center[1] - self.axis_height,
+        )
         radius = math.hypot(offset_across_blade, offset_along_blade)
         angle = math.atan2(offset_across_blade, offset_along_blade)
         if abs(abs(angle) - self.half_angle) < 1e-6:
@@ -722,7 +740,7 @@ class DiskRim:
         c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
         transformation, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
         transformation[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
-        axis_point[plane_axes] = self.axis, self.middle
+        axis_point[plane_axes] = self.axis_height, self.blade_middle
         transformation[:3, 3] = axis_point - transformation[:3, :3] @ axis_point
         gmsh.model.mesh.setPeriodic(
             1 + across_axis // 2, right_tags, left_tags, transformation.ravel().tolist()
@@ -744,7 +762,7 @@ class DiskRim:
         """
         size, geo = _element_length(self.scene), gmsh.model.geo
         angle_beside_blade = self.half_angle - math.asin(
-            (columns[-1].stop - self.middle) / self.outer_radius
+            (columns[-1].stop - self.blade_middle) / self.outer_radius
         )
         lengths = self.outer_radius * angle_beside_blade, self.outer_radius - self.inner_radius
         element_counts = [
@@ -753,10 +771,11 @@ class DiskRim:
         interval_beside_blade, radial_interval = (
             Interval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
         )
-        center = geo.addPoint(self.middle, self.axis, 0.0)
+        center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
         x_positions = [columns[0].start, *(column.stop for column in columns)]
         angles = [
-            math.asin((x_position - self.middle) / self.outer_radius) for x_position in x_positions
+            math.asin((x_position - self.blade_middle) / self.outer_radius)
+            for x_position in x_positions
         ]
         angles = [-self.half_angle, *angles, self.half_angle]
         left_corner, right_corner = (

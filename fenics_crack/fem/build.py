@@ -641,8 +641,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     @cache
     def excess_frequency(length: float) -> float:
         """Return the first natural frequency less the target [rad/s]."""
-        plate = assemble(_set_crack_length(scene_at_rest, length), comm)
-        return float(solve_modes(plate, 1).omega[0]) - target_omega
+        trial_structure = assemble(_set_crack_length(scene_at_rest, length), comm)
+        return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 
     available_width, width_words = width, "width"
     if crack.center is not None:

@@ -358,19 +358,21 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         """Write the gathered matrices, on rank 0."""
         full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts_by_name.items()}
         if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
-            squares, mode_shapes = eigh(
+            squared_omegas, mode_shapes = eigh(
                 full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
             )
             n_damped = check_damped_modes(structure)
-            modal_damping = structure.damping.rate(squares[:n_damped])
-            damping_factors = (
+            modal_damping = structure.damping.rate(squared_omegas[:n_damped])
+            damping_factor_matrix = (
                 full_matrices["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)
             )
-            full_matrices["damping"] = sparse.csr_matrix(damping_factors @ damping_factors.T)
-        texts = {
+            full_matrices["damping"] = sparse.csr_matrix(
+                damping_factor_matrix @ damping_factor_matrix.T
+            )
+        text_by_file = {
             f"{name}.mtx": format_matrix_market(matrix) for name, matrix in full_matrices.items()
         }
-        replace_files(OUTPUT_FILE_NAMES, Path(folder), texts | {SCENE_FILE_NAME: scene_text})
+        replace_files(OUTPUT_FILE_NAMES, Path(folder), text_by_file | {SCENE_FILE_NAME: scene_text})
 
     on_root(comm, write_files)
 
@@ -553,8 +555,8 @@ def find_pairs_and_gaps(
     crack_index, front_distances = crack_index[order], front_distances[order]
     mouth_pairs = np.flatnonzero(np.append(np.diff(crack_index), 1))
     mouth_names = [
-        f"the mouth of crack {number + 1}" if len(mouth_pairs) > 1 else "the mouth"
-        for number in crack_index[mouth_pairs]
+        f"the mouth of crack {crack_number + 1}" if len(mouth_pairs) > 1 else "the mouth"
+        for crack_number in crack_index[mouth_pairs]
     ]
     contact_pairs = Pairs(
         points[order], None if areas is None else areas[order], crack_index, front_distances,

@@ -244,9 +244,9 @@ class Dofs:
         self._rotation = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
         self._rotation.eliminate_zeros()
 
-    def restrict_to_free(self, rows: np.ndarray) -> np.ndarray:
+    def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
-        free_forces = rows[..., self.free_dofs]
+        free_forces = forces[..., self.free_dofs]
         return free_forces if self._rotation is None else np.asarray(free_forces @ self._rotation)
 
     def restrict_matrix(self, matrix: Any) -> Any:
