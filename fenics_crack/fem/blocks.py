@@ -175,7 +175,7 @@ def _element_length(scene: Scene) -> float:
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
 
-def count_plate_pairs(scene: Scene) -> int:
+def plate_pair_upper_bound(scene: Scene) -> int:
     """Return an upper bound for the number of a plate's pairs.
 
     The first crack's length may be unknown.
@@ -772,7 +772,7 @@ class DiskRim:
             Interval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
         )
         center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
-        x_positions = [columns[0].start, *(column.stop for column in columns)]
+        x_positions = [columns[0].start, *(column_interval.stop for column_interval in columns)]
         angles = [
             math.asin((x_position - self.blade_middle) / self.outer_radius)
             for x_position in x_positions

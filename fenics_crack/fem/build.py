@@ -214,12 +214,12 @@ def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_mat
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     first_tangents = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first_tangents /= np.linalg.norm(first_tangents, axis=1)[:, None]
-    normal_gap = sum(
+    normal_components = sum(
         gap[axis_index::3] @ sparse.diags(normals[:, axis_index]) for axis_index in range(3)
     )
     return sparse.hstack([
         sum(
-            sparse.kron(normal_gap @ sparse.diags(tangent_components), axis_direction[:, None])
+            sparse.kron(normal_components @ sparse.diags(tangent_components), axis_direction[:, None])
             for tangent_components, axis_direction in zip(tangent_vectors.T, np.eye(3), strict=True)
         )
         for tangent_vectors in np.round([first_tangents, np.cross(normals, first_tangents)], 12)
@@ -305,9 +305,9 @@ def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
 
 def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
     """Return the rows of this rank's free dofs, without stored zeros."""
-    free_rows = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
-    free_rows.eliminate_zeros()
-    return free_rows
+    free_rows_matrix = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
+    free_rows_matrix.eliminate_zeros()
+    return free_rows_matrix
 
 
 def _columns_of_nodes(
@@ -360,10 +360,10 @@ def _columns_of_pressures(
     matrix.destroy()
     weights = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
     all_weights = gather_rows(dofs.comm, weights)
-    inverse_weights = np.divide(
+    reciprocal_areas = np.divide(
         1.0, all_weights, out=np.zeros_like(all_weights), where=all_weights > 0.0
     )
-    return space, weights, sparse.csc_matrix(columns @ sparse.diags(inverse_weights))
+    return space, weights, sparse.csc_matrix(columns @ sparse.diags(reciprocal_areas))
 
 
 def _match_faces(
@@ -450,7 +450,7 @@ def _watched_pair_by_name(
     return pair_by_name
 
 
-def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """Mesh a scene and assemble its structure, or read its matrices (collective).
 
     The crack length must be known. Parameters and errors are those of
@@ -584,7 +584,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     --------
     >>> whole = fc.build_structure(scene)
     """
-    return assemble(with_crack_length(scene, comm), comm)
+    return assemble_structure(with_crack_length(scene, comm), comm)
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
@@ -641,7 +641,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     @cache
     def excess_frequency(length: float) -> float:
         """Return the first natural frequency less the target [rad/s]."""
-        trial_structure = assemble(_set_crack_length(scene_at_rest, length), comm)
+        trial_structure = assemble_structure(_set_crack_length(scene_at_rest, length), comm)
         return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 
     available_width, width_words = width, "width"

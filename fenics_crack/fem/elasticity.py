@@ -119,12 +119,12 @@ def assemble_rotation(
     centrifugal_load = compat.assembled_vector(t * rho * ufl.inner(r, v) * ufl.dx)
     centrifugal_load = dofs.restrict_to_free(centrifugal_load)
     if solve_static is not None:
-        u_c = solve_static(centrifugal_load[:, None])[:, 0]
+        u_c_vector = solve_static(centrifugal_load[:, None])[:, 0]
     else:
-        u_c, _ = static_state(
+        u_c_vector, _ = static_state(
             structure_at_rest, centrifugal_load, np.zeros(structure_at_rest.n_pairs)
         )
-    grad_u_c = ufl.grad(dofs.function(u_c))
+    grad_u_c = ufl.grad(dofs.function(u_c_vector))
     static_stress = stress(scene, space, ufl.sym(grad_u_c))
 
     def gradient_strain(displacement: Any) -> Any:

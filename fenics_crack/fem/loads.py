@@ -199,13 +199,13 @@ def _point_load(
         Vector whose product with u is the displacement at the point in the load's direction [m].
         None if the load is zero.
     """
-    fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
+    node_fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
     nodal_force_harmonics = np.array(
-        [_distribute_vector(dofs, fractions, force_vector) for force_vector in force_vectors]
+        [_distribute_vector(dofs, node_fractions, force_vector) for force_vector in force_vectors]
     )
     displacement_weights = (
         dofs.restrict_to_free(
-            _distribute_vector(dofs, fractions, _largest_force_direction(force_vectors))
+            _distribute_vector(dofs, node_fractions, _largest_force_direction(force_vectors))
         )
         if any(map(any, force_vectors))
         else None

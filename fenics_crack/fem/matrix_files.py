@@ -99,18 +99,20 @@ def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
     """Make the structure of a table ``[structure]`` from the table's files."""
-    matrices, gaps_and_forces_by_name, model = on_each(comm, lambda: _read_files(table))
-    stiffness = matrices["stiffness"].matrix
+    labelled_matrices, gaps_and_forces_by_name, model = on_each(comm, lambda: _read_files(table))
+    stiffness = labelled_matrices["stiffness"].matrix
     structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
-    structure_fields |= {name: labelled_matrix.matrix for name, labelled_matrix in matrices.items()}
+    structure_fields |= {
+        name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrices.items()
+    }
     n_dofs, order = stiffness.shape[0], np.arange(stiffness.shape[0])
-    pairs, own_nodes, labels = Pairs(), None, matrices["stiffness"].labels
+    pairs, own_nodes, labels = Pairs(), None, labelled_matrices["stiffness"].labels
     if model is not None:
         if labels is None:
             requirement = "given with structure.model: the file of each row's node and direction"
             raise InputError("structure.dofs", None, requirement)
         order, node_dofs, node_starts = _order_by_nodes(model, labels, table)
-        for name in matrices:
+        for name in labelled_matrices:
             structure_fields[name] = structure_fields[name][order][:, order]
         if scene.contact is not None and table.gap is None:
             has_rotations = bool(np.any(labels[:, 1] > 3))
@@ -118,7 +120,7 @@ def _make_structure(
                 model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
         start, stop = _own_row_range(node_starts, comm)
-        for name in matrices:
+        for name in labelled_matrices:
             structure_fields[name] = distribute_rows(structure_fields[name][start:stop], comm)
         own_nodes = _own_nodes(model, node_dofs, start, stop, comm)
     structure_fields |= {
@@ -162,20 +164,22 @@ def _read_files(
     model : Model or None
         Nodes and cells of the input file.
     """
-    label_file, matrices = None if table.dofs is None else Path(table.dofs), {}
+    label_file, labelled_matrices = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
     for name, letter in MATRIX_LETTERS.items():
         if (path := getattr(table, name)) is not None:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
-                matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
-            n_rows = matrices[name].matrix.shape[0]
-    labelled_stiffness = matrices["stiffness"]
-    for name, labelled_matrix in matrices.items() if labelled_stiffness.labels is not None else ():
+                labelled_matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
+            n_rows = labelled_matrices[name].matrix.shape[0]
+    labelled_stiffness = labelled_matrices["stiffness"]
+    for name, labelled_matrix in (
+        labelled_matrices.items() if labelled_stiffness.labels is not None else ()
+    ):
         with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
-            matrices[name] = LabelledMatrix(
+            labelled_matrices[name] = LabelledMatrix(
                 labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
-    if len(massless_rows := np.flatnonzero(matrices["mass"].matrix.diagonal() <= 0.0)):
+    if len(massless_rows := np.flatnonzero(labelled_matrices["mass"].matrix.diagonal() <= 0.0)):
         place_text = f"row {massless_rows[0] + 1}"
         if labelled_stiffness.labels is not None and massless_rows[0] < len(
             labelled_stiffness.labels
@@ -193,7 +197,7 @@ def _read_files(
     }
     n_rows = labelled_stiffness.matrix.shape[0]
     return (
-        matrices,
+        labelled_matrices,
         {name: read_whole_matrix(name, Path(path), n_rows) for name, path in path_by_name.items()},
         model,
     )
@@ -281,7 +285,7 @@ def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
     return read_whole_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
 
 
-def count_pairs(table: StructureTable) -> int:
+def table_pair_upper_bound(table: StructureTable) -> int:
     """Return the maximum number of pairs in a table ``[structure]``.
 
     Unusable files give 0.
@@ -331,11 +335,11 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     if structure.whole is not structure:
         requirement = "one that is not reduced: fc.build_structure(scene), or structure.whole"
         raise InputError("structure", repr(structure), requirement)
-    comm, forces, damping = structure.comm, structure.force, structure.damping_matrix
+    comm, forces, damping_matrix = structure.comm, structure.force, structure.damping_matrix
     local_matrix_by_name: dict[str, Any] = {
         "mass": local_rows(structure.mass),
         "stiffness": local_rows(structure.stiffness),
-        "damping": None if damping is None else local_rows(damping),
+        "damping": None if damping_matrix is None else local_rows(damping_matrix),
         **dict(zip(FORCES, (forces[:1].T, forces[1::2].T, forces[2::2].T), strict=True)),
     }
     if structure.n_pairs:
@@ -393,7 +397,9 @@ def _scene_text(structure: Structure, file_by_name: dict[str, str], scene: Scene
             }
         )
         file_by_name = {
-            name: file_name for name, file_name in file_by_name.items() if name != "damping"
+            matrix_name: file_name
+            for matrix_name, file_name in file_by_name.items()
+            if matrix_name != "damping"
         }
     table_by_name["structure"] = StructureTable(**file_by_name)
     if scene is None:

@@ -307,15 +307,15 @@ def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
     """
     width, _, thickness = sides
     left_end, right_end = crack.span(width)
-    center_x, half_length = 0.5 * (left_end + right_end), 0.5 * (right_end - left_end)
+    center_x, x_half_axis = 0.5 * (left_end + right_end), 0.5 * (right_end - left_end)
     if crack.edge is not None:
-        center_x, half_length = (0.0 if crack.edge == "left" else width), right_end - left_end
+        center_x, x_half_axis = (0.0 if crack.edge == "left" else width), right_end - left_end
     depth = crack.depth or 2.0 * thickness
     return {
-        "middle": [center_x, crack.given("height"), thickness], "half": [half_length, depth],
+        "middle": [center_x, crack.given("height"), thickness], "half": [x_half_axis, depth],
         "frame": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
         "is_round": crack.front == "elliptical",
-        "reach": min(half_length, crack.depth or half_length),
+        "reach": min(x_half_axis, crack.depth or x_half_axis),
     }  # fmt: skip
 
 

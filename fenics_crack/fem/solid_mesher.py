@@ -217,18 +217,20 @@ def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np
         (side_1_squared * offset_dot_side_2 - side_1_dot_side_2 * offset_dot_side_1)
         / gram_determinant,
     )
-    min_distances = np.linalg.norm(offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2)
-    min_distances[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
+    distances_to_triangles = np.linalg.norm(
+        offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2
+    )
+    distances_to_triangles[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
     for start_corner, stop_corner in ((0, 1), (1, 2), (2, 0)):
         side = triangles[:, stop_corner] - triangles[:, start_corner]
         offsets = points[:, None] - triangles[:, start_corner]
         fractions = np.clip(
             (offsets * side).sum(2) / np.maximum((side**2).sum(1), 1e-300), 0.0, 1.0
         )
-        min_distances = np.minimum(
-            min_distances, np.linalg.norm(offsets - fractions[..., None] * side, axis=2)
+        distances_to_triangles = np.minimum(
+            distances_to_triangles, np.linalg.norm(offsets - fractions[..., None] * side, axis=2)
         )
-    return min_distances
+    return distances_to_triangles
 
 
 def _find_names_and_face_tags(
@@ -271,8 +273,8 @@ def _match_surfaces(
     face_of_surface = {}
     for _, surface_tag in gmsh.model.getEntities(2):
         if surface_tag not in crack_surfaces:
-            middles = _face_triangles(surface_tag).mean(axis=1)
-            sample_points = middles[:: max(1, len(middles) // N_CURVE_INTERVALS)]
+            triangle_centres = _face_triangles(surface_tag).mean(axis=1)
+            sample_points = triangle_centres[:: max(1, len(triangle_centres) // N_CURVE_INTERVALS)]
             nearest_faces = owners[
                 pairwise_triangle_distances(sample_points, triangles).argmin(axis=1)
             ]
@@ -488,8 +490,8 @@ def _check_crack_position(
     distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
         axis=1, initial=np.inf
     )
-    inner_points = points[distances_to_nearest_end > 2.0 * shortest_length]
-    ligament = pairwise_triangle_distances(inner_points, triangles).min(initial=np.inf)
+    points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
+    ligament = pairwise_triangle_distances(points_off_ends, triangles).min(initial=np.inf)
     if ligament < MIN_LIGAMENT_RATIO * shortest_length:
         raise Refusal(key, "farther from the surface: of its front some is"
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip

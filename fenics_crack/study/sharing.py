@@ -63,9 +63,9 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
         last.clear()
         last += [made for shelf in shelves if (made := shelf.take(scene, comm)) is not None]
     if not last:
-        from fenics_crack.fem.build import assemble  # DOLFINx
+        from fenics_crack.fem.build import assemble_structure  # DOLFINx
 
-        last.append(Made(assemble(scene, comm), comm, parts))
+        last.append(Made(assemble_structure(scene, comm), comm, parts))
     elif (known := last[0]).parts != parts:
         pairs = known.structure.pairs
         changes = {"clearance": clearance_of(scene, pairs), "damping": damping_of(scene.damping)}
