@@ -219,7 +219,9 @@ def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_mat
     )
     return sparse.hstack([
         sum(
-            sparse.kron(normal_components @ sparse.diags(tangent_components), axis_direction[:, None])
+            sparse.kron(
+                normal_components @ sparse.diags(tangent_components), axis_direction[:, None]
+            )
             for tangent_components, axis_direction in zip(tangent_vectors.T, np.eye(3), strict=True)
         )
         for tangent_vectors in np.round([first_tangents, np.cross(normals, first_tangents)], 12)

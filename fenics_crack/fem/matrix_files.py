@@ -626,7 +626,7 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
         if not parts:
             continue
         facet_nodes, cell_centres = (
-            np.concatenate(array_tuple) for array_tuple in zip(*parts, strict=True)
+            np.concatenate(same_field_arrays) for same_field_arrays in zip(*parts, strict=True)
         )
         is_boundary = _row_multiplicities(facet_nodes[:, :n_facet_corners]) == 1
         is_on_crack = is_boundary.copy()

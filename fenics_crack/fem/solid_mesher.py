@@ -363,8 +363,10 @@ def insert_cracks(
         )
         raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
                       " part in two, and crosses no other crack")  # fmt: skip
-    crack_tuples = [*zip(cracks, children[1:], rims, fronts, strict=True)]
-    for crack_index, (crack, surface_dim_tags, rim, front) in reversed([*enumerate(crack_tuples)]):
+    cracks_rims_and_fronts = [*zip(cracks, children[1:], rims, fronts, strict=True)]
+    for crack_index, (crack, surface_dim_tags, rim, front) in reversed(
+        [*enumerate(cracks_rims_and_fronts)]
+    ):
         if len(surface_dim_tags) != 1 or any(rim & other_rim for other_rim in rims[:crack_index]):
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
