@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.draw.plot_mesh import draw_faces
-from fenics_crack.fem.solid import ray_length, read_part_faces
+from fenics_crack.fem.solid import ray_length, read_part_triangles_and_owners
 from fenics_crack.version import packaged
 
 MOST_FACES = 40
@@ -60,7 +60,7 @@ class _Surface:
 
 def _surface_of(part: Path, unit: str | None) -> _Surface:
     """Measure the faces of a part."""
-    surface = read_part_faces(str(part), unit)
+    surface = read_part_triangles_and_owners(str(part), unit)
     triangles, owners = surface["triangles"], surface["owners"]
     sides = triangles[:, 1:] - triangles[:, :1]
     normals, middles = np.cross(sides[:, 0], sides[:, 1]), triangles.mean(axis=1)

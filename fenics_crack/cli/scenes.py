@@ -123,9 +123,9 @@ def _part(scene: Scene, whole: Structure) -> dict[str, str]:
     """Faces and crack fronts of a part from a CAD file."""
     if scene.geometry is None or scene.geometry.file is None:
         return {}
-    from fenics_crack.fem.solid import describe_part  # DOLFINx
+    from fenics_crack.fem.solid import part_text_by_name  # DOLFINx
 
-    return describe_part(scene, whole)
+    return part_text_by_name(scene, whole)
 
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:

@@ -34,7 +34,7 @@ from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hert
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel, WheelStructure, count_basis_families
-from fenics_crack.fem.build import assemble
+from fenics_crack.fem.build import assemble_structure
 from fenics_crack.files.saved import Saved
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.fourier import to_complex
@@ -252,7 +252,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
     >>> fc.nodal_diameters(disk).omega[2, 0]
     """
     scene.given("disk")
-    wheel = wheel_of(assemble(scene, comm))
+    wheel = wheel_of(assemble_structure(scene, comm))
     return NodalDiameters(scene, np.array(wheel.cyclic_modes().omega))
 
 
@@ -380,7 +380,7 @@ def amplification(
     scene.given("disk")
     pattern_keys = {"disk.mistuning": None, "disk.deviation": float(deviation), "disk.seed": seed}
     bonded_scene = scene.replace({"disk.cracked": [], **pattern_keys})
-    wheel = wheel_of(assemble(bonded_scene, comm))
+    wheel = wheel_of(assemble_structure(bonded_scene, comm))
     find_peak = _make_peak_finder(wheel, scene.excitation.omega)
     tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.count))
     rank_rows = []

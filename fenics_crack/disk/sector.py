@@ -18,7 +18,7 @@ from fenics_crack.disk.cyclic import Sector
 from fenics_crack.disk.wheel import Wheel
 from fenics_crack.fem.blocks import RIM_SIDES
 from fenics_crack.fem.cracks import CRACK_FACE_NAMES, POSITION_TOLERANCE
-from fenics_crack.fem.elasticity import rotation_of
+from fenics_crack.fem.elasticity import assemble_rotation
 from fenics_crack.fem.plate import Dofs
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.nodes import format_point
@@ -40,7 +40,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
     sector, rotation = _make_sector(scene, dofs, structure), None
     if scene.speed > 0.0:
         with sector.factor_stiffness() as solver:  # the load is the same on all sectors
-            rotation = rotation_of(scene, dofs, structure, solver.static_response)
+            rotation = assemble_rotation(scene, dofs, structure, solver.static_response)
         static_stiffness, stiffness = rotation.stiffnesses(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
@@ -114,7 +114,7 @@ def match_sides(scene: Scene, dofs: Dofs) -> None:
 
 def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     """Return the sector with the nodes of its sides and crack faces."""
-    points, sides, frames = dofs.points, dofs.sides, dofs.frames
+    points, sides, frames = dofs.points, dofs.side_node_pairs, dofs.node_to_global_rotations
     assert sides is not None and frames is not None
     crack_nodes = np.zeros((2, 0), dtype=int)
     if dofs.plate.has_cracks:  # tips belong to both faces and need no bond

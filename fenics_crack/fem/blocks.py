@@ -82,14 +82,14 @@ class _GradedFace:
     """
 
     def __init__(self, scene: Scene, coarse_end: float, tip: float) -> None:
-        mesh, (width, height) = scene.mesh, scene.geometry.sides
+        mesh, (plate_width, plate_height) = scene.mesh, scene.geometry.sides
         self.coarse_end, self.tip, self.n_elements = coarse_end, tip, mesh.given("lip_elements")
-        if coarse_end not in (0.0, width):
+        if coarse_end not in (0.0, plate_width):
             self.n_elements = -(-self.n_elements // 2)
         self.length_ratio = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
         relative_lengths = self.length_ratio ** np.arange(self.n_elements)
         self.tip_size = float(abs(tip - coarse_end) * relative_lengths[-1] / relative_lengths.sum())
-        if self.tip_size < MIN_RELATIVE_CELL_SIZE * max(width, height):
+        if self.tip_size < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
             requirement = "smaller, for this crack: the element at its tip is only "
             raise InputError("mesh.grading", mesh.grading, f"{requirement}{self.tip_size:.1g} m")
 
@@ -128,16 +128,17 @@ def _plate_blocks(scene: Scene) -> tuple[list[Interval], list[Interval], list[Sl
     spans = [crack.span(width) for crack in cracks]
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
-        end_positions = [end for span in spans for end in span]
-        columns = _equal_intervals(width, scene.mesh.given("columns"), end_positions)
+        crack_end_positions = [crack_end for span in spans for crack_end in span]
+        columns = _equal_intervals(width, scene.mesh.given("columns"), crack_end_positions)
         rows = _equal_intervals(height, scene.mesh.given("rows"), levels)
     else:
-        columns, rows = _graded_plate(scene, spans, levels)
+        columns, rows = _graded_columns_and_rows(scene, spans, levels)
     xs, ys = (
-        np.array([side[0].start, *(interval.stop for interval in side)]) for side in (columns, rows)
+        np.array([intervals[0].start, *(interval.stop for interval in intervals)])
+        for intervals in (columns, rows)
     )
     slits = [
-        (_nearest_index(ys, level), range(*(_nearest_index(xs, end) for end in span)))
+        (_nearest_index(ys, level), range(*(_nearest_index(xs, crack_end) for crack_end in span)))
         for span, level in zip(spans, levels, strict=True)
     ]
     return columns, rows, slits
@@ -151,16 +152,18 @@ def check_cell_count(
     The matrices, or the factor of a matrix, must fit into memory. ``size_note`` adds the shortest
     element to the message.
     """
-    n_dofs, max_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
+    n_dofs, allowed_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
     factor_bytes = factor_memory(n_dofs, solid=scene.dimension == 3)
     assembled_bytes = 1500.0 * n_dofs  # bytes of mesh and matrices
     needed_bytes, machine_bytes = max(assembled_bytes, factor_bytes), machine_memory()
-    reason = f"{n_cells:.2g} are more than {max_cells:.0e}"
-    if n_cells <= max_cells:
-        size_text = f"{needed_bytes / 2**30:.0f} GiB of this machine's {machine_bytes / 2**30:.3g}"
-        reason = f"to solve {n_cells:.2g} takes about {size_text}"
-    if n_cells > max_cells or needed_bytes > machine_bytes:
-        requirement = f"so that there are fewer cells{size_note}: {reason}"
+    refusal_reason = f"{n_cells:.2g} are more than {allowed_cells:.0e}"
+    if n_cells <= allowed_cells:
+        memory_text = (
+            f"{needed_bytes / 2**30:.0f} GiB of this machine's {machine_bytes / 2**30:.3g}"
+        )
+        refusal_reason = f"to solve {n_cells:.2g} takes about {memory_text}"
+    if n_cells > allowed_cells or needed_bytes > machine_bytes:
+        requirement = f"so that there are fewer cells{size_note}: {refusal_reason}"
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), requirement)
 
 
@@ -172,7 +175,7 @@ def _element_length(scene: Scene) -> float:
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
 
-def count_plate_pairs(scene: Scene) -> int:
+def plate_pair_upper_bound(scene: Scene) -> int:
     """Return an upper bound for the number of a plate's pairs.
 
     The first crack's length may be unknown.
@@ -182,18 +185,22 @@ def count_plate_pairs(scene: Scene) -> int:
         return ((scene.mesh.lip_elements or 0) + 1) * order
     columns, _, slits = _plate_blocks(scene)
     return sum(
-        columns[column].n_elements * order for _, crack_columns in slits for column in crack_columns
+        columns[column_index].n_elements * order
+        for _, crack_columns in slits
+        for column_index in crack_columns
     )
 
 
 def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[Interval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
-    grid_positions = {
+    position_by_line = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
     } | {0: 0.0, n_elements: extent}
     return [
-        Interval(grid_positions[first_line], grid_positions[last_line], last_line - first_line, 1.0)
-        for first_line, last_line in pairwise(sorted(grid_positions))
+        Interval(
+            position_by_line[first_line], position_by_line[last_line], last_line - first_line, 1.0
+        )
+        for first_line, last_line in pairwise(sorted(position_by_line))
     ]
 
 
@@ -221,17 +228,19 @@ def scale_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
 
     def scale_table(table: Any) -> Any:
         """Return a table with its lengths in the unit."""
-        lengths = {
+        scaled_length_by_name = {
             field.name: np.divide(value, unit).tolist()
             for field in fields(table)
             if field.metadata.get("unit") == "m"
             and (value := getattr(table, field.name)) is not None
         }
-        return replace(table, **lengths)
+        return replace(table, **scaled_length_by_name)
 
     unit_scene = copy(scene)  # similar to the scene, so its checks hold
-    for name in ("geometry", "mesh", "crack", "disk", "excitation"):
-        vars(unit_scene)[name] = getattr(scene, name) and scale_table(getattr(scene, name))
+    for table_name in ("geometry", "mesh", "crack", "disk", "excitation"):
+        vars(unit_scene)[table_name] = getattr(scene, table_name) and scale_table(
+            getattr(scene, table_name)
+        )
     vars(unit_scene)["cracks"] = tuple(map(scale_table, scene.cracks))
     return unit_scene, unit
 
@@ -247,7 +256,7 @@ def _scale_nodes(unit: float) -> None:
 # --- graded sides ---------------------------------------------------------------------------------
 
 
-def _graded_plate(
+def _graded_columns_and_rows(
     scene: Scene, spans: list[tuple[float, float]], levels: list[float]
 ) -> tuple[list[Interval], list[Interval]]:
     """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
@@ -256,10 +265,12 @@ def _graded_plate(
     """
     (width, height), size = scene.geometry.sides, scene.mesh.given("size")
     if not spans:
-        n_cells = [max(1, round(side / size)) for side in (width, height)]
-        return [Interval(0.0, width, n_cells[0], 1.0)], [Interval(0.0, height, n_cells[1], 1.0)]
+        element_counts = [max(1, round(side_length / size)) for side_length in (width, height)]
+        return [Interval(0.0, width, element_counts[0], 1.0)], [
+            Interval(0.0, height, element_counts[1], 1.0)
+        ]
     faces: list[_GradedFace] = []
-    crack_sizes: list[tuple[float, float]] = []
+    crack_levels_and_sizes: list[tuple[float, float]] = []
     for (left_end, right_end), level in zip(spans, levels, strict=True):
         coarse_end = (
             left_end
@@ -268,21 +279,24 @@ def _graded_plate(
             if right_end == width
             else 0.5 * (left_end + right_end)
         )
-        crack_faces = [
+        graded_faces = [
             _GradedFace(scene, coarse_end, tip)
             for tip in (left_end, right_end)
             if tip != coarse_end
         ]
-        crack_sizes.append((level, min(face.tip_size for face in crack_faces)))
-        faces += crack_faces
-    tip_sizes = [(face.tip, face.tip_size) for face in faces]
-    return _graded_intervals(width, tip_sizes, faces, size), _graded_intervals(
-        height, crack_sizes, [], size
+        crack_levels_and_sizes.append((level, min(face.tip_size for face in graded_faces)))
+        faces += graded_faces
+    tip_positions_and_sizes = [(face.tip, face.tip_size) for face in faces]
+    return _graded_intervals(width, tip_positions_and_sizes, faces, size), _graded_intervals(
+        height, crack_levels_and_sizes, [], size
     )
 
 
 def _graded_intervals(
-    extent: float, tips: list[tuple[float, float]], faces: list[_GradedFace], size: float
+    extent: float,
+    tip_positions_and_sizes: list[tuple[float, float]],
+    faces: list[_GradedFace],
+    size: float,
 ) -> list[Interval]:
     """Divide a side into intervals with given element lengths.
 
@@ -290,7 +304,7 @@ def _graded_intervals(
     ----------
     extent : float [m]
         Length of the side.
-    tips : list of (position, length)
+    tip_positions_and_sizes : list of (position, length)
         Element length at each tip, or at each crack.
     faces : list of _GradedFace
         Crack faces along the side.
@@ -302,7 +316,11 @@ def _graded_intervals(
 
     def lengths_at_tip(position: float) -> list[float]:
         """Return the element lengths given for a position."""
-        return [tip_length for tip, tip_length in tips if abs(tip - position) <= tolerance]
+        return [
+            tip_length
+            for tip, tip_length in tip_positions_and_sizes
+            if abs(tip - position) <= tolerance
+        ]
 
     def element_length(position: float, faces_along: list[_GradedFace]) -> float:
         """Return the element length at a position along crack faces."""
@@ -317,8 +335,10 @@ def _graded_intervals(
         for face in faces_along if len(faces_along) == 1 else ():
             ends = sorted((face.coarse_end, face.tip))
             if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
-                ratio = face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
-                return [Interval(start, stop, face.n_elements, ratio)]
+                length_ratio = (
+                    face.length_ratio if face.tip > face.coarse_end else 1.0 / face.length_ratio
+                )
+                return [Interval(start, stop, face.n_elements, length_ratio)]
         start_length = element_length(start, faces_along)
         stop_length = element_length(stop, faces_along)
         if not (lengths_at_tip(start) and lengths_at_tip(stop)):
@@ -332,12 +352,14 @@ def _graded_intervals(
         )
         return [_graded_interval(*segment, faces_along) for segment in segments]
 
-    positions = [0.0]
-    cuts = [position for position, _ in tips] + [face.coarse_end for face in faces]
+    interval_bounds = [0.0]
+    cuts = [position for position, _ in tip_positions_and_sizes] + [
+        face.coarse_end for face in faces
+    ]
     for position in sorted([*cuts, extent]):
-        if position - positions[-1] > tolerance:
-            positions.append(position)
-    return [interval for ends in pairwise(positions) for interval in make_intervals(*ends)]
+        if position - interval_bounds[-1] > tolerance:
+            interval_bounds.append(position)
+    return [interval for ends in pairwise(interval_bounds) for interval in make_intervals(*ends)]
 
 
 def _graded_interval(
@@ -348,14 +370,21 @@ def _graded_interval(
     Element lengths are about ``start_length`` at its start and ``stop_length`` at its end.
     """
     min_length, max_length = sorted((start_length, stop_length))
-    n_elements, ratio = _count_graded_elements(stop - start, min_length, max_length)
-    n_min = max((math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0)
-    if n_min > n_elements:
-        n_elements, ratio = n_min, (max_length / min_length) ** (1.0 / max(n_min - 1, 1))
-    return Interval(start, stop, n_elements, ratio if start_length <= stop_length else 1.0 / ratio)
+    n_elements, growth_ratio = _graded_count_and_ratio(stop - start, min_length, max_length)
+    n_required_elements = max(
+        (math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0
+    )
+    if n_required_elements > n_elements:
+        n_elements, growth_ratio = (
+            n_required_elements,
+            (max_length / min_length) ** (1.0 / max(n_required_elements - 1, 1)),
+        )
+    return Interval(
+        start, stop, n_elements, growth_ratio if start_length <= stop_length else 1.0 / growth_ratio
+    )
 
 
-def _count_graded_elements(
+def _graded_count_and_ratio(
     length: float, min_length: float, max_length: float
 ) -> tuple[int, float]:
     """Return number and length ratio of elements that grow geometrically.
@@ -386,12 +415,12 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
         Cracks in the order of the scene.
     """
     unit_scene, unit = scale_to_mesh_unit(scene)
-    groups = _draw_blocks(scene, unit_scene)
+    facet_tags_by_group = _draw_blocks(scene, unit_scene)
     if scene.has_element_lengths:
         rim = DiskRim(unit_scene)
-        entities_of_group = gmsh.model.getEntitiesForPhysicalGroup
+        get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
-            entities_of_group(1, *groups[name]).tolist() for name in RIM_SIDES
+            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDES
         )
         rim.set_periodic(0, left_curves, right_curves)
         _mesh_with_gradings(scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()])
@@ -400,17 +429,17 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     else:
         gmsh.model.mesh.generate(2)
     _scale_nodes(unit)
-    return (groups, {}), _crack_paths(scene)
+    return (facet_tags_by_group, {}), _crack_paths(scene)
 
 
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
     """Return a plate's crack paths, in the order of the scene."""
-    width, paths = scene.geometry.sides[0], []
+    width, crack_paths = scene.geometry.sides[0], []
     for crack in scene.all_cracks.values():
-        left_end, right_end = ((x, crack.given("height")) for x in crack.span(width))
+        left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
         ends = (right_end, left_end) if crack.edge == "right" else (left_end, right_end)
-        paths.append(CrackPath(np.array(ends), crack.edge is not None))
-    return tuple(paths)
+        crack_paths.append(CrackPath(np.array(ends), crack.edge is not None))
+    return tuple(crack_paths)
 
 
 def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
@@ -421,7 +450,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     _check_plate_cells(scene)
     columns, rows, slits = _plate_blocks(unit_scene)
     rim = None if unit_scene.disk is None else DiskRim(unit_scene)
-    xs, ys = ([0.0, *(interval.stop for interval in side)] for side in (columns, rows))
+    xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     foot_heights = [0.0 if rim is None else rim.foot_height(x) for x in xs]
     points = {
@@ -429,27 +458,32 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
         for i, x in enumerate(xs)
         for j, y in enumerate(ys)
     }
-    doubled_points = _doubled_corners(slits, len(columns))
-    upper_points = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_points}
-    points_above = points | upper_points  # corners of blocks above a crack
+    doubled_corners = _doubled_corners(slits, len(columns))
+    upper_points = {(i, j): add_point(xs[i], ys[j], 0.0) for i, j in doubled_corners}
+    block_bottom_points = points | upper_points  # corners of blocks above a crack
 
     horizontal_curves, vertical_curves = {}, {}
-    face_columns = {(i, row): columns[i] for row, crack_columns in slits for i in crack_columns}
+    interval_by_face_block = {
+        (i, row): columns[i] for row, crack_columns in slits for i in crack_columns
+    }
     if scene.has_element_lengths:  # only crack faces have a number of elements
         columns, rows = (
-            [replace(interval, n_elements=0) for interval in side] for side in (columns, rows)
+            [replace(interval, n_elements=0) for interval in intervals]
+            for intervals in (columns, rows)
         )
-    for i, column in enumerate(columns):
+    for i, column_interval in enumerate(columns):
         for j in range(len(ys)):
             horizontal_curves[i, j] = _add_curve(
-                points[i, j], points[i + 1, j], face_columns.get((i, j), column)
+                points[i, j], points[i + 1, j], interval_by_face_block.get((i, j), column_interval)
             )
-    for j, row in enumerate(rows):
+    for j, row_interval in enumerate(rows):
         for i in range(len(xs)):
-            vertical_curves[i, j] = _add_curve(points_above[i, j], points[i, j + 1], row)
+            vertical_curves[i, j] = _add_curve(
+                block_bottom_points[i, j], points[i, j + 1], row_interval
+            )
     upper_curves = {
-        (i, j): _add_curve(points_above[i, j], points_above[i + 1, j], interval)
-        for (i, j), interval in face_columns.items()
+        (i, j): _add_curve(block_bottom_points[i, j], block_bottom_points[i + 1, j], interval)
+        for (i, j), interval in interval_by_face_block.items()
     }
     surfaces = _add_surfaces(
         len(columns), len(rows), horizontal_curves, vertical_curves, upper_curves
@@ -463,30 +497,31 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     left_curves, right_curves = (
         [vertical_curves[i, j] for j in range(len(rows))] for i in (0, len(columns))
     )
-    single_points = [block_corner for block_corner in points if block_corner not in doubled_points]
-    load_point = unit_scene.excitation.point
-    loaded_points = [points[i, j] for i, j in single_points if (xs[i], ys[j]) == load_point]
+    single_corners = [indices for indices in points if indices not in doubled_corners]
+    load_position = unit_scene.excitation.point
+    loaded_point_tags = [points[i, j] for i, j in single_corners if (xs[i], ys[j]) == load_position]
     groups: dict[str, tuple[int, list[int]]] = {
         "plate": (2, surfaces),
         **sides,
-        "lower_lip": (1, [horizontal_curves[block] for block in upper_curves]),
+        "lower_lip": (1, [horizontal_curves[block_indices] for block_indices in upper_curves]),
         "upper_lip": (1, list(upper_curves.values())),
-        "load": (0, loaded_points),
+        "load": (0, loaded_point_tags),
         "left": (1, left_curves),
         "right": (1, right_curves),
         "top": (1, [horizontal_curves[i, len(rows)] for i in range(len(columns))]),
     }
-    tags = {name: tag for name, tag in _name_groups(groups).items() if groups[name][0] == 1}
+    tag_by_side = {name: group_tag for name, group_tag in _add_physical_groups(groups).items()
+                   if groups[name][0] == 1}  # fmt: skip
     if rim is None:
-        tags["bottom"] = tags["clamp"]
-    return {name: (tag,) for name, tag in tags.items()}
+        tag_by_side["bottom"] = tag_by_side["clamp"]
+    return {name: (group_tag,) for name, group_tag in tag_by_side.items()}
 
 
 def _check_plate_cells(scene: Scene) -> None:
     """Raise InputError if a plate would have too many cells."""
     columns, rows, _ = _plate_blocks(scene)
     n_cells: float = math.prod(
-        sum(interval.n_elements for interval in side) for side in (columns, rows)
+        sum(interval.n_elements for interval in intervals) for intervals in (columns, rows)
     )
     if scene.disk is not None:
         n_cells += DiskRim(scene).area / _element_length(scene) ** 2
@@ -526,22 +561,28 @@ def _add_surfaces(
     for i in range(n_columns):
         for j in range(n_rows):
             lower_curve = upper_faces.get((i, j), horizontal[i, j])
-            loop = [lower_curve, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
-            surfaces.append(gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)]))
+            loop_curves = [lower_curve, vertical[i + 1, j], -horizontal[i, j + 1], -vertical[i, j]]
+            surfaces.append(
+                gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop_curves)])
+            )
     return surfaces
 
 
-def _name_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
+def _add_physical_groups(groups: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
     """Make gmsh's physical groups, and return their tags by name.
 
     ``groups`` has dimension and entities by name; names without entities get no group.
     """
-    tags = {name: tag for tag, (name, (_, entities)) in enumerate(groups.items(), 1) if entities}
-    for name, tag in tags.items():
+    tag_by_name = {
+        name: group_tag
+        for group_tag, (name, (_, entities)) in enumerate(groups.items(), 1)
+        if entities
+    }
+    for name, group_tag in tag_by_name.items():
         dimension, entities = groups[name]
-        gmsh.model.addPhysicalGroup(dimension, entities, tag)
-        gmsh.model.setPhysicalName(dimension, tag, name)
-    return tags
+        gmsh.model.addPhysicalGroup(dimension, entities, group_tag)
+        gmsh.model.setPhysicalName(dimension, group_tag, name)
+    return tag_by_name
 
 
 def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
@@ -562,8 +603,10 @@ def _add_curve(start: int, end: int, interval: Interval, center: int | None = No
     points = (start, end) if center is None else (start, center, end)
     curve: int = (geo.addLine if center is None else geo.addCircleArc)(*points)
     if interval.n_elements:  # else elements have lengths by :func:`_mesh_with_gradings`
-        n_nodes_on_curve, ratio = interval.n_elements + 1, interval.length_ratio
-        gmsh.model.geo.mesh.setTransfiniteCurve(curve, n_nodes_on_curve, "Progression", ratio)
+        n_nodes_on_curve, length_ratio = interval.n_elements + 1, interval.length_ratio
+        gmsh.model.geo.mesh.setTransfiniteCurve(
+            curve, n_nodes_on_curve, "Progression", length_ratio
+        )
     return curve
 
 
@@ -580,7 +623,7 @@ class DiskRim:
 
     Attributes
     ----------
-    middle, axis : float [m]
+    blade_middle, axis_height : float [m]
         Position of the blade's middle across the blade, and of the axis along it.
     inner_radius, outer_radius : float [m]
         Radii of the circles.
@@ -590,8 +633,11 @@ class DiskRim:
 
     def __init__(self, scene: Scene) -> None:
         """Read the rim from a scene whose disk is meshed here."""
-        self.scene, disk, place = scene, scene.given("disk"), scene.axis[0]
-        self.middle, self.axis = float(place[0 if scene.dimension == 2 else 2]), float(place[1])
+        self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis[0]
+        self.blade_middle, self.axis_height = (
+            float(axis_point[0 if scene.dimension == 2 else 2]),
+            float(axis_point[1]),
+        )
         self.inner_radius, self.outer_radius = (
             disk.given("inner_radius"),
             disk.given("outer_radius"),
@@ -605,14 +651,18 @@ class DiskRim:
 
     def foot_height(self, position: float) -> float:
         """Return the blade foot's height y on the rim, at a position across [m]."""
-        return self.axis + math.sqrt(self.outer_radius**2 - (position - self.middle) ** 2)
+        return self.axis_height + math.sqrt(
+            self.outer_radius**2 - (position - self.blade_middle) ** 2
+        )
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
         """Return a point at a radius and an angle.
 
         The angle is measured from the middle of the blade to the right.
         """
-        return self.middle + radius * math.sin(angle), self.axis + radius * math.cos(angle)
+        return self.blade_middle + radius * math.sin(angle), self.axis_height + radius * math.cos(
+            angle
+        )
 
     def draw_with_blade(
         self, width: float, height: float, thickness: float
@@ -622,28 +672,33 @@ class DiskRim:
         The rim is as thick as the blade is wide.
         """
         occ = gmsh.model.occ
-        corners = [
-            (r, a)
-            for r in (self.inner_radius, self.outer_radius)
-            for a in (-self.half_angle, self.half_angle)
+        polar_corners = [
+            (corner_radius, corner_angle)
+            for corner_radius in (self.inner_radius, self.outer_radius)
+            for corner_angle in (-self.half_angle, self.half_angle)
         ]
-        corner_positions = [self.point_at(*corner) for corner in corners]
-        left_foot, right_foot, left_corner, right_corner = (
-            occ.addPoint(0.0, y, z) for z, y in corner_positions
+        rim_corner_positions = [self.point_at(*polar_corner) for polar_corner in polar_corners]
+        left_inner_point, right_inner_point, left_outer_point, right_outer_point = (
+            occ.addPoint(0.0, y, z) for z, y in rim_corner_positions
         )
-        center = occ.addPoint(0.0, self.axis, self.middle)
-        curves = [
-            occ.addCircleArc(left_foot, center, right_foot), occ.addLine(right_foot, right_corner),
-            occ.addCircleArc(right_corner, center, left_corner),
-            occ.addLine(left_corner, left_foot),
+        center = occ.addPoint(0.0, self.axis_height, self.blade_middle)
+        rim_curves = [
+            occ.addCircleArc(left_inner_point, center, right_inner_point),
+            occ.addLine(right_inner_point, right_outer_point),
+            occ.addCircleArc(right_outer_point, center, left_outer_point),
+            occ.addLine(left_outer_point, left_inner_point),
         ]  # fmt: skip
-        face = occ.addPlaneSurface([occ.addCurveLoop(curves)])
-        rim_volumes = [
-            entity for entity in occ.extrude([(2, face)], width, 0.0, 0.0) if entity[0] == 3
+        rim_section = occ.addPlaneSurface([occ.addCurveLoop(rim_curves)])
+        rim_dim_tags = [
+            dim_tag
+            for dim_tag in occ.extrude([(2, rim_section)], width, 0.0, 0.0)
+            if dim_tag[0] == 3
         ]
         blade_depth = 0.5 * (-self.foot_height(0.0) + self.outer_radius - self.inner_radius)
-        blade = [(3, occ.addBox(0.0, -blade_depth, 0.0, width, height + blade_depth, thickness))]
-        return list(occ.fuse(rim_volumes, blade)[0])
+        blade_dim_tags = [
+            (3, occ.addBox(0.0, -blade_depth, 0.0, width, height + blade_depth, thickness))
+        ]
+        return list(occ.fuse(rim_dim_tags, blade_dim_tags)[0])
 
     def gradings(self) -> list[_Grading]:
         """Return the element lengths around the corners between blade and rim.
@@ -651,24 +706,30 @@ class DiskRim:
         The stress is infinite there. A smaller ``mesh.size`` gives shorter elements and slower
         growth.
         """
-        (width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
-        corner_positions = np.array([0.0, width])
+        (blade_width, _), size = self.scene.geometry.sides, self.scene.mesh.given("size")
+        corner_x_positions = np.array([0.0, blade_width])
         return [
             _Grading(
-                corner_positions, self.foot_height(0.0), CORNER_SIZE_RATIO * size, size / width
+                corner_x_positions,
+                self.foot_height(0.0),
+                CORNER_SIZE_RATIO * size,
+                size / blade_width,
             )
         ]
 
     def name_of(self, center: tuple[float, float, float]) -> str:
         """Name a face on a solid's rim, given the face's center of mass."""
-        offset_across, offset_along = center[2] - self.middle, center[1] - self.axis
-        radius = math.hypot(offset_across, offset_along)
-        angle = math.atan2(offset_across, offset_along)
+        offset_across_blade, offset_along_blade = (
+            center[2] - self.blade_middle,
+            center[1] - self.axis_height,
+        )
+        radius = math.hypot(offset_across_blade, offset_along_blade)
+        angle = math.atan2(offset_across_blade, offset_along_blade)
         if abs(abs(angle) - self.half_angle) < 1e-6:
             return RIM_SIDES[int(angle > 0.0)]
         # The center of mass of the inner arc.
-        arc_center_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
-        return "clamp" if abs(radius - arc_center_radius) < 1e-6 * self.outer_radius else "rim"
+        arc_centroid_radius = self.inner_radius * math.sin(self.half_angle) / self.half_angle
+        return "clamp" if abs(radius - arc_centroid_radius) < 1e-6 * self.outer_radius else "rim"
 
     def set_periodic(self, across_axis: int, left_tags: list[int], right_tags: list[int]) -> None:
         """Make gmsh mesh the right side like the left one, rotated.
@@ -679,7 +740,7 @@ class DiskRim:
         c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
         transformation, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
         transformation[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
-        axis_point[plane_axes] = self.axis, self.middle
+        axis_point[plane_axes] = self.axis_height, self.blade_middle
         transformation[:3, 3] = axis_point - transformation[:3, :3] @ axis_point
         gmsh.model.mesh.setPeriodic(
             1 + across_axis // 2, right_tags, left_tags, transformation.ravel().tolist()
@@ -700,17 +761,22 @@ class DiskRim:
             The curves' dimension and tags, by the rim side's name.
         """
         size, geo = _element_length(self.scene), gmsh.model.geo
-        side_angle = self.half_angle - math.asin(
-            (columns[-1].stop - self.middle) / self.outer_radius
+        angle_beside_blade = self.half_angle - math.asin(
+            (columns[-1].stop - self.blade_middle) / self.outer_radius
         )
-        lengths = self.outer_radius * side_angle, self.outer_radius - self.inner_radius
-        counts = [
+        lengths = self.outer_radius * angle_beside_blade, self.outer_radius - self.inner_radius
+        element_counts = [
             max(1, round(length / size)) if columns[0].n_elements else 0 for length in lengths
         ]
-        side_interval, radial_interval = (Interval(0.0, 1.0, count, 1.0) for count in counts)
-        center = geo.addPoint(self.middle, self.axis, 0.0)
-        positions = [columns[0].start, *(column.stop for column in columns)]
-        angles = [math.asin((position - self.middle) / self.outer_radius) for position in positions]
+        interval_beside_blade, radial_interval = (
+            Interval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
+        )
+        center = geo.addPoint(self.blade_middle, self.axis_height, 0.0)
+        x_positions = [columns[0].start, *(column_interval.stop for column_interval in columns)]
+        angles = [
+            math.asin((x_position - self.blade_middle) / self.outer_radius)
+            for x_position in x_positions
+        ]
         angles = [-self.half_angle, *angles, self.half_angle]
         left_corner, right_corner = (
             geo.addPoint(*self.point_at(self.outer_radius, angle), 0.0)
@@ -720,26 +786,29 @@ class DiskRim:
         inner_points = [
             geo.addPoint(*self.point_at(self.inner_radius, angle), 0.0) for angle in angles
         ]
-        intervals = [side_interval, *columns, side_interval]
+        intervals = [interval_beside_blade, *columns, interval_beside_blade]
         radial_curves = [
             _add_curve(inner_point, outer_point, radial_interval)
             for inner_point, outer_point in zip(inner_points, outer_points, strict=True)
         ]
-        arcs = zip(pairwise(inner_points), intervals, strict=True)
-        inner_curves = [_add_curve(*arc_ends, interval, center) for arc_ends, interval in arcs]
+        arc_ends_and_intervals = zip(pairwise(inner_points), intervals, strict=True)
+        inner_curves = [
+            _add_curve(*arc_end_points, interval, center)
+            for arc_end_points, interval in arc_ends_and_intervals
+        ]
         outer_curves = [
-            _add_curve(start, end, side_interval, center)
+            _add_curve(start, end, interval_beside_blade, center)
             for start, end in (outer_points[:2], outer_points[-2:])
         ]
         outer_curves[1:1] = foot_curves
         for column_index in range(len(intervals)):
-            loop = [
+            loop_curves = [
                 inner_curves[column_index],
                 radial_curves[column_index + 1],
                 -outer_curves[column_index],
                 -radial_curves[column_index],
             ]
-            surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
+            surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop_curves)]))
         return {
             "clamp": (1, inner_curves),
             RIM_SIDES[0]: (1, radial_curves[:1]),
@@ -760,14 +829,19 @@ def _mesh_with_gradings(scene: Scene, unit_scene: Scene, gradings: list[_Grading
     InputError
         gmsh fails.
     """
-    size, structs = unit_scene.mesh.given("size"), [grading.as_struct() for grading in gradings]
+    size, kernel_structs = (
+        unit_scene.mesh.given("size"),
+        [grading.as_kernel_struct() for grading in gradings],
+    )
 
     def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
         """Return the element length at a point.
 
         gmsh calls it 1e5 times for a mesh.
         """
-        return min([size, *(kernel.element_length_at(struct.address, x, y) for struct in structs)])
+        return min(
+            [size, *(kernel.element_length_at(struct.address, x, y) for struct in kernel_structs)]
+        )
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
         gmsh.option.setNumber(f"Mesh.{option}", 0)
@@ -785,19 +859,23 @@ def meshing_refusal(scene: Scene, reason: str) -> InputError:
 
     It names the smallest crack or, without cracks, the size of elements.
     """
-    crack_sizes = {
-        f"{name}.{key}": value
+    crack_dimension_by_key = {
+        f"{name}.{key}": crack_dimension
         for name, crack in scene.all_cracks.items()
         for key in ("depth", "length", "radii")
-        if (value := getattr(crack, key)) is not None
+        if (crack_dimension := getattr(crack, key)) is not None
     }
-    key = min(crack_sizes, key=lambda size_key: np.min(crack_sizes[size_key]), default="mesh.size")
+    key = min(
+        crack_dimension_by_key,
+        key=lambda size_key: np.min(crack_dimension_by_key[size_key]),
+        default="mesh.size",
+    )
     geometry_kind = scene.geometry.kind
     requirement = (
         f"such that gmsh can mesh the {geometry_kind} ({reason}): not as small beside its other"
         " sizes"
     )
-    return InputError(key, crack_sizes.get(key, scene.mesh.size), requirement)
+    return InputError(key, crack_dimension_by_key.get(key, scene.mesh.size), requirement)
 
 
 @dataclass(frozen=True)
@@ -821,7 +899,7 @@ class _Grading:
     min_length: float
     growth: float
 
-    def as_struct(self) -> Struct:
+    def as_kernel_struct(self) -> Struct:
         """Return this grading as a C struct for the kernel's ``element_length_at``."""
         return Struct("grading", count=len(self.x_positions), **vars(self))
 
@@ -837,7 +915,9 @@ def _crack_gradings(scene: Scene) -> list[_Grading]:
             n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
         length_ratio = mesh.grading ** (1.0 / max(n_elements - 1, 1))
         tip_length = face_length / float((length_ratio ** np.arange(n_elements)).sum())
-        tips = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])
-        growth_by_distance = max(length_ratio - 1.0, MAX_SIZE_PER_DISTANCE)
-        gradings.append(_Grading(tips, crack.given("height"), tip_length, growth_by_distance))
+        tip_positions = np.array([tip for tip in (left_end, right_end) if 0.0 < tip < width])
+        size_growth_per_distance = max(length_ratio - 1.0, MAX_SIZE_PER_DISTANCE)
+        gradings.append(
+            _Grading(tip_positions, crack.given("height"), tip_length, size_growth_per_distance)
+        )
     return gradings

@@ -56,7 +56,7 @@ from fenics_crack.fem.cracks import (
     distribute_front_pressures,
     locate_on_cracks,
 )
-from fenics_crack.fem.elasticity import constants, rotation_of, stress, thickness
+from fenics_crack.fem.elasticity import assemble_rotation, constants, stress, thickness
 from fenics_crack.fem.loads import assemble_loads, clamp_of
 from fenics_crack.fem.plate import Dofs, build_mesh
 from fenics_crack.fem.setting import clearance_of, damping_of
@@ -104,92 +104,98 @@ def pair_crack_faces(
     """
     dimension, plate = dofs.dimension, dofs.plate
     if not plate.has_cracks:
-        no_pairs = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
-        return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*no_pairs)
+        empty_fields = np.zeros((0, dimension)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)
+        return sparse.csr_matrix((len(dofs.free_dofs), 0)), None, Pairs(*empty_fields)
     assemble_columns = (
         _columns_of_nodes if dimension == 2 and max_patches is None else _columns_of_pressures
     )
-    face_measure = plate.measure_on(*CRACK_FACE_NAMES)
-    space, weights, columns = assemble_columns(dofs, t, face_measure)
-    first_node = space.dofmap.index_map.local_range[0]
-    points = space.tabulate_dof_coordinates()[:, :dimension]
-    faces = []
-    for name in CRACK_FACE_NAMES:
-        nodes = dofs.nodes_on(name, space)
-        rows = np.column_stack([nodes + first_node, weights[nodes], points[nodes]])
-        faces.append(gather_rows(dofs.comm, rows))
-    lower_rows, upper_rows, crack_index, distances_on_crack, n_inside = _match_faces(
-        plate.cracks, *faces
+    both_faces_measure = plate.measure_on(*CRACK_FACE_NAMES)
+    pressure_space, node_areas, pressure_gap_columns = assemble_columns(dofs, t, both_faces_measure)
+    first_node = pressure_space.dofmap.index_map.local_range[0]
+    points = pressure_space.tabulate_dof_coordinates()[:, :dimension]
+    node_table_by_face = []
+    for face_name in CRACK_FACE_NAMES:
+        nodes = dofs.nodes_on(face_name, pressure_space)
+        node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
+        node_table_by_face.append(gather_rows(dofs.comm, node_table))
+    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = _match_faces(
+        plate.crack_geometries, *node_table_by_face
     )
-    lower_nodes = lower_rows[:, 0].astype(int)
-    lower_gap = columns[:, lower_nodes]
-    gap = lower_gap + columns[:, upper_rows[:, 0].astype(int)]
-    points, areas, pair_nodes = lower_rows[:, 2:], lower_rows[:, 1], np.arange(n_inside)
+    lower_nodes = lower_node_table[:, 0].astype(int)
+    lower_gap = pressure_gap_columns[:, lower_nodes]
+    gap = lower_gap + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
+    points, areas, pair_node_index = (
+        lower_node_table[:, 2:],
+        lower_node_table[:, 1],
+        np.arange(n_inside),
+    )
     fields: dict[str, Any] = {}
     if max_patches is not None or dimension == 3:
         if max_patches is None:
-            shares = _front_pressure_shares(dofs, space, face_measure, lower_nodes, n_inside)
+            shares = _front_pressure_shares(
+                dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
+            )
         else:
-            pair_nodes, shares = _patch_shares(
+            pair_node_index, shares = _patch_shares(
                 points, crack_index, distances_on_crack, n_inside, max_patches
             )
         nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
-        areas[pair_nodes] = shares.T @ areas
-        nodal_force_shares.data /= np.repeat(areas[pair_nodes], np.diff(nodal_force_shares.indptr))
+        areas[pair_node_index] = shares.T @ areas
+        nodal_force_shares.data /= np.repeat(
+            areas[pair_node_index], np.diff(nodal_force_shares.indptr)
+        )
         gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
         fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
     if max_patches is None:
         kept_pairs = np.arange(n_inside)
         if mouth_only:
-            kept_pairs = np.array(
-                [
-                    *_watched_pairs(
-                        plate.cracks, crack_index[:n_inside], distances_on_crack[:n_inside]
-                    ).values()
-                ]
-            )
+            kept_pairs = np.array([*_watched_pair_by_name(
+                plate.crack_geometries, crack_index[:n_inside], distances_on_crack[:n_inside]
+            ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
-        pair_nodes, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
+        pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
     points, areas, crack_index, distances_on_crack = (
-        rows[pair_nodes] for rows in (points, areas, crack_index, distances_on_crack)
+        values[pair_node_index] for values in (points, areas, crack_index, distances_on_crack)
     )
     if dimension == 3:
         fields["tangential_gap_matrix"] = _free_rows(
             _tangential_gaps(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
-        points,
-        areas,
-        crack_index,
-        distances_on_crack,
-        _watched_pairs(plate.cracks, crack_index, distances_on_crack),
-        **fields,
-    )
+        points, areas, crack_index, distances_on_crack,
+        _watched_pair_by_name(plate.crack_geometries, crack_index, distances_on_crack), **fields,
+    )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
     return _free_rows(gap, dofs), tangential, pairs
 
 
 def _front_pressure_shares(
-    dofs: Dofs, space: Any, face_measure: Any, node_numbers: np.ndarray, n_inside: int
+    dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
     """Return the matrix S that moves pressures at front nodes to neighbours: (n, n_inside).
 
     At nodes off the front, the pressure functions psi become sum_i S_ij psi_i. The first
     ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
     """
-    overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * face_measure
-    matrix = compat.assembled_petsc_matrix(overlap_form)
-    entries = local_rows(matrix).tocoo()
-    matrix.destroy()
+    overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * both_faces_measure
+    petsc_overlap_matrix = compat.assembled_petsc_matrix(overlap_form)
+    local_overlap_coo = local_rows(petsc_overlap_matrix).tocoo()
+    petsc_overlap_matrix.destroy()
     first_node = space.dofmap.index_map.local_range[0]
-    rows = gather_rows(
-        dofs.comm, np.column_stack([entries.row + first_node, entries.col, entries.data])
+    overlap_triplets = gather_rows(
+        dofs.comm,
+        np.column_stack(
+            [local_overlap_coo.row + first_node, local_overlap_coo.col, local_overlap_coo.data]
+        ),
     )
     n_global_nodes = space.dofmap.index_map.size_global
-    overlaps = sparse.csr_matrix(
-        (rows[:, 2], rows[:, :2].astype(int).T), (n_global_nodes, n_global_nodes)
+    overlap_matrix = sparse.csr_matrix(
+        (overlap_triplets[:, 2], overlap_triplets[:, :2].astype(int).T),
+        (n_global_nodes, n_global_nodes),
     )
-    return distribute_front_pressures(overlaps[node_numbers[n_inside:]][:, node_numbers[:n_inside]])
+    return distribute_front_pressures(
+        overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
+    )
 
 
 def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
@@ -204,17 +210,23 @@ def _tangential_gaps(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_mat
     comm : MPI.Comm
         Ranks that share the mesh.
     """
-    normals = comm.allreduce(np.array([lower_gap[k::3].sum(axis=0) for k in range(3)])[:, 0].T)
+    normals = comm.allreduce(
+        np.array([lower_gap[axis_index::3].sum(axis=0) for axis_index in range(3)])[:, 0].T
+    )
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     first_tangents = np.cross(normals, np.eye(3)[np.abs(normals).argmin(axis=1)])
     first_tangents /= np.linalg.norm(first_tangents, axis=1)[:, None]
-    normal_gap = sum(gap[k::3] @ sparse.diags(normals[:, k]) for k in range(3))
+    normal_components = sum(
+        gap[axis_index::3] @ sparse.diags(normals[:, axis_index]) for axis_index in range(3)
+    )
     return sparse.hstack([
         sum(
-            sparse.kron(normal_gap @ sparse.diags(components), axis[:, None])
-            for components, axis in zip(tangents.T, np.eye(3), strict=True)
+            sparse.kron(
+                normal_components @ sparse.diags(tangent_components), axis_direction[:, None]
+            )
+            for tangent_components, axis_direction in zip(tangent_vectors.T, np.eye(3), strict=True)
         )
-        for tangents in np.round([first_tangents, np.cross(normals, first_tangents)], 12)
+        for tangent_vectors in np.round([first_tangents, np.cross(normals, first_tangents)], 12)
     ]).tocsr()  # fmt: skip
 
 
@@ -245,33 +257,39 @@ def _patch_shares(
     -------
     patch_nodes : (m,) int
         Node at the centre of each patch.
-    shares : (n, m)
+    pressure_shares : (n, m)
         Values of the patches' pressure functions at all nodes, 0 to 1.
     """
-    patch_nodes, shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
-    for crack in np.unique(crack_index):
-        crack_nodes = np.flatnonzero(crack_index[:n_inside] == crack)
+    patch_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
+    for crack_number in np.unique(crack_index):
+        crack_nodes = np.flatnonzero(crack_index[:n_inside] == crack_number)
         n_patches = min(max_patches, len(crack_nodes))
         if points.shape[1] == 2:
             crack_nodes = crack_nodes[
                 np.arange(n_patches) * (len(crack_nodes) - 1) // max(n_patches - 1, 1)
             ]
             patch_functions = [
-                np.interp(distances_on_crack, distances_on_crack[crack_nodes], unit_vector)
-                for unit_vector in np.eye(n_patches)
+                np.interp(distances_on_crack, distances_on_crack[crack_nodes], patch_indicator)
+                for patch_indicator in np.eye(n_patches)
             ]
         else:
-            crack_nodes = crack_nodes[_farthest_points(points[crack_nodes], n_patches)]
+            crack_nodes = crack_nodes[_select_distant_points(points[crack_nodes], n_patches)]
             distances = np.linalg.norm(points[:, None] - points[crack_nodes], axis=2)
             patch_functions = [distances.argmin(axis=1) == patch for patch in range(n_patches)]
         patch_nodes = np.append(patch_nodes, crack_nodes)
-        shares = np.column_stack(
-            [shares, *(function * (crack_index == crack) for function in patch_functions)]
+        pressure_shares = np.column_stack(
+            [
+                pressure_shares,
+                *(
+                    patch_function * (crack_index == crack_number)
+                    for patch_function in patch_functions
+                ),
+            ]
         )
-    return patch_nodes, sparse.csr_matrix(shares)
+    return patch_nodes, sparse.csr_matrix(pressure_shares)
 
 
-def _farthest_points(points: np.ndarray, n_points: int) -> np.ndarray:
+def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
     """Select points far apart, by index: (n_points,) int, in ascending order.
 
     The last point is selected first, then repeatedly the point farthest from all selected ones.
@@ -291,13 +309,13 @@ def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
 
 def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
     """Return the rows of this rank's free dofs, without stored zeros."""
-    free_rows = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
-    free_rows.eliminate_zeros()
-    return free_rows
+    free_rows_matrix = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
+    free_rows_matrix.eliminate_zeros()
+    return free_rows_matrix
 
 
 def _columns_of_nodes(
-    dofs: Dofs, t: Any, face_measure: Any
+    dofs: Dofs, t: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors b, one for each displacement node.
 
@@ -315,20 +333,24 @@ def _columns_of_nodes(
     space, dimension = dofs.space, dofs.dimension
     normal = ufl.FacetNormal(space.mesh)
     normal_integrals = compat.assembled_vector(
-        t * ufl.inner(normal, ufl.TestFunction(space)) * face_measure
+        t * ufl.inner(normal, ufl.TestFunction(space)) * both_faces_measure
     )
     normal_integrals = normal_integrals.reshape(-1, dimension)
     weights = np.linalg.norm(normal_integrals, axis=1)
     face_nodes = np.flatnonzero(weights)
     normals = normal_integrals[face_nodes] / weights[face_nodes, None]
-    rows = dimension * face_nodes[:, None] + np.arange(dimension)
-    columns = np.repeat(dofs.first_node + face_nodes, dimension)
-    shape = len(dofs.numbers), space.dofmap.index_map.size_global
-    return space, weights, sparse.csc_matrix((normals.ravel(), (rows.ravel(), columns)), shape)
+    row_indices = dimension * face_nodes[:, None] + np.arange(dimension)
+    column_indices = np.repeat(dofs.first_node + face_nodes, dimension)
+    matrix_shape = len(dofs.structure_dof_numbers), space.dofmap.index_map.size_global
+    return (
+        space,
+        weights,
+        sparse.csc_matrix((normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape),
+    )
 
 
 def _columns_of_pressures(
-    dofs: Dofs, t: Any, face_measure: Any
+    dofs: Dofs, t: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors with pressures linear between corners of facets.
 
@@ -336,20 +358,20 @@ def _columns_of_pressures(
     """
     space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
-    work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * face_measure
+    work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * both_faces_measure
     matrix = compat.assembled_petsc_matrix(work_form)
     columns = local_rows(matrix).tocsc()
     matrix.destroy()
-    weights = compat.assembled_vector(t * ufl.TestFunction(space) * face_measure)
+    weights = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
     all_weights = gather_rows(dofs.comm, weights)
-    inverse_weights = np.divide(
+    reciprocal_areas = np.divide(
         1.0, all_weights, out=np.zeros_like(all_weights), where=all_weights > 0.0
     )
-    return space, weights, sparse.csc_matrix(columns @ sparse.diags(inverse_weights))
+    return space, weights, sparse.csc_matrix(columns @ sparse.diags(reciprocal_areas))
 
 
 def _match_faces(
-    cracks: Cracks, lower_rows: np.ndarray, upper_rows: np.ndarray
+    cracks: Cracks, lower_node_table: np.ndarray, upper_node_table: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
     """Match the nodes of both crack faces one to one.
 
@@ -357,12 +379,12 @@ def _match_faces(
     ----------
     cracks : Cracks
         Cracks of the mesh.
-    lower_rows, upper_rows : (n, 2 + d)
+    lower_node_table, upper_node_table : (n, 2 + d)
         Node number, weight and position on each face.
 
     Returns
     -------
-    lower_rows, upper_rows : (n, 2 + d)
+    lower_node_table, upper_node_table : (n, 2 + d)
         Partners in order along the cracks; nodes of tips and fronts come last. As both faces
         share these, their weights are halved.
     crack_index : (n,) int
@@ -372,60 +394,67 @@ def _match_faces(
     n_inside : int
         Number of pairs off tips and fronts.
     """
-    size = np.ptp(lower_rows[:, 2:], axis=0).max()
-    is_front = np.isin(lower_rows[:, 0], upper_rows[:, 0])
-    lower_rows[is_front, 1] *= 0.5
-    crack_index, distances_on_crack = locate_on_cracks(cracks, lower_rows[:, 2:])
+    size = np.ptp(lower_node_table[:, 2:], axis=0).max()
+    is_front_node = np.isin(lower_node_table[:, 0], upper_node_table[:, 0])
+    lower_node_table[is_front_node, 1] *= 0.5
+    crack_index, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
     # Equal distances, as along a front, are sorted by coordinates.
-    sort_positions = np.round(lower_rows[:, 2:] / size, 7).T
+    sort_positions = np.round(lower_node_table[:, 2:] / size, 7).T
     order = np.lexsort(
-        (*sort_positions, np.round(distances_on_crack / size, 7), crack_index, is_front)
+        (*sort_positions, np.round(distances_on_crack / size, 7), crack_index, is_front_node)
     )
-    lower_rows, crack_index = lower_rows[order], crack_index[order]
+    lower_node_table, crack_index = lower_node_table[order], crack_index[order]
     distances_on_crack = distances_on_crack[order]
-    n_front = int(is_front.sum())
-    n_inside = len(lower_rows) - n_front
-    is_matching = len(lower_rows) == len(upper_rows) and n_inside > 0
-    reason = "one has more nodes than the other"
-    if is_matching:
-        distance_rows = [
-            np.linalg.norm(upper_rows[:, 2:] - point, axis=1) for point in lower_rows[:, 2:]
+    n_front = int(is_front_node.sum())
+    n_inside = len(lower_node_table) - n_front
+    has_matching_faces = len(lower_node_table) == len(upper_node_table) and n_inside > 0
+    mismatch_reason = "one has more nodes than the other"
+    if has_matching_faces:
+        distances_to_upper_nodes = [
+            np.linalg.norm(upper_node_table[:, 2:] - lower_point, axis=1)
+            for lower_point in lower_node_table[:, 2:]
         ]
-        distances, partners = np.min(distance_rows, axis=1), np.argmin(distance_rows, axis=1)
-        is_matching = distances.max() <= POSITION_TOLERANCE * size and len(
+        nearest_distances, partners = (
+            np.min(distances_to_upper_nodes, axis=1),
+            np.argmin(distances_to_upper_nodes, axis=1),
+        )
+        has_matching_faces = nearest_distances.max() <= POSITION_TOLERANCE * size and len(
             np.unique(partners)
         ) == len(partners)
-        position_text = ", ".join(f"{x:g}" for x in lower_rows[int(np.argmax(distances)), 2:])
-        reason = f"the upper node nearest to the lower one at ({position_text})"
-        reason += f" is {distances.max():.2g} m away"
-    if not is_matching:
-        problem = f"{n_inside} lower and {len(upper_rows) - n_front} upper nodes"
+        position_text = ", ".join(
+            f"{coordinate:g}"
+            for coordinate in lower_node_table[int(np.argmax(nearest_distances)), 2:]
+        )
+        mismatch_reason = f"the upper node nearest to the lower one at ({position_text})"
+        mismatch_reason += f" is {nearest_distances.max():.2g} m away"
+    if not has_matching_faces:
+        problem = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
         advice = "in a mesh file one curve or surface named 'crack' is split into two that do"
         requirement = "meshed identically, so that nodes of the two faces pair one to one"
-        raise InputError("lips", problem, f"{requirement}, but {reason}; {advice}")
-    return lower_rows, upper_rows[partners], crack_index, distances_on_crack, n_inside
+        raise InputError("lips", problem, f"{requirement}, but {mismatch_reason}; {advice}")
+    return lower_node_table, upper_node_table[partners], crack_index, distances_on_crack, n_inside
 
 
-def _watched_pairs(
+def _watched_pair_by_name(
     cracks: Cracks, crack_index: np.ndarray, distances_on_crack: np.ndarray
 ) -> dict[str, int]:
     """Return the index of each crack's watched pair, by name."""
     pair_by_name: dict[str, int] = {}
     crack: Any
-    for index, crack in enumerate(cracks):
-        pairs = np.flatnonzero(crack_index == index)
-        name, watched_distance = crack.watched_name_and_position
+    for crack_number, crack in enumerate(cracks):
+        crack_pairs = np.flatnonzero(crack_index == crack_number)
+        place_name, watched_distance = crack.watched_name_and_position
         if len(cracks) > 1:
-            name += f" of crack {index + 1}"
-        if len(pairs):
-            watched_distance = min(watched_distance, float(distances_on_crack[pairs].max()))
-            pair_by_name[name] = int(
-                pairs[np.argmin(np.abs(distances_on_crack[pairs] - watched_distance))]
+            place_name += f" of crack {crack_number + 1}"
+        if len(crack_pairs):
+            watched_distance = min(watched_distance, float(distances_on_crack[crack_pairs].max()))
+            pair_by_name[place_name] = int(
+                crack_pairs[np.argmin(np.abs(distances_on_crack[crack_pairs] - watched_distance))]
             )
     return pair_by_name
 
 
-def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """Mesh a scene and assemble its structure, or read its matrices (collective).
 
     The crack length must be known. Parameters and errors are those of
@@ -450,11 +479,11 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     structure, dofs = _assemble_at_rest(scene, comm)
     if scene.speed > 0.0:
         begin("rotation")
-        structure = rotation_of(scene, dofs, structure).at(scene.speed)
+        structure = assemble_rotation(scene, dofs, structure).at(scene.speed)
     return structure
 
 
-def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
+def assemble_load_fields(scene: Scene, structure: Structure) -> dict[str, Any]:
     """Assemble a scene's loads on a structure's mesh, at rest (collective).
 
     Returns
@@ -464,13 +493,13 @@ def assemble_loads_on(scene: Scene, structure: Structure) -> dict[str, Any]:
         printed; "clamp", which gives the reaction to the load.
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
-    _, mass = _matrix_forms(scene, dofs.space)
-    matrix = compat.assembled_petsc_matrix(mass)
-    load_coefficients, watched_vector = assemble_loads(scene, dofs, matrix)
-    clamp = clamp_of(dofs, matrix, load_coefficients)
-    matrix.destroy()
+    _, mass_form = _matrix_forms(scene, dofs.space)
+    mass_matrix = compat.assembled_petsc_matrix(mass_form)
+    nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_matrix)
+    clamp = clamp_of(dofs, mass_matrix, nodal_force_harmonics)
+    mass_matrix.destroy()
     return {
-        "force": dofs.restrict_to_free(load_coefficients),
+        "force": dofs.restrict_to_free(nodal_force_harmonics),
         "watched": watched_vector,
         "clamp": clamp,
     }
@@ -485,8 +514,10 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
     plate = build_mesh(scene, comm)
     begin("matrices")
     if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
-        part_words = "curves" if scene.dimension == 2 else "surfaces"
-        requirement = f"a mesh with {part_words} named 'crack', or 'lower_lip' and 'upper_lip'"
+        group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
+        requirement = (
+            f"a mesh with {group_kind_words} named 'crack', or 'lower_lip' and 'upper_lip'"
+        )
         requirement += ", as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, requirement)
     space = compat.function_space(plate.mesh, scene.mesh.order)
@@ -495,19 +526,24 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
         from fenics_crack.disk.sector import match_sides
 
         match_sides(scene, dofs)
-    stiffness, mass = map(compat.assembled_petsc_matrix, _matrix_forms(scene, space))
+    stiffness_with_clamped_dofs, mass_with_clamped_dofs = map(
+        compat.assembled_petsc_matrix, _matrix_forms(scene, space)
+    )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
-    t, patches = thickness(scene, space), scene.mesh.patches
-    gap, tangential, pairs = pair_crack_faces(dofs, t, mouth_only=mouth_only, max_patches=patches)
-    load_coefficients, watched_vector = assemble_loads(scene, dofs, mass)
-    clamp = clamp_of(dofs, mass, load_coefficients)
-    body = Body(
-        dofs.restrict_matrix(mass), dofs.restrict_matrix(stiffness), gap,
-        dofs.restrict_to_free(load_coefficients), clearance_of(scene, pairs),
-        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.nodes(),
+    t, max_patches = thickness(scene, space), scene.mesh.patches
+    gap, tangential, pairs = pair_crack_faces(
+        dofs, t, mouth_only=mouth_only, max_patches=max_patches
+    )
+    nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
+    clamp = clamp_of(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
+    body_with_loads = Body(
+        dofs.restrict_matrix(mass_with_clamped_dofs),
+        dofs.restrict_matrix(stiffness_with_clamped_dofs), gap,
+        dofs.restrict_to_free(nodal_force_harmonics), clearance_of(scene, pairs),
+        damping=damping_of(scene.damping), tangential=tangential, nodes=dofs.make_node_data(),
         pairs=pairs, watched=watched_vector, clamp=clamp,
     )  # fmt: skip
-    return Structure(body), dofs
+    return Structure(body_with_loads), dofs
 
 
 # --- matrices -------------------------------------------------------------------------------------
@@ -552,7 +588,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     --------
     >>> whole = fc.build_structure(scene)
     """
-    return assemble(with_crack_length(scene, comm), comm)
+    return assemble_structure(with_crack_length(scene, comm), comm)
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
@@ -601,35 +637,35 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     crack, width = scene.crack, None if scene.structure else scene.geometry.width
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
-    tables = repr((scene.geometry, crack, scene.material, scene.mesh))
-    if (known_length := comm.bcast(dict(_LAST_LENGTH).get(tables))) is not None:
+    tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
+    if (known_length := comm.bcast(dict(_LAST_LENGTH).get(tables_text))) is not None:
         return float(known_length)
     target_omega, scene_at_rest = crack.first_omega, scene.at_rest()
 
     @cache
     def excess_frequency(length: float) -> float:
         """Return the first natural frequency less the target [rad/s]."""
-        plate = assemble(_set_crack_length(scene_at_rest, length), comm)
-        return float(solve_modes(plate, 1).omega[0]) - target_omega
+        trial_structure = assemble_structure(_set_crack_length(scene_at_rest, length), comm)
+        return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 
-    max_extent, extent_words = width, "width"
+    available_width, width_words = width, "width"
     if crack.center is not None:
-        max_extent = 2.0 * min(crack.center, width - crack.center)
-        extent_words = "room around its center"
-    min_length, max_length = 0.01 * max_extent, 0.95 * max_extent
+        available_width = 2.0 * min(crack.center, width - crack.center)
+        width_words = "room around its center"
+    min_length, max_length = 0.01 * available_width, 0.95 * available_width
     max_omega = target_omega + excess_frequency(min_length)
     min_omega = target_omega + excess_frequency(max_length)
     if not min_omega <= target_omega <= max_omega:
         range_text = f"between {min_omega:.1f} and {max_omega:.1f} rad/s"
-        requirement = f"{range_text}: cracks of 95 % and 1 % of the {extent_words}"
+        requirement = f"{range_text}: cracks of 95 % and 1 % of the {width_words}"
         raise InputError("crack.first_omega", target_omega, requirement)
     import scipy.optimize  # slow to import, and most scenes give a length
 
-    crack_length = float(
+    crack_length_at_target = float(
         scipy.optimize.brentq(excess_frequency, min_length, max_length, xtol=1e-5 * width)
     )
-    _LAST_LENGTH[:] = [(tables, crack_length)]
-    return crack_length
+    _LAST_LENGTH[:] = [(tables_text, crack_length_at_target)]
+    return crack_length_at_target
 
 
 def _set_crack_length(scene: Scene, length: float) -> Scene:

@@ -82,15 +82,15 @@ def stress(scene: Scene, space: Any, strain: Any) -> Any:
     """Return the stress sigma for a strain."""
     young, poisson = constants(space, scene.material.young, scene.material.poisson)
     d = scene.dimension
-    volumetric_strain = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
-    return young / (1.0 + poisson) * (strain + volumetric_strain)
+    volumetric_strain_term = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
+    return young / (1.0 + poisson) * (strain + volumetric_strain_term)
 
 
 StaticSolver = Callable[[np.ndarray], np.ndarray]
 """Returns the displacement (n_local, 1) under the same load on each sector of a wheel."""
 
 
-def rotation_of(
+def assemble_rotation(
     scene: Scene, dofs: Dofs, structure_at_rest: Structure, solve_static: StaticSolver | None = None
 ) -> Rotation:
     """Assemble what rotation adds to a structure at rest (collective).
@@ -107,20 +107,24 @@ def rotation_of(
         Returns a wheel's displacement (n_local, 1) under a load; default: the structure's.
     """
     space, dimension, (axis_point, axis_direction) = dofs.space, scene.dimension, scene.axis
-    projection = (np.eye(3) - np.outer(axis_direction, axis_direction))[:dimension, :dimension]
-    rho, c, P = constants(space, scene.material.density, axis_point[:dimension], projection)
+    projection_matrix = (np.eye(3) - np.outer(axis_direction, axis_direction))[
+        :dimension, :dimension
+    ]
+    rho, c, axis_normal_projection = constants(
+        space, scene.material.density, axis_point[:dimension], projection_matrix
+    )
     t = thickness(scene, space)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    r = P * (ufl.SpatialCoordinate(space.mesh) - c)
+    r = axis_normal_projection * (ufl.SpatialCoordinate(space.mesh) - c)
     centrifugal_load = compat.assembled_vector(t * rho * ufl.inner(r, v) * ufl.dx)
     centrifugal_load = dofs.restrict_to_free(centrifugal_load)
     if solve_static is not None:
-        u_c = solve_static(centrifugal_load[:, None])[:, 0]
+        u_c_vector = solve_static(centrifugal_load[:, None])[:, 0]
     else:
-        u_c, _ = static_state(
+        u_c_vector, _ = static_state(
             structure_at_rest, centrifugal_load, np.zeros(structure_at_rest.n_pairs)
         )
-    grad_u_c = ufl.grad(dofs.function(u_c))
+    grad_u_c = ufl.grad(dofs.function(u_c_vector))
     static_stress = stress(scene, space, ufl.sym(grad_u_c))
 
     def gradient_strain(displacement: Any) -> Any:
@@ -132,19 +136,23 @@ def rotation_of(
         return t * ufl.inner(stress(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.
-    K_g, M_s, K_2, K_3 = (
+    K_g, M_s, displaced_stiffness_K_2, displaced_stiffness_K_3 = (
         dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
         for form in (
             t * ufl.inner(ufl.dot(ufl.grad(u), static_stress), ufl.grad(v)) * ufl.dx,
-            t * rho * ufl.inner(P * u, v) * ufl.dx,
+            t * rho * ufl.inner(axis_normal_projection * u, v) * ufl.dx,
             virtual_work(ufl.sym(ufl.grad(u)), gradient_strain(v))
             + virtual_work(gradient_strain(u), ufl.sym(ufl.grad(v))),
             virtual_work(gradient_strain(u), gradient_strain(v)),
         )
     )
-    K_1 = weighted_sum(K_g, -1.0, M_s)
+    stiffness_K_1 = weighted_sum(K_g, -1.0, M_s)
     K_g.destroy()
     M_s.destroy()
     return Rotation(
-        structure_at_rest, K_1, (K_2, K_3), centrifugal_load, scene.given("rotation").speed
+        structure_at_rest,
+        stiffness_K_1,
+        (displaced_stiffness_K_2, displaced_stiffness_K_3),
+        centrifugal_load,
+        scene.given("rotation").speed,
     )

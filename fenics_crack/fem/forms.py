@@ -156,7 +156,7 @@ def _assemble_parts_and_places(
             else:
                 load_values = dofs.restrict_to_free(compat.assembled_vector(form))
                 parts_by_name[key.replace("loads.", "force_")] = gather_rows(comm, load_values)
-    return parts_by_name, dofs.nodes(), pair_places
+    return parts_by_name, dofs.make_node_data(), pair_places
 
 
 def _check_space(space: Any) -> None:
@@ -223,7 +223,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     find_cracks: Any = find_crack_paths if mesh.topology.dim == 2 else find_crack_surfaces
     return replace(
         plate,
-        cracks=find_cracks(
+        crack_geometries=find_cracks(
             *face_corner_nodes,
             face_node_positions.reshape(-1, face_node_positions.shape[2])[first_positions],
         ),

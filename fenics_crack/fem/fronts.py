@@ -309,7 +309,7 @@ def find_fronts(structure: Structure) -> list[Front]:
     """Find the fronts of all cracks in a solid (collective)."""
     structure_nodes = structure.nodes
     assert structure_nodes is not None
-    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.cracks
+    cracks: tuple[CrackSurface, ...] = structure_nodes.mesh_dofs.plate.crack_geometries
     clamped_points = gather_rows(
         structure.comm, structure_nodes.points[np.all(structure_nodes.dofs < 0, axis=1)]
     )
@@ -1176,7 +1176,7 @@ def _pressure_factors(structure: Structure, front: Front) -> np.ndarray:
         and structure_pairs.pressure_matrix is not None
         and structure_pairs.areas is not None
     )
-    crack: CrackSurface = structure.nodes.mesh_dofs.plate.cracks[front.crack]  # type: ignore[union-attr]
+    crack: CrackSurface = structure.nodes.mesh_dofs.plate.crack_geometries[front.crack]  # type: ignore[union-attr]
     crack_node_tree, front_tree = cKDTree(structure_pairs.nodes), cKDTree(front.node_positions)
     corner_front_distances, nearest_front_nodes = front_tree.query(crack.triangles)
     triangle_radii = np.linalg.norm(

@@ -84,7 +84,7 @@ class Tip:
 def find_tips(dofs: Dofs) -> list[Tip]:
     """Find all crack tips of a plate (collective)."""
     tips: list[Tip] = []
-    cracks = dofs.plate.cracks
+    cracks = dofs.plate.crack_geometries
     boundary_points = gather_rows(dofs.comm, _outer_points(dofs))
     for crack_index, crack in enumerate(cracks):
         assert isinstance(crack, CrackPath)

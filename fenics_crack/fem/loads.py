@@ -56,7 +56,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
 
     Returns
     -------
-    force : (2K+1, n_dofs) [N]
+    nodal_force_harmonics : (2K+1, n_dofs) [N]
         Mean, then cosine and sine part of each order, on all owned dofs, clamped ones included.
     watched_vector : (n_local,) or None
         The watched displacement is its product with u [m]. None: the dof with most of the load
@@ -68,19 +68,21 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         A load is off the mesh, where the structure is clamped, or on a crack, where there are
         two faces.
     """
-    load_coefficients, watched_vector = (
-        np.zeros((2 * scene.highest_order + 1, len(dofs.numbers))),
+    nodal_force_harmonics, watched_vector = (
+        np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers))),
         None,
     )
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else dofs.plate.points.get("load")
     if point is not None:
         force_vectors = force_parts(scene)
-        added_coefficients, direction_vector = _point_load(
+        added_force_harmonics, displacement_weights = _point_load(
             scene, dofs, "excitation", point, force_vectors
         )
-        load_coefficients += added_coefficients
-        watched_vector = direction_vector if scene.has_other_loads or scene.speed > 0.0 else None
+        nodal_force_harmonics += added_force_harmonics
+        watched_vector = (
+            displacement_weights if scene.has_other_loads or scene.speed > 0.0 else None
+        )
     elif (force_key := excitation.force_given) or not scene.has_other_loads:
         key_note = f" with excitation.{force_key}" if force_key else ""
         requirement = f"given{key_note}, or a physical point 'load' in the mesh file"
@@ -88,42 +90,46 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     for load_number, load in enumerate(scene.loads, 1):
         key = f"loads.{load_number}"
         if load.point is not None:
-            added_coefficients, direction_vector = _point_load(
+            added_force_harmonics, displacement_weights = _point_load(
                 scene, dofs, key, load.point, load.parts("force")
             )
-            watched_vector = direction_vector if watched_vector is None else watched_vector
+            watched_vector = displacement_weights if watched_vector is None else watched_vector
         else:
-            added_coefficients = _edge_force(scene, dofs, key, load)
+            added_force_harmonics = _edge_force(scene, dofs, key, load)
             if watched_vector is None and np.any(
-                gather_rows(dofs.comm, added_coefficients.ravel())
+                gather_rows(dofs.comm, added_force_harmonics.ravel())
             ):
-                watched_vector = _watch_edge_middle(dofs, str(load.edge), added_coefficients)
-        load_coefficients[: len(added_coefficients)] += added_coefficients
+                watched_vector = _watch_edge_middle(dofs, str(load.edge), added_force_harmonics)
+        nodal_force_harmonics[: len(added_force_harmonics)] += added_force_harmonics
     if scene.base is not None:
         if watched_vector is None:
             clamp_center = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")]).mean(axis=0)
             # Watch the node farthest from the clamp.
-            all_nodes = np.arange(dofs.n_own_nodes)
-            watched_vector = _watch_node(dofs, all_nodes, clamp_center, -1, scene.base.direction)
-        for row, acceleration in enumerate(scene.base.accelerations, 1):
-            load_coefficients[row] -= _inertia(mass, np.tile(acceleration, dofs.n_own_nodes))
+            owned_nodes = np.arange(dofs.n_own_nodes)
+            watched_vector = _watch_node(dofs, owned_nodes, clamp_center, -1, scene.base.direction)
+        for row_index, acceleration in enumerate(scene.base.accelerations, 1):
+            nodal_force_harmonics[row_index] -= _inertia_forces(
+                mass, np.tile(acceleration, dofs.n_own_nodes)
+            )
     if watched_vector is None and point is not None and not any(map(any, force_vectors)):
-        watched_direction_parts = [np.eye(dofs.dimension)[0].tolist()] * 2
-        _, watched_vector = _point_load(scene, dofs, "excitation", point, watched_direction_parts)
-    return load_coefficients, watched_vector
+        mean_and_cos_directions = [np.eye(dofs.dimension)[0].tolist()] * 2
+        _, watched_vector = _point_load(scene, dofs, "excitation", point, mean_and_cos_directions)
+    return nodal_force_harmonics, watched_vector
 
 
-def _direction(parts: Sequence[Vector]) -> Vector:
+def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
     """Return the unit vector of a load.
 
     It is the direction of its largest cosine or sine part, or of its mean if there is neither.
     """
-    mean, *harmonic_parts = parts
-    largest_part = max(harmonic_parts, key=lambda part: math.hypot(*part))
-    if not any(largest_part):
-        largest_part = mean
-    size = math.hypot(*largest_part)
-    return tuple(component / size for component in largest_part)
+    mean_force_vector, *cos_and_sin_vectors = force_vectors
+    largest_force_vector = max(
+        cos_and_sin_vectors, key=lambda force_vector: math.hypot(*force_vector)
+    )
+    if not any(largest_force_vector):
+        largest_force_vector = mean_force_vector
+    size = math.hypot(*largest_force_vector)
+    return tuple(component / size for component in largest_force_vector)
 
 
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
@@ -138,80 +144,88 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     InputError
         The point is off the mesh, or on a crack, where there are two faces.
     """
-    if face_points := [
-        both_points
-        for crack in dofs.plate.cracks
-        if (both_points := crack.points_beside(point)) is not None
+    if face_point_pairs := [
+        lower_and_upper_point
+        for crack in dofs.plate.crack_geometries
+        if (lower_and_upper_point := crack.points_beside(point)) is not None
     ]:
-        (lower_point, upper_point), *_ = face_points
+        (lower_point, upper_point), *_ = face_point_pairs
         requirement = (
             "on one of the two crack faces there: {} on the lower one, {} on the upper one"
         )
         raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
-    positions = gather_rows(dofs.comm, dofs.points)
-    node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
-    if len(exact_nodes := find_nodes_at(positions, point)):
-        return np.where(node_numbers == exact_nodes[0], 1.0, 0.0)
+    all_node_positions = gather_rows(dofs.comm, dofs.points)
+    owned_node_numbers = dofs.first_node + np.arange(dofs.n_own_nodes)
+    if len(coincident_nodes := find_nodes_at(all_node_positions, point)):
+        return np.where(owned_node_numbers == coincident_nodes[0], 1.0, 0.0)
     nodes, basis_values = compat.evaluate_basis(dofs.space, scene.mesh.order, np.array(point))
     basis_values = np.where(np.abs(basis_values) < 1e-12, 0.0, basis_values)  # rounding
-    has_point = dofs.comm.allgather(len(nodes) > 0)
-    if not any(has_point):
-        distances = np.linalg.norm(positions - point, axis=1)
-        extent = np.ptp(positions, axis=0).max()
+    has_point_by_rank = dofs.comm.allgather(len(nodes) > 0)
+    if not any(has_point_by_rank):
+        distances = np.linalg.norm(all_node_positions - point, axis=1)
+        extent = np.ptp(all_node_positions, axis=0).max()
         if scene.geometry.file is None or distances.min() > MAX_NODE_DISTANCE_RATIO * extent:
             raise InputError(
-                key, tuple(point), f"on the mesh ({describe_nearest_node(positions, point)})"
+                key,
+                tuple(point),
+                f"on the mesh ({describe_nearest_node(all_node_positions, point)})",
             )
-        return np.where(node_numbers == int(distances.argmin()), 1.0, 0.0)
-    if dofs.comm.rank != has_point.index(True):
+        return np.where(owned_node_numbers == int(distances.argmin()), 1.0, 0.0)
+    if dofs.comm.rank != has_point_by_rank.index(True):
         nodes, basis_values = nodes[:0], basis_values[:0]
 
     # The cell may have nodes of other ranks: pass every fraction to the node's owner.
     cell_nodes = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
     cell_nodes = gather_rows(dofs.comm, np.asarray(cell_nodes, dtype=np.int64))
     cell_fractions = gather_rows(dofs.comm, basis_values)
-    is_owned = (cell_nodes >= dofs.first_node) & (cell_nodes < dofs.first_node + dofs.n_own_nodes)
+    is_owned_node = (cell_nodes >= dofs.first_node) & (
+        cell_nodes < dofs.first_node + dofs.n_own_nodes
+    )
     fractions = np.zeros(dofs.n_own_nodes)
-    np.add.at(fractions, cell_nodes[is_owned] - dofs.first_node, cell_fractions[is_owned])
+    np.add.at(fractions, cell_nodes[is_owned_node] - dofs.first_node, cell_fractions[is_owned_node])
     return fractions
 
 
 def _point_load(
-    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+    scene: Scene, dofs: Dofs, key: str, point: Vector, force_vectors: Sequence[Vector]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Assemble the forces of a point load.
 
     Returns
     -------
-    force : (n_parts, n_dofs) [N]
+    nodal_force_harmonics : (n_parts, n_dofs) [N]
         Nodal forces.
-    direction_vector : (n_local,) or None
+    displacement_weights : (n_local,) or None
         Vector whose product with u is the displacement at the point in the load's direction [m].
         None if the load is zero.
     """
-    fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
-    load_coefficients = np.array([_distribute_vector(dofs, fractions, part) for part in parts])
-    direction_vector = (
-        dofs.restrict_to_free(_distribute_vector(dofs, fractions, _direction(parts)))
-        if any(map(any, parts))
+    node_fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
+    nodal_force_harmonics = np.array(
+        [_distribute_vector(dofs, node_fractions, force_vector) for force_vector in force_vectors]
+    )
+    displacement_weights = (
+        dofs.restrict_to_free(
+            _distribute_vector(dofs, node_fractions, _largest_force_direction(force_vectors))
+        )
+        if any(map(any, force_vectors))
         else None
     )
     return _require_free_force(
-        dofs, f"{key}.point", tuple(point), load_coefficients
-    ), direction_vector
+        dofs, f"{key}.point", tuple(point), nodal_force_harmonics
+    ), displacement_weights
 
 
 def _require_free_force(
-    dofs: Dofs, key: str, place: object, load_coefficients: np.ndarray
+    dofs: Dofs, key: str, place: object, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
     """Return forces; raise InputError if all act on clamped dofs."""
-    all_and_free_coefficients = load_coefficients, load_coefficients[:, dofs.free_dofs]
+    all_and_free_forces = nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs]
     has_force, has_free_force = (
-        np.any(gather_rows(dofs.comm, values.ravel())) for values in all_and_free_coefficients
+        np.any(gather_rows(dofs.comm, forces.ravel())) for forces in all_and_free_forces
     )
     if has_force and not has_free_force:
         raise InputError(key, place, "where the plate is free to move")
-    return load_coefficients
+    return nodal_force_harmonics
 
 
 def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.ndarray:
@@ -230,34 +244,38 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.plate.groups) - {"clamp"}))
     edge_measure = dofs.plate.measure_on(edge_name)
-    test, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
-    unit_vector = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
-    test_integrals = compat.assembled_vector(t * ufl.inner(unit_vector, test) * edge_measure)
-    length = gather_rows(dofs.comm, test_integrals).sum()
-    if not length > 0.0:
+    test_function, t = ufl.TestFunction(dofs.space), thickness(scene, dofs.space)
+    x_direction = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
+    test_function_integrals = compat.assembled_vector(
+        t * ufl.inner(x_direction, test_function) * edge_measure
+    )
+    edge_area = gather_rows(dofs.comm, test_function_integrals).sum()
+    if not edge_area > 0.0:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
-    weights = test_integrals.reshape(-1, dofs.dimension)[:, 0]
-    load_coefficients = np.array(
+    weights = test_function_integrals.reshape(-1, dofs.dimension)[:, 0]
+    nodal_force_harmonics = np.array(
         [_distribute_vector(dofs, weights, part) for part in load.parts("traction")]
     )
     normal = ufl.FacetNormal(dofs.space.mesh)
-    unit_pressure_force = -compat.assembled_vector(t * ufl.inner(normal, test) * edge_measure)
-    load_coefficients += np.array(
+    unit_pressure_force = -compat.assembled_vector(
+        t * ufl.inner(normal, test_function) * edge_measure
+    )
+    nodal_force_harmonics += np.array(
         [sum(part) * unit_pressure_force for part in load.parts("pressure")]
     )
-    return _require_free_force(dofs, f"{key}.edge", load.edge, load_coefficients)
+    return _require_free_force(dofs, f"{key}.edge", load.edge, nodal_force_harmonics)
 
 
-def _watch_edge_middle(dofs: Dofs, edge: str, load_coefficients: np.ndarray) -> np.ndarray:
+def _watch_edge_middle(dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray) -> np.ndarray:
     """Return the vector whose product with u is the displacement at an edge's middle: (n_local,).
 
     It is 1 at the node nearest to the middle, in the direction of most of the load.
     """
-    nodal_coefficients = np.where(dofs.numbers < 0, 0.0, load_coefficients).reshape(
-        len(load_coefficients), -1, dofs.dimension
-    )
-    component_sums = np.abs(dofs.comm.allgather(nodal_coefficients.sum(axis=1))).sum(axis=(0, 1))
-    direction = tuple(np.eye(dofs.dimension)[int(np.argmax(component_sums))].tolist())
+    free_nodal_forces = np.where(
+        dofs.structure_dof_numbers < 0, 0.0, nodal_force_harmonics
+    ).reshape(len(nodal_force_harmonics), -1, dofs.dimension)
+    force_sum_by_axis = np.abs(dofs.comm.allgather(free_nodal_forces.sum(axis=1))).sum(axis=(0, 1))
+    direction = tuple(np.eye(dofs.dimension)[int(np.argmax(force_sum_by_axis))].tolist())
     edge_nodes = dofs.nodes_on(edge)
     edge_points = gather_rows(dofs.comm, dofs.points[edge_nodes])
     return _watch_node(
@@ -268,16 +286,18 @@ def _watch_edge_middle(dofs: Dofs, edge: str, load_coefficients: np.ndarray) -> 
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-def clamp_of(dofs: Dofs, mass: Any, load_coefficients: np.ndarray) -> Clamp:
+def clamp_of(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
     """Return the data for reactions at a mesh's clamp (collective).
 
-    The mass matrix and the load ``force`` (2K+1, n_dofs) include the clamped dofs.
+    The mass matrix and the forces (2K+1, n_dofs) include the clamped dofs.
     """
     clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     center = np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
     motions = rigid_motions(dofs.points - center)
-    inertia_rows = dofs.restrict_to_free(np.array([_inertia(mass, motion) for motion in motions]))
-    return Clamp(center, inertia_rows, dofs.comm.allreduce(load_coefficients @ motions.T))
+    inertia_rows = dofs.restrict_to_free(
+        np.array([_inertia_forces(mass, motion) for motion in motions])
+    )
+    return Clamp(center, inertia_rows, dofs.comm.allreduce(nodal_force_harmonics @ motions.T))
 
 
 def rigid_motions(points: np.ndarray) -> np.ndarray:
@@ -287,35 +307,37 @@ def rigid_motions(points: np.ndarray) -> np.ndarray:
     """
     dimension = points.shape[1]
     spatial_points = np.pad(points, ((0, 0), (0, 3 - dimension)))
-    axes = np.eye(3)[2:] if dimension == 2 else np.eye(3)
-    motions = [np.tile(axis, (len(points), 1)) for axis in np.eye(dimension)]
-    motions += [np.cross(axis, spatial_points)[:, :dimension] for axis in axes]
+    rotation_axes = np.eye(3)[2:] if dimension == 2 else np.eye(3)
+    motions = [np.tile(axis_direction, (len(points), 1)) for axis_direction in np.eye(dimension)]
+    motions += [
+        np.cross(axis_direction, spatial_points)[:, :dimension] for axis_direction in rotation_axes
+    ]
     return np.array([motion.ravel() for motion in motions])
 
 
-def _inertia(mass: Any, acceleration: np.ndarray) -> np.ndarray:
+def _inertia_forces(mass: Any, acceleration: np.ndarray) -> np.ndarray:
     """Return the inertia forces M a for all owned dofs: (n_dofs,) [N]."""
-    acceleration_vector, force_vector = mass.createVecs()
-    acceleration_vector.array[:] = acceleration
-    mass.mult(acceleration_vector, force_vector)
-    inertia_force = np.array(force_vector.array_r)
-    acceleration_vector.destroy()
-    force_vector.destroy()
-    return inertia_force
+    petsc_acceleration, petsc_force = mass.createVecs()
+    petsc_acceleration.array[:] = acceleration
+    mass.mult(petsc_acceleration, petsc_force)
+    inertia_force_array = np.array(petsc_force.array_r)
+    petsc_acceleration.destroy()
+    petsc_force.destroy()
+    return inertia_force_array
 
 
 def _watch_node(
-    dofs: Dofs, nodes: np.ndarray, position: np.ndarray, order_index: int, direction: Vector
+    dofs: Dofs, nodes: np.ndarray, position: np.ndarray, distance_rank: int, direction: Vector
 ) -> np.ndarray:
     """Return the vector whose product with u is a node's displacement in a direction: (n_local,).
 
     ``nodes`` of all ranks are sorted by distance from ``position``, equal distances by coordinates.
-    ``order_index`` 0 selects the nearest node, -1 the farthest.
+    ``distance_rank`` 0 selects the nearest node, -1 the farthest.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
-    distance = np.linalg.norm(all_points - position, axis=1)
-    order = np.lexsort([*all_points.T, np.round(distance / max(distance.max(), 1e-300), 9)])
-    matching_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[order_index]], axis=1)]
+    distances = np.linalg.norm(all_points - position, axis=1)
+    order = np.lexsort([*all_points.T, np.round(distances / max(distances.max(), 1e-300), 9)])
+    selected_nodes = nodes[np.all(dofs.points[nodes] == all_points[order[distance_rank]], axis=1)]
     displacement = np.zeros((dofs.n_own_nodes, dofs.dimension))
-    displacement[matching_nodes[:1]] = direction
+    displacement[selected_nodes[:1]] = direction
     return dofs.restrict_to_free(displacement.ravel())

@@ -61,11 +61,11 @@ MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter for each matrix in a file with several matrices."""
 ROW_FILE_KEYS = ("gap", "tangential", *FORCES)
 """Keys of files with a row for each dof."""
-SCENE_FILE = "matrices.toml"
+SCENE_FILE_NAME = "matrices.toml"
 """Name of the scene that reads the written files."""
-OUTPUT_FILES = (
+OUTPUT_FILE_NAMES = (
     *(f"{n}.mtx" for n in (*MATRIX_LETTERS, *ROW_FILE_KEYS, "clearance", "areas")),
-    SCENE_FILE,
+    SCENE_FILE_NAME,
 )
 """Names of all files that may be written."""
 MAX_DENSE_DOFS = 3000
@@ -90,8 +90,8 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     except InputError as error:
         if error.key not in table.keys():
             raise
-        path, problem = getattr(table, error.key), error.value
-        path_text = path if problem == path else f"{path} ({problem})"
+        file_setting, problem = getattr(table, error.key), error.value
+        path_text = file_setting if problem == file_setting else f"{file_setting} ({problem})"
         raise InputError(table.name_of(error.key), path_text, error.allowed) from None
 
 
@@ -99,47 +99,55 @@ def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
     """Make the structure of a table ``[structure]`` from the table's files."""
-    matrices, columns, model = on_each(comm, lambda: _read_files(table))
-    stiffness = matrices["stiffness"].matrix
-    parts: dict[str, Any] = {"gap": None, "damping": damping_rule}
-    parts |= {name: labelled_matrix.matrix for name, labelled_matrix in matrices.items()}
+    labelled_matrices, gaps_and_forces_by_name, model = on_each(comm, lambda: _read_files(table))
+    stiffness = labelled_matrices["stiffness"].matrix
+    structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
+    structure_fields |= {
+        name: labelled_matrix.matrix for name, labelled_matrix in labelled_matrices.items()
+    }
     n_dofs, order = stiffness.shape[0], np.arange(stiffness.shape[0])
-    pairs, nodes, labels = Pairs(), None, matrices["stiffness"].labels
+    pairs, own_nodes, labels = Pairs(), None, labelled_matrices["stiffness"].labels
     if model is not None:
         if labels is None:
             requirement = "given with structure.model: the file of each row's node and direction"
             raise InputError("structure.dofs", None, requirement)
         order, node_dofs, node_starts = _order_by_nodes(model, labels, table)
-        for name in matrices:
-            parts[name] = parts[name][order][:, order]
+        for name in labelled_matrices:
+            structure_fields[name] = structure_fields[name][order][:, order]
         if scene.contact is not None and table.gap is None:
             has_rotations = bool(np.any(labels[:, 1] > 3))
-            parts["gap"], pairs = find_pairs(
-                model, node_dofs, parts["stiffness"], has_rotations=has_rotations
+            structure_fields["gap"], pairs = find_pairs_and_gaps(
+                model, node_dofs, structure_fields["stiffness"], has_rotations=has_rotations
             )
         start, stop = _own_row_range(node_starts, comm)
-        for name in matrices:
-            parts[name] = distribute_rows(parts[name][start:stop], comm)
-        nodes = _own_nodes(model, node_dofs, start, stop, comm)
-    parts |= {name: column[order] for name, column in columns.items()}
-    n_pairs = 0 if parts["gap"] is None else parts["gap"].shape[1]
-    parts["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
+        for name in labelled_matrices:
+            structure_fields[name] = distribute_rows(structure_fields[name][start:stop], comm)
+        own_nodes = _own_nodes(model, node_dofs, start, stop, comm)
+    structure_fields |= {
+        name: gap_or_force[order] for name, gap_or_force in gaps_and_forces_by_name.items()
+    }
+    n_pairs = 0 if structure_fields["gap"] is None else structure_fields["gap"].shape[1]
+    structure_fields["clearance"] = _read_per_pair("clearance", table.clearance, n_pairs)
     if table.areas is not None:
         pairs = replace(pairs, areas=_read_per_pair("areas", table.areas, n_pairs))
     if scene.excitation.point is not None:
-        assert nodes is not None
-        _, point_dofs = nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
+        assert own_nodes is not None
+        _, point_dofs = own_nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
         for name in FORCES:
-            force = sparse.lil_matrix(parts.get(name, (n_dofs, 1)))
-            for dof, component in zip(point_dofs, getattr(scene.excitation, name), strict=True):
+            force_column = sparse.lil_matrix(structure_fields.get(name, (n_dofs, 1)))
+            for dof, force_component in zip(
+                point_dofs, getattr(scene.excitation, name), strict=True
+            ):
                 if dof >= 0:
-                    force[dof, 0] += component
-            parts[name] = force
+                    force_column[dof, 0] += force_component
+            structure_fields[name] = force_column
     if scene.highest_order > 1:
-        excitation = scene.excitation
+        excitation_table = scene.excitation
         requirement = "left out with [structure], whose files have a column for each order"
-        excitation.require(False, (excitation.wave and "wave") or "harmonics", requirement)
-    return Structure.from_matrices(**parts, comm=comm).with_places(nodes, pairs)
+        excitation_table.require(
+            False, (excitation_table.wave and "wave") or "harmonics", requirement
+        )
+    return Structure.from_matrices(**structure_fields, comm=comm).with_places(own_nodes, pairs)
 
 
 def _read_files(
@@ -156,37 +164,43 @@ def _read_files(
     model : Model or None
         Nodes and cells of the input file.
     """
-    label_file, matrices = None if table.dofs is None else Path(table.dofs), {}
+    label_file, labelled_matrices = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
     for name, letter in MATRIX_LETTERS.items():
         if (path := getattr(table, name)) is not None:
             with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
-                matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
-            n_rows = matrices[name].matrix.shape[0]
-    stiffness = matrices["stiffness"]
-    for name, labelled_matrix in matrices.items() if stiffness.labels is not None else ():
+                labelled_matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
+            n_rows = labelled_matrices[name].matrix.shape[0]
+    labelled_stiffness = labelled_matrices["stiffness"]
+    for name, labelled_matrix in (
+        labelled_matrices.items() if labelled_stiffness.labels is not None else ()
+    ):
         with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
-            matrices[name] = LabelledMatrix(
-                labelled_matrix.with_rows_of(stiffness), stiffness.labels
+            labelled_matrices[name] = LabelledMatrix(
+                labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
-    if len(massless_rows := np.flatnonzero(matrices["mass"].matrix.diagonal() <= 0.0)):
+    if len(massless_rows := np.flatnonzero(labelled_matrices["mass"].matrix.diagonal() <= 0.0)):
         place_text = f"row {massless_rows[0] + 1}"
-        if stiffness.labels is not None and massless_rows[0] < len(stiffness.labels):
-            place_text = "node {}, direction {}".format(*stiffness.labels[massless_rows[0]])
+        if labelled_stiffness.labels is not None and massless_rows[0] < len(
+            labelled_stiffness.labels
+        ):
+            place_text = "node {}, direction {}".format(
+                *labelled_stiffness.labels[massless_rows[0]]
+            )
         requirement = "positive definite: rows without mass have to be condensed beforehand"
         raise InputError("mass", f"no mass at {place_text}", requirement)
     if table.model is not None:
         with reading("model", table.model, "the input file of the matrices' program"):
             model = read_model(Path(table.model))
-    column_files = {
+    path_by_name = {
         name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
     }
-    n_rows = stiffness.matrix.shape[0]
+    n_rows = labelled_stiffness.matrix.shape[0]
     return (
-        matrices,
+        labelled_matrices,
         {
             name: make_whole_csr_matrix(name, Path(path), n_rows)
-            for name, path in column_files.items()
+            for name, path in path_by_name.items()
         },
         model,
     )
@@ -208,8 +222,10 @@ def _order_by_nodes(
     node_starts : (n + 1,) int
         Start of each node's rows, and end of the last rows.
     """
-    _, first_rows, node_index = np.unique(labels[:, 0], return_index=True, return_inverse=True)
-    order = np.argsort(first_rows[node_index], kind="stable")
+    _, first_rows, node_index_of_row = np.unique(
+        labels[:, 0], return_index=True, return_inverse=True
+    )
+    order = np.argsort(first_rows[node_index_of_row], kind="stable")
     labels = labels[order]
     node_dofs = np.full((len(model.labels), 3), -1)
     model_index = np.minimum(np.searchsorted(model.labels, labels[:, 0]), len(model.labels) - 1)
@@ -244,23 +260,25 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     A rank has the nodes of its dofs; rank 0 also has nodes without dofs. Cells are kept if all have
     one drawable kind, and nodes carry all dofs.
     """
-    has_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
-    vtk_type = next(iter(model.cells)) if len(model.cells) == 1 and has_all_dofs else 0
+    nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
+    vtk_type = next(iter(model.cells)) if len(model.cells) == 1 and nodes_have_all_dofs else 0
     vtk_type = 0 if vtk_type in (13, 26) else vtk_type  # VTK's wedges are not drawn
     cells = model.cells[vtk_type] if vtk_type else np.zeros((0, 1), dtype=int)
     highest_rows = node_dofs.max(axis=1)
     is_used = highest_rows >= 0
     is_used[cells] = True
-    owner = np.array(comm.allgather(stop)).searchsorted(highest_rows, side="right")
-    node_order = np.lexsort((np.arange(len(node_dofs)), np.where(highest_rows < 0, 0, owner)))
+    owner_rank = np.array(comm.allgather(stop)).searchsorted(highest_rows, side="right")
+    node_order = np.lexsort((np.arange(len(node_dofs)), np.where(highest_rows < 0, 0, owner_rank)))
     node_order = node_order[is_used[node_order]]
     new_numbers = np.empty(len(node_dofs), dtype=int)
     new_numbers[node_order] = np.arange(len(node_order))
     own_nodes = node_order[
-        np.where(highest_rows[node_order] < 0, 0, owner[node_order]) == comm.rank
+        np.where(highest_rows[node_order] < 0, 0, owner_rank[node_order]) == comm.rank
     ]
-    own_cells = new_numbers[cells] if comm.rank == 0 else np.zeros((0, cells.shape[1]), dtype=int)
-    return Nodes(model.points[own_nodes], node_dofs[own_nodes], own_cells, vtk_type)
+    renumbered_cells = (
+        new_numbers[cells] if comm.rank == 0 else np.zeros((0, cells.shape[1]), dtype=int)
+    )
+    return Nodes(model.points[own_nodes], node_dofs[own_nodes], renumbered_cells, vtk_type)
 
 
 def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
@@ -270,7 +288,7 @@ def _read_per_pair(name: str, setting: float | str, n_pairs: int) -> Any:
     return make_whole_csr_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
 
 
-def count_pairs(table: StructureTable) -> int:
+def table_pair_upper_bound(table: StructureTable) -> int:
     """Return the maximum number of pairs in a table ``[structure]``.
 
     Unusable files give 0.
@@ -320,65 +338,81 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     if structure.whole is not structure:
         requirement = "one that is not reduced: fc.build_structure(scene), or structure.whole"
         raise InputError("structure", repr(structure), requirement)
-    comm, force, damping = structure.comm, structure.force, structure.damping_matrix
-    rows: dict[str, Any] = {
+    comm, forces, damping_matrix = structure.comm, structure.force, structure.damping_matrix
+    local_matrix_by_name: dict[str, Any] = {
         "mass": local_rows(structure.mass),
         "stiffness": local_rows(structure.stiffness),
-        "damping": None if damping is None else local_rows(damping),
-        **dict(zip(FORCES, (force[:1].T, force[1::2].T, force[2::2].T), strict=True)),
+        "damping": None if damping_matrix is None else local_rows(damping_matrix),
+        **dict(zip(FORCES, (forces[:1].T, forces[1::2].T, forces[2::2].T), strict=True)),
     }
     if structure.n_pairs:
-        rank_rows = slice(None if comm.rank == 0 else 0)  # every rank has all pairs: write once
-        rows |= {"gap": structure.gap, "tangential": structure.tangential}
-        rows["clearance"] = structure.clearance[rank_rows, None]
+        pair_slice = slice(None if comm.rank == 0 else 0)  # every rank has all pairs: write once
+        local_matrix_by_name |= {"gap": structure.gap, "tangential": structure.tangential}
+        local_matrix_by_name["clearance"] = structure.clearance[pair_slice, None]
         areas = structure.pair_areas
-        rows["areas"] = None if areas is None else areas[rank_rows, None]
-    matrices = {name: sparse.csr_matrix(part) for name, part in rows.items() if part is not None}
-    gathered_parts = {name: comm.gather(part) for name, part in matrices.items()}
-    scene_text = _scene_text(structure, {name: f"{name}.mtx" for name in gathered_parts}, scene)
+        local_matrix_by_name["areas"] = None if areas is None else areas[pair_slice, None]
+    matrices = {
+        name: sparse.csr_matrix(part)
+        for name, part in local_matrix_by_name.items()
+        if part is not None
+    }
+    gathered_parts_by_name = {name: comm.gather(part) for name, part in matrices.items()}
+    scene_text = _scene_text(
+        structure, {name: f"{name}.mtx" for name in gathered_parts_by_name}, scene
+    )
 
     def write_files() -> None:
         """Write the gathered matrices, on rank 0."""
-        full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts.items()}
+        full_matrices = {name: sparse.vstack(part) for name, part in gathered_parts_by_name.items()}
         if isinstance(structure.damping, ModalDamping) and structure.n_dofs <= MAX_DENSE_DOFS:
-            squares, mode_shapes = eigh(
+            squared_omegas, mode_shapes = eigh(
                 full_matrices["stiffness"].toarray(), full_matrices["mass"].toarray()
             )
             n_damped = count_damped_modes(structure)
-            modal_damping = structure.damping.rate(squares[:n_damped])
-            damping_factors = (
+            modal_damping = structure.damping.rate(squared_omegas[:n_damped])
+            damping_factor_matrix = (
                 full_matrices["mass"] @ mode_shapes[:, :n_damped] * np.sqrt(modal_damping)
             )
-            full_matrices["damping"] = sparse.csr_matrix(damping_factors @ damping_factors.T)
-        texts = {
+            full_matrices["damping"] = sparse.csr_matrix(
+                damping_factor_matrix @ damping_factor_matrix.T
+            )
+        text_by_file = {
             f"{name}.mtx": format_matrix_market(matrix) for name, matrix in full_matrices.items()
         }
-        replace_files(OUTPUT_FILES, Path(folder), texts | {SCENE_FILE: scene_text})
+        replace_files(OUTPUT_FILE_NAMES, Path(folder), text_by_file | {SCENE_FILE_NAME: scene_text})
 
     on_root(comm, write_files)
 
 
-def _scene_text(structure: Structure, files: dict[str, str], scene: Scene | None) -> str:
+def _scene_text(structure: Structure, file_by_name: dict[str, str], scene: Scene | None) -> str:
     """Return the text of a scene that reads the files.
 
     The result is solved like ``scene``. Without a scene, [excitation] and [contact] are missing.
     """
-    tables: dict[str, Any] = {}
+    table_by_name: dict[str, Any] = {}
     damping_rule = structure.damping or RayleighDamping()
     if isinstance(damping_rule, DampingRule):
-        tables["damping"] = Damping(
-            **{field: value for field, value in vars(damping_rule).items() if value is not None}
+        table_by_name["damping"] = Damping(
+            **{
+                field_name: value
+                for field_name, value in vars(damping_rule).items()
+                if value is not None
+            }
         )
-        files = {name: file for name, file in files.items() if name != "damping"}
-    tables["structure"] = StructureTable(**files)
+        file_by_name = {
+            matrix_name: file_name
+            for matrix_name, file_name in file_by_name.items()
+            if matrix_name != "damping"
+        }
+    table_by_name["structure"] = StructureTable(**file_by_name)
     if scene is None:
-        return "\n".join(table.as_toml() for table in tables.values())
-    contact = scene.contact and replace(scene.contact, pairs="all")
-    key = "omega" if scene.excitation.frequency is None else "frequency"
+        return "\n".join(scene_table.as_toml() for scene_table in table_by_name.values())
+    contact_table = scene.contact and replace(scene.contact, pairs="all")
+    frequency_key = "omega" if scene.excitation.frequency is None else "frequency"
     return Scene(
-        **tables,
-        excitation=Excitation(**{key: getattr(scene.excitation, key)}),
-        contact=contact if structure.n_pairs else None,
+        **table_by_name,
+        excitation=Excitation(**{frequency_key: getattr(scene.excitation, frequency_key)}),
+        contact=contact_table if structure.n_pairs else None,
         harmonic_balance=replace(scene.harmonic_balance),  # with derived values
         reduction=scene.reduction,
     ).as_toml()
@@ -426,7 +460,7 @@ class _TwinNodes:
         Both nodes of each pair.
     pair_index : (n_nodes,) int
         Pair of each node, or -1.
-    place_labels : (n_nodes,) int
+    place_numbers : (n_nodes,) int
         Equal for coincident nodes.
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
@@ -440,29 +474,29 @@ class _TwinNodes:
         self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
         node_of_row = np.full(self.n_dofs, n_model_nodes)
         node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
-        entries = stiffness.tocoo()
-        node_links = node_of_row[entries.row].astype(np.int64), node_of_row[entries.col]
-        graph = np.ones(len(entries.data), bool), node_links
-        self.connectivity = sparse.csr_matrix(graph, (n_model_nodes + 1, n_model_nodes + 1))[
-            :n_model_nodes, :n_model_nodes
-        ]
-        is_free = np.any(dofs >= 0, axis=1)
-        is_pair = is_free[node_pairs].all(axis=1) & ~np.isin(
+        stiffness_coo = stiffness.tocoo()
+        node_links = node_of_row[stiffness_coo.row].astype(np.int64), node_of_row[stiffness_coo.col]
+        link_values_and_indices = np.ones(len(stiffness_coo.data), bool), node_links
+        self.connectivity = sparse.csr_matrix(
+            link_values_and_indices, (n_model_nodes + 1, n_model_nodes + 1)
+        )[:n_model_nodes, :n_model_nodes]
+        is_free_node = np.any(dofs >= 0, axis=1)
+        is_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
             n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
             n_model_nodes * node_links[0] + node_links[1],
         )
-        self.place_labels = np.arange(n_model_nodes)
-        self.place_labels[node_pairs[:, 1]] = node_pairs[:, 0]
+        self.place_numbers = np.arange(n_model_nodes)
+        self.place_numbers[node_pairs[:, 1]] = node_pairs[:, 0]
         self.has_held_twin = np.zeros(n_model_nodes, dtype=bool)
-        self.has_held_twin[node_pairs[is_free[node_pairs[:, 0]] != is_free[node_pairs[:, 1]]]] = (
-            True
-        )
+        self.has_held_twin[
+            node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
+        ] = True
         self.first_nodes, self.second_nodes = node_pairs[is_pair].T
-        nodes, counts = np.unique(
+        paired_nodes, n_pairs_of_node = np.unique(
             np.append(self.first_nodes, self.second_nodes), return_counts=True
         )
-        if np.any(counts > 1):
-            worst_node = nodes[np.argmax(counts)]
+        if np.any(n_pairs_of_node > 1):
+            worst_node = paired_nodes[np.argmax(n_pairs_of_node)]
             place_text = format_point(model.points[worst_node], "g")
             place_text += f", one of them {model.labels[worst_node]}"
             requirement = (
@@ -482,7 +516,7 @@ class _TwinNodes:
         )
 
 
-def find_pairs(
+def find_pairs_and_gaps(
     model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
 ) -> tuple[sparse.csr_matrix, Pairs]:
     """Find a model's contact pairs, crack by crack, from front to mouth.
@@ -514,14 +548,14 @@ def find_pairs(
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
     if facets:
-        gap, areas, pair_index, front_nodes = _patch_gaps(twins, facets)
+        gap, areas, twin_pair_index, front_nodes = _patch_gaps(twins, facets)
     else:
-        is_plane = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
-        gap, front_nodes = _gap_matrix_and_front_nodes(twins, 2 if is_plane else 1)
-        areas, pair_index = None, np.arange(len(twins.first_nodes))
-    points = model.points[twins.first_nodes[pair_index]]
-    crack_index = _number_cracks(twins, pair_index)
-    front_distances = np.zeros(len(pair_index))
+        has_surface_cracks = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
+        gap, front_nodes = _gap_matrix_and_front_nodes(twins, 2 if has_surface_cracks else 1)
+        areas, twin_pair_index = None, np.arange(len(twins.first_nodes))
+    points = model.points[twins.first_nodes[twin_pair_index]]
+    crack_index = _number_cracks(twins, twin_pair_index)
+    front_distances = np.zeros(len(twin_pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
 
@@ -529,18 +563,18 @@ def find_pairs(
     order = np.lexsort((front_distances, crack_index))
     crack_index, front_distances = crack_index[order], front_distances[order]
     mouth_pairs = np.flatnonzero(np.append(np.diff(crack_index), 1))
-    names = [
-        f"the mouth of crack {number + 1}" if len(mouth_pairs) > 1 else "the mouth"
-        for number in crack_index[mouth_pairs]
+    mouth_names = [
+        f"the mouth of crack {crack_number + 1}" if len(mouth_pairs) > 1 else "the mouth"
+        for crack_number in crack_index[mouth_pairs]
     ]
-    pairs = Pairs(
+    contact_pairs = Pairs(
         points[order], None if areas is None else areas[order], crack_index, front_distances,
-        dict(zip(names, mouth_pairs.tolist(), strict=True)),
+        dict(zip(mouth_names, mouth_pairs.tolist(), strict=True)),
     )  # fmt: skip
-    return gap[:, order], pairs
+    return gap[:, order], contact_pairs
 
 
-def _number_cracks(twins: _TwinNodes, pair_index: np.ndarray) -> np.ndarray:
+def _number_cracks(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
     """Return the crack of each pair, numbered from bottom to top: (n_pairs,) int.
 
     Pairs with connected nodes are on one crack.
@@ -548,11 +582,14 @@ def _number_cracks(twins: _TwinNodes, pair_index: np.ndarray) -> np.ndarray:
     from scipy.sparse.csgraph import connected_components
 
     # A first node may be on either face.
-    first_nodes, second_nodes = twins.first_nodes[pair_index], twins.second_nodes[pair_index]
-    straight_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
+    first_nodes, second_nodes = (
+        twins.first_nodes[twin_pair_index],
+        twins.second_nodes[twin_pair_index],
+    )
+    same_order_links = twins.connectivity[first_nodes][:, first_nodes].multiply(
         twins.connectivity[second_nodes][:, second_nodes]
     )
-    links = straight_links + twins.connectivity[first_nodes][:, second_nodes].multiply(
+    links = same_order_links + twins.connectivity[first_nodes][:, second_nodes].multiply(
         twins.connectivity[second_nodes][:, first_nodes]
     )
     n_cracks, crack_labels = connected_components(links)
@@ -560,9 +597,11 @@ def _number_cracks(twins: _TwinNodes, pair_index: np.ndarray) -> np.ndarray:
         twins.points[first_nodes[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
         for crack in range(n_cracks)
     ]
-    rank = np.empty(n_cracks, dtype=int)
-    rank[sorted(range(n_cracks), key=lambda crack: tuple(centres[crack]))] = np.arange(n_cracks)
-    return np.asarray(rank[crack_labels])
+    sorted_crack_number = np.empty(n_cracks, dtype=int)
+    sorted_crack_number[sorted(range(n_cracks), key=lambda crack: tuple(centres[crack]))] = (
+        np.arange(n_cracks)
+    )
+    return np.asarray(sorted_crack_number[crack_labels])
 
 
 # --- of facets ------------------------------------------------------------------------------------
@@ -579,30 +618,33 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
 
     Such a facet belongs to one cell, and coincides with another facet.
     """
-    facets = []
-    for n_corners in (3, 4):
+    facet_sets = []
+    for n_facet_corners in (3, 4):
         parts = [
-            _cell_facets(model.points, cells, N_CORNERS[kind], local_facets)
+            _all_cell_facets(model.points, cells, N_CORNERS[kind], local_facets)
             for kind, cells in model.cells.items()
             for local_facets in FACETS_BY_SHAPE[N_CORNERS[kind]]
-            if local_facets.shape[1] == n_corners
+            if local_facets.shape[1] == n_facet_corners
         ]
         if not parts:
             continue
-        nodes, cell_centres = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        is_boundary = _count_rows(nodes[:, :n_corners]) == 1
+        facet_nodes, cell_centres = (
+            np.concatenate(same_field_arrays) for same_field_arrays in zip(*parts, strict=True)
+        )
+        is_boundary = _row_multiplicities(facet_nodes[:, :n_facet_corners]) == 1
         is_on_crack = is_boundary.copy()
         is_on_crack[is_boundary] = (
-            _count_rows(twins.place_labels[nodes[is_boundary, :n_corners]]) == 2
+            _row_multiplicities(twins.place_numbers[facet_nodes[is_boundary, :n_facet_corners]])
+            == 2
         )
-        is_on_crack &= np.any(twins.pair_index[nodes[:, :n_corners]] >= 0, axis=1)
-        is_on_crack &= ~np.any(twins.has_held_twin[nodes] & (nodes >= 0), axis=1)
+        is_on_crack &= np.any(twins.pair_index[facet_nodes[:, :n_facet_corners]] >= 0, axis=1)
+        is_on_crack &= ~np.any(twins.has_held_twin[facet_nodes] & (facet_nodes >= 0), axis=1)
         if np.any(is_on_crack):
-            facets.append((nodes[is_on_crack], cell_centres[is_on_crack]))
-    return facets
+            facet_sets.append((facet_nodes[is_on_crack], cell_centres[is_on_crack]))
+    return facet_sets
 
 
-def _cell_facets(
+def _all_cell_facets(
     points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
 ) -> Facets:
     """Return the facets of all cells of one kind.
@@ -610,30 +652,30 @@ def _cell_facets(
     ``cells`` (n, k) has the corners first; ``local_facets`` are the columns of each facet's
     corners. A facet's nodes are corners, then edge middles or -1.
     """
-    k = local_facets.shape[1]
-    middle_columns = {
+    n_facet_corners = local_facets.shape[1]
+    middle_column_by_edge = {
         frozenset(edge): n_corners + edge_index
         for edge_index, edge in enumerate(CELL_EDGES[n_corners])
     }
     edge_ends = np.stack([local_facets, np.roll(local_facets, -1, axis=1)], axis=2)
-    facet_middles = np.array(
-        [[middle_columns[frozenset(edge)] for edge in facet] for facet in edge_ends.tolist()]
+    facet_middle_columns = np.array(
+        [[middle_column_by_edge[frozenset(edge)] for edge in facet] for facet in edge_ends.tolist()]
     )
-    nodes = np.full((len(cells), len(local_facets), 2 * k), -1)
-    nodes[..., :k] = cells[:, local_facets]
+    nodes = np.full((len(cells), len(local_facets), 2 * n_facet_corners), -1)
+    nodes[..., :n_facet_corners] = cells[:, local_facets]
     if cells.shape[1] > n_corners:
-        nodes[..., k:] = cells[:, facet_middles]
+        nodes[..., n_facet_corners:] = cells[:, facet_middle_columns]
     centres = np.repeat(points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0)
-    return nodes.reshape(-1, 2 * k), centres
+    return nodes.reshape(-1, 2 * n_facet_corners), centres
 
 
-def _count_rows(rows: np.ndarray) -> np.ndarray:
+def _row_multiplicities(rows: np.ndarray) -> np.ndarray:
     """Count each row among all rows: (n,) int.
 
     The order of nodes in a row does not matter.
     """
-    _, unique_index, counts = find_unique_rows(rows)
-    return np.asarray(counts[unique_index])
+    _, index_of_unique_row, counts = find_unique_rows(rows)
+    return np.asarray(counts[index_of_unique_row])
 
 
 def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -650,20 +692,29 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     slopes : (2, k, n_points)
         Derivatives of the linear functions by both coordinates.
     """
-    points, weights = (0.5 * coordinates for coordinates in np.polynomial.legendre.leggauss(3))
-    r, s = (coordinates.ravel() for coordinates in np.meshgrid(points + 0.5, points + 0.5))
-    point_weights = np.outer(weights, weights).ravel()
+    gauss_points, gauss_weights = (
+        0.5 * coordinates for coordinates in np.polynomial.legendre.leggauss(3)
+    )
+    r, s = (
+        coordinates.ravel() for coordinates in np.meshgrid(gauss_points + 0.5, gauss_points + 0.5)
+    )
+    point_weights = np.outer(gauss_weights, gauss_weights).ravel()
     if n_corners == 3:
         s, point_weights = s * (1.0 - r), point_weights * (1.0 - r)
-        linear = np.array([1.0 - r - s, r, s])
+        linear_functions = np.array([1.0 - r - s, r, s])
         slopes = np.broadcast_to([[[-1.0], [1.0], [0.0]], [[-1.0], [0.0], [1.0]]], (2, 3, len(r)))
-        edge_functions = 4.0 * linear * np.roll(linear, -1, axis=0)
+        edge_functions = 4.0 * linear_functions * np.roll(linear_functions, -1, axis=0)
     else:
-        linear = np.array([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s])
+        linear_functions = np.array([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s])
         slopes = np.array([[s - 1, 1 - s, s, -s], [r - 1, -r, r, 1 - r]])
-        ends = linear, np.roll(linear, -1, axis=0)
-        edge_functions = 4.0 * ends[0] * ends[1] / (ends[0] + ends[1])
-    return point_weights * np.stack([linear, edge_functions]), linear, slopes
+        edge_end_functions = linear_functions, np.roll(linear_functions, -1, axis=0)
+        edge_functions = (
+            4.0
+            * edge_end_functions[0]
+            * edge_end_functions[1]
+            / (edge_end_functions[0] + edge_end_functions[1])
+        )
+    return point_weights * np.stack([linear_functions, edge_functions]), linear_functions, slopes
 
 
 def _patch_gaps(
@@ -679,61 +730,66 @@ def _patch_gaps(
         B of the gaps B^T u.
     areas : (n,) [m^2]
         Areas of the patches.
-    pair_index : (n,) int
+    twin_pair_index : (n,) int
         Index in ``twins`` of the pair at each patch.
     front_nodes : (m,) int
         Nodes of the fronts.
     """
     n_pairs = len(twins.first_nodes)
     corner_nodes = [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
-    face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
-    front_nodes = face_nodes[twins.pair_index[face_nodes] < 0]
+    all_face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
+    front_nodes = all_face_nodes[twins.pair_index[all_face_nodes] < 0]
     patch_index = twins.pair_index.copy()
     # Patches of front nodes go to their neighbours.
     patch_index[front_nodes] = n_pairs + np.arange(len(front_nodes))
-    entries: list[tuple[np.ndarray, ...]] = []
-    overlaps: list[tuple[np.ndarray, ...]] = []
+    gap_triplets: list[tuple[np.ndarray, ...]] = []
+    overlap_triplets: list[tuple[np.ndarray, ...]] = []
     areas = np.zeros(n_pairs + len(front_nodes))
     for nodes, cell_centres in facets:
-        k = nodes.shape[1] // 2
-        (linear, edge_functions), psi, slopes = _facet_basis(k)
-        corner_points = twins.points[nodes[:, :k]]
-        tangent_1, tangent_2 = np.einsum("akq,fkx->afqx", slopes, corner_points)
-        normals = np.cross(tangent_1, tangent_2)
-        is_inward = np.einsum("fqx,fx->f", normals, corner_points.mean(axis=1) - cell_centres) < 0.0
-        normals[is_inward] *= -1.0
-        area_densities = np.linalg.norm(normals, axis=2)
-        facet_patches = patch_index[nodes[:, :k]]
-        np.add.at(areas, facet_patches, 0.5 * np.einsum("kq,fq->fk", linear, area_densities))
-        integrals = np.einsum("iq,jq,fq->fij", psi, linear, area_densities)
-        entry_indices = np.broadcast_arrays(facet_patches[:, :, None], facet_patches[:, None])
-        overlaps.append((integrals.ravel(), entry_indices[0].ravel(), entry_indices[1].ravel()))
+        n_corners = nodes.shape[1] // 2
+        (linear, edge_functions), pressure_basis, slopes = _facet_basis(n_corners)
+        corner_points = twins.points[nodes[:, :n_corners]]
+        position_slope_1, position_slope_2 = np.einsum("akq,fkx->afqx", slopes, corner_points)
+        area_normals = np.cross(position_slope_1, position_slope_2)
+        is_inward = (
+            np.einsum("fqx,fx->f", area_normals, corner_points.mean(axis=1) - cell_centres) < 0.0
+        )
+        area_normals[is_inward] *= -1.0
+        surface_jacobians = np.linalg.norm(area_normals, axis=2)
+        corner_patches = patch_index[nodes[:, :n_corners]]
+        np.add.at(areas, corner_patches, 0.5 * np.einsum("kq,fq->fk", linear, surface_jacobians))
+        integrals = np.einsum("iq,jq,fq->fij", pressure_basis, linear, surface_jacobians)
+        row_patches, column_patches = np.broadcast_arrays(
+            corner_patches[:, :, None], corner_patches[:, None]
+        )
+        overlap_triplets.append((integrals.ravel(), row_patches.ravel(), column_patches.ravel()))
         # A quadratic corner function is the linear one less half of its two edge functions.
         half_edge_functions = 0.5 * (edge_functions + np.roll(edge_functions, 1, axis=0))
-        is_quadratic = np.all(nodes[:, k:] >= 0, axis=1)[:, None, None]
-        corner_integrals = np.einsum("iq,jq,fqx->fijx", psi, linear, normals)
+        is_quadratic = np.all(nodes[:, n_corners:] >= 0, axis=1)[:, None, None]
+        corner_integrals = np.einsum("iq,jq,fqx->fijx", pressure_basis, linear, area_normals)
         corner_integrals -= (
-            np.einsum("iq,jq,fqx->fijx", psi, half_edge_functions, normals)
+            np.einsum("iq,jq,fqx->fijx", pressure_basis, half_edge_functions, area_normals)
             * is_quadratic[..., None]
         )
         edge_integrals = (
-            np.einsum("iq,jq,fqx->fijx", psi, edge_functions, normals) * is_quadratic[..., None]
+            np.einsum("iq,jq,fqx->fijx", pressure_basis, edge_functions, area_normals)
+            * is_quadratic[..., None]
         )
         # Axes: facet, pressure, node, direction.
         integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
         rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
-        columns = np.broadcast_to(facet_patches[:, :, None, None], integrals.shape)
-        is_kept = (rows >= 0) & (integrals != 0.0)
-        entries.append((integrals[is_kept], rows[is_kept], columns[is_kept]))
-    integrals, rows, columns = (np.concatenate(arrays) for arrays in zip(*entries, strict=True))
+        columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
+        is_kept_entry = (rows >= 0) & (integrals != 0.0)
+        gap_triplets.append((integrals[is_kept_entry], rows[is_kept_entry], columns[is_kept_entry]))
+    integrals, rows, columns = map(np.concatenate, zip(*gap_triplets, strict=True))
     gap = sparse.csr_matrix((integrals, (rows, columns)), (twins.n_dofs, len(areas)))
-    integrals, rows, columns = (np.concatenate(arrays) for arrays in zip(*overlaps, strict=True))
+    integrals, rows, columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
     overlap_matrix = sparse.csr_matrix((integrals, (rows, columns)), (len(areas), len(areas)))
-    shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
-    areas = shares.T @ areas
-    pair_index = np.flatnonzero(areas)
-    gap = (gap @ shares)[:, pair_index] @ sparse.diags(1.0 / areas[pair_index])
-    return gap.tocsr(), areas[pair_index], pair_index, front_nodes
+    front_shares = distribute_front_pressures(overlap_matrix[n_pairs:, :n_pairs])
+    areas = front_shares.T @ areas
+    twin_pair_index = np.flatnonzero(areas)
+    gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])
+    return gap.tocsr(), areas[twin_pair_index], twin_pair_index, front_nodes
 
 
 # --- of nodes -------------------------------------------------------------------------------------
@@ -756,27 +812,29 @@ def _gap_matrix_and_front_nodes(
     points = twins.points
     gap = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))
     front_nodes: list[np.ndarray] = []
-    size = float(np.ptp(points, axis=0).max())
-    for column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
-        neighbours = [twins.connectivity[node].indices for node in (a, b)]
+    model_extent = float(np.ptp(points, axis=0).max())
+    for pair_column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
+        neighbours = [twins.connectivity[pair_node].indices for pair_node in (a, b)]
         front_nodes.append(np.intersect1d(*neighbours))
-        near_nodes = np.unique(np.concatenate(neighbours))
-        near_nodes = np.append(near_nodes[twins.pair_index[near_nodes] >= 0], front_nodes[-1])
-        if len(np.unique(twins.place_labels[near_nodes])) <= n_tangents:
-            near_nodes = twins.first_nodes
-        centred_points = points[near_nodes] - points[near_nodes].mean(axis=0)
+        nearby_crack_nodes = np.unique(np.concatenate(neighbours))
+        nearby_crack_nodes = np.append(
+            nearby_crack_nodes[twins.pair_index[nearby_crack_nodes] >= 0], front_nodes[-1]
+        )
+        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= n_tangents:
+            nearby_crack_nodes = twins.first_nodes
+        centred_points = points[nearby_crack_nodes] - points[nearby_crack_nodes].mean(axis=0)
         tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:n_tangents]
         normal = points[neighbours[1]].mean(axis=0) - points[neighbours[0]].mean(axis=0)
         normal -= tangents.T @ (tangents @ normal)
-        if np.linalg.norm(normal) <= POSITION_TOLERANCE * size:
+        if np.linalg.norm(normal) <= POSITION_TOLERANCE * model_extent:
             place_text = format_point(points[a], "g")
             requirement = "a crack with a side below and one above, or a model with its elements"
             raise InputError(
                 "model", f"two nodes at {place_text} that lie on the same side", requirement
             )
         normal /= np.linalg.norm(normal)
-        for node, sign in ((a, 1.0), (b, -1.0)):
-            for dof, component in zip(twins.dofs[node], sign * normal, strict=True):
-                if dof >= 0 and abs(component) > POSITION_TOLERANCE:
-                    gap[dof, column] = component
+        for pair_node, sign in ((a, 1.0), (b, -1.0)):
+            for dof, normal_component in zip(twins.dofs[pair_node], sign * normal, strict=True):
+                if dof >= 0 and abs(normal_component) > POSITION_TOLERANCE:
+                    gap[dof, pair_column] = normal_component
     return gap.tocsr(), np.unique(np.concatenate(front_nodes))

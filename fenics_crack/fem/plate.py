@@ -48,7 +48,7 @@ class PlateMesh:
         mesh file may name others. A facet in several groups has a tag of its own.
     points : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
-    cracks : tuple of CrackPath or of CrackSurface
+    crack_geometries : tuple of CrackPath or of CrackSurface
         Cracks in the order of the scene or, for a mesh file, from bottom to top.
     """
 
@@ -56,7 +56,7 @@ class PlateMesh:
     facet_tags: Any
     groups: dict[str, tuple[int, ...]]
     points: dict[str, tuple[float, ...]]
-    cracks: Cracks
+    crack_geometries: Cracks
 
     @property
     def has_cracks(self) -> bool:
@@ -83,9 +83,11 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
         group.
     """
     with _gmsh_on_root(comm):
-        (groups, points), lips = on_root(comm, lambda: _mesh_scene(scene))
+        (facet_tags_by_group, point_by_name), crack_geometries = on_root(
+            comm, lambda: _mesh_scene(scene)
+        )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
-    return PlateMesh(mesh, facet_tags, groups, points, lips)
+    return PlateMesh(mesh, facet_tags, facet_tags_by_group, point_by_name, crack_geometries)
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
@@ -109,9 +111,9 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     """
     with _gmsh_on_root(MPI.COMM_SELF):
         _mesh_scene(scene)
-        with whole_file(path) as partial:
-            gmsh.write(str(partial))
-            if not content_of(partial, None).endswith(
+        with whole_file(path) as partial_path:
+            gmsh.write(str(partial_path))
+            if not content_of(partial_path, None).endswith(
                 b"$EndElements\n"
             ):  # gmsh ignores a full disk
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -124,8 +126,8 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
         yield
         return
     with kept_interrupts():
-        is_first = not compat.gmsh_is_running()
-        if is_first:
+        must_start_gmsh = not compat.gmsh_is_running()
+        if must_start_gmsh:
             gmsh.initialize(readConfigFiles=False)
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask, nobody may be there
@@ -134,7 +136,7 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
             yield
         finally:
             gmsh.model.remove()
-            if is_first:
+            if must_start_gmsh:
                 gmsh.finalize()
 
 
@@ -151,11 +153,11 @@ def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_mesh_into_gmsh  # only mesh files need its checks
 
-        parts_and_cracks = read_mesh_into_gmsh(Path(str(scene.mesh.file)), scene.dimension)
+        named_groups_and_cracks = read_mesh_into_gmsh(Path(str(scene.mesh.file)), scene.dimension)
     else:
-        parts_and_cracks = mesh_plate(scene) if scene.dimension == 2 else mesh_solid(scene)
+        named_groups_and_cracks = mesh_plate(scene) if scene.dimension == 2 else mesh_solid(scene)
     gmsh.model.mesh.renumberNodes()
-    return parts_and_cracks
+    return named_groups_and_cracks
 
 
 # --- dofs -----------------------------------------------------------------------------------------
@@ -168,9 +170,9 @@ class Dofs:
     its left side.
     """
 
-    sides: np.ndarray | None = None
+    side_node_pairs: np.ndarray | None = None
     """Nodes on the left side of a sector, and their partners on the right side: (2, m)."""
-    frames: np.ndarray | None = None
+    node_to_global_rotations: np.ndarray | None = None
     """Matrix for each node that rotates its displacement into the spatial frame: (n_nodes, d, d).
     """
     _rotation: sparse.csr_matrix | None = None
@@ -192,10 +194,12 @@ class Dofs:
             is_constrained[self.nodes_on("clamp")] = True
         self.free_dofs = np.flatnonzero(~is_constrained.ravel())
         """Owned free dofs, as local numbers of the function space."""
-        first_number = self.comm.exscan(len(self.free_dofs)) or 0
-        self.numbers = np.full(is_constrained.size, -1)
+        first_free_dof_number = self.comm.exscan(len(self.free_dofs)) or 0
+        self.structure_dof_numbers = np.full(is_constrained.size, -1)
         """Number in the structure of each owned dof; -1 if clamped."""
-        self.numbers[self.free_dofs] = first_number + np.arange(len(self.free_dofs))
+        self.structure_dof_numbers[self.free_dofs] = first_free_dof_number + np.arange(
+            len(self.free_dofs)
+        )
 
     @property
     def points(self) -> np.ndarray:
@@ -216,28 +220,33 @@ class Dofs:
         nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, facet_dimension, facets))
         return nodes[nodes < space.dofmap.index_map.size_local]
 
-    def set_sector_sides(self, sides: np.ndarray, rotation: np.ndarray) -> None:
+    def set_sector_sides(self, side_node_pairs: np.ndarray, rotation: np.ndarray) -> None:
         """Set a sector's sides, and rotate the right side's frames.
 
         Later matrices and forces are rotated, too. One rank has the whole sector.
 
         Parameters
         ----------
-        sides : (2, m) int
+        side_node_pairs : (2, m) int
             Nodes on the left side, and their partners on the right side.
         rotation : (d, d)
             Matrix that turns the left side to the right one.
         """
-        self.sides, self.frames = sides, np.tile(np.eye(self.dimension), (self.n_own_nodes, 1, 1))
-        self.frames[sides[1]] = rotation
-        row_bounds = np.arange(self.n_own_nodes + 1)
-        all_rotations = sparse.bsr_matrix((self.frames, row_bounds[:-1], row_bounds)).tocsr()
-        self._rotation = all_rotations[self.free_dofs][:, self.free_dofs]
+        self.side_node_pairs, self.node_to_global_rotations = (
+            side_node_pairs,
+            np.tile(np.eye(self.dimension), (self.n_own_nodes, 1, 1)),
+        )
+        self.node_to_global_rotations[side_node_pairs[1]] = rotation
+        block_row_pointers = np.arange(self.n_own_nodes + 1)
+        block_diagonal_rotation = sparse.bsr_matrix(
+            (self.node_to_global_rotations, block_row_pointers[:-1], block_row_pointers)
+        ).tocsr()
+        self._rotation = block_diagonal_rotation[self.free_dofs][:, self.free_dofs]
         self._rotation.eliminate_zeros()
 
-    def restrict_to_free(self, rows: np.ndarray) -> np.ndarray:
+    def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
-        free_forces = rows[..., self.free_dofs]
+        free_forces = forces[..., self.free_dofs]
         return free_forces if self._rotation is None else np.asarray(free_forces @ self._rotation)
 
     def restrict_matrix(self, matrix: Any) -> Any:
@@ -248,14 +257,16 @@ class Dofs:
         discarded objects by communicator, and could not free them after the mesh's communicator is
         gone.
         """
-        free_dofs = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
-        index_set = PETSc.IS().createGeneral(free_dofs, comm=matrix.comm)
+        global_free_dofs = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
+        index_set = PETSc.IS().createGeneral(global_free_dofs, comm=matrix.comm)
         block = matrix.createSubMatrix(index_set, index_set)
-        local_rows = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
+        local_rows_matrix = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
         if self._rotation is not None:
-            local_rows = sparse.csr_matrix(self._rotation.T @ local_rows @ self._rotation)
-        local_rows.eliminate_zeros()
-        csr = local_rows.indptr, local_rows.indices, local_rows.data
+            local_rows_matrix = sparse.csr_matrix(
+                self._rotation.T @ local_rows_matrix @ self._rotation
+            )
+        local_rows_matrix.eliminate_zeros()
+        csr = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
         free_matrix = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
         for petsc_object in (index_set, block, matrix):
             petsc_object.destroy()
@@ -274,15 +285,17 @@ class Dofs:
         function.x.scatter_forward()
         return function
 
-    def nodes(self) -> Nodes:
+    def make_node_data(self) -> Nodes:
         """Return this rank's node positions, dofs and cells for searches and pictures."""
-        cells, vtk_type = compat.vtk_cells_and_type(self.space)
-        numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
+        cells, vtk_cell_type = compat.vtk_cells_and_type(self.space)
+        global_node_numbers = self.space.dofmap.index_map.local_to_global(
+            cells.ravel().astype(np.int32)
+        )
         return Nodes(
             points=self.points.copy(),
-            dofs=self.numbers.reshape(-1, self.dimension),
-            cells=np.asarray(numbers).reshape(cells.shape),
-            vtk_type=max(self.comm.allgather(vtk_type)),
+            dofs=self.structure_dof_numbers.reshape(-1, self.dimension),
+            cells=np.asarray(global_node_numbers).reshape(cells.shape),
+            vtk_type=max(self.comm.allgather(vtk_cell_type)),
             mesh_dofs=self,
-            frames=self.frames,
+            frames=self.node_to_global_rotations,
         )

@@ -52,20 +52,22 @@ def force_parts(scene: Scene) -> list[Vector]:
     The first vector is the mean, followed by the cosine and sine parts of each order. The orders
     are those of all loads in the scene.
     """
-    excitation, zero = scene.excitation, (0.0,) * scene.dimension
-    force_vectors = excitation.force_mean, excitation.force_cos, excitation.force_sin
-    rows = [part or zero for part in force_vectors] + [zero] * (2 * scene.highest_order - 2)
-    for harmonic in excitation.harmonics:
-        is_complete = len(harmonic.cos) == scene.dimension
+    excitation, zero_vector = scene.excitation, (0.0,) * scene.dimension
+    mean_cos_and_sin_forces = excitation.force_mean, excitation.force_cos, excitation.force_sin
+    rows = [part or zero_vector for part in mean_cos_and_sin_forces] + [zero_vector] * (
+        2 * scene.highest_order - 2
+    )
+    for harmonic_table in excitation.harmonics:
+        is_complete = len(harmonic_table.cos) == scene.dimension
         excitation.require(is_complete, "harmonics", f"of {scene.dimension} components each")
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
-        for row, part in enumerate(expand_load_table(excitation, scene.dimension)[0]):
-            rows[row] = tuple(np.add(rows[row], part).tolist())
+        for row_index, part in enumerate(read_load_table_harmonics(excitation, scene.dimension)[0]):
+            rows[row_index] = tuple(np.add(rows[row_index], part).tolist())
     return rows
 
 
-def expand_load_table(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
+def read_load_table_harmonics(load: Excitation, dimension: int) -> tuple[np.ndarray, float]:
     """Return the Fourier coefficients of a load's table of one period.
 
     Returns

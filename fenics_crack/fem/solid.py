@@ -48,7 +48,7 @@ MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
 MESHING_MEMORY = 2**33
 """Maximum address space for meshing a part [byte]."""
-INNER_SHARE = 0.4
+INNER_FRONT_DISTANCE_RATIO = 0.4
 """Distance from a front's middle up to which depth and ligament are measured, over its length."""
 MAX_CELLS = 2e6
 """Maximum number of cells of a part. gmsh makes about 1e4 in a second."""
@@ -76,21 +76,23 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
-        names, cracks = load_mesh_into_gmsh(
+        named_parts, crack_surfaces = load_mesh_into_gmsh(
             (contents["numbers"], unit * contents["positions"], unpack_groups(contents)), 3
         )
     except InputError as error:
         raise meshing_refusal(scene, f"{error.value}") from None
-    crack_centres = np.array([crack.triangles.mean(axis=(0, 1)) for crack in cracks])  # type: ignore[union-attr]
+    crack_centres = np.array(
+        [surface.triangles.mean(axis=(0, 1)) for surface in crack_surfaces]  # type: ignore[union-attr]
+    )
     drawn_centres = unit * contents["middles"]
-    order = [
+    surface_indices = [
         np.linalg.norm(crack_centres - drawn_centre, axis=1).argmin()
         for drawn_centre in drawn_centres
     ]
-    return names, tuple(cracks[index] for index in order)  # type: ignore[return-value]
+    return named_parts, tuple(crack_surfaces[surface_index] for surface_index in surface_indices)  # type: ignore[return-value]
 
 
-def read_part_faces(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
+def read_part_triangles_and_owners(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
     """Return the triangulated faces of a part.
 
     Returns
@@ -107,7 +109,7 @@ def read_part_faces(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
     return contents | {"triangles": MILLIMETRE * contents["triangles"]}
 
 
-def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
+def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
     """Describe the named faces, crack positions and crack fronts of a part (collective).
 
     Faces have area and position. Fronts have their length, and off their ends the largest depth
@@ -116,42 +118,68 @@ def describe_part(scene: Scene, structure: Structure) -> dict[str, str]:
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
     assert structure.nodes is not None
-    plate, comm, rows = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
-    space = compat.function_space(plate.mesh, 1, vectors=False)
-    for name in sorted(set(plate.groups) - {*CRACK_FACE_NAMES}):
-        weights = compat.assembled_vector(ufl.TestFunction(space) * plate.measure_on(name))
-        points = space.tabulate_dof_coordinates()[: len(weights)]
-        area = comm.allreduce(weights.sum())
-        centre_text = format_point(comm.allreduce(weights @ points) / area, ".4g")
-        rows[f"face {name}"] = f"{1e6 * area:.4g} mm^2 around {centre_text} m"
-    mesh = NodalMesh(structure)
-    sides = mesh.boundary[~rows_in(mesh.boundary, mesh.crack_face_sides)]
-    surface = mesh.points[sides]
-    rows |= {
-        f"{key}.point": f"{quantity(distance.min().round(12), 'm')} from the surface"
-        for key, crack in scene.all_cracks.items()
-        for distance in solid_mesher.triangle_distances(
-            np.reshape(crack.point or (), (-1, 3)), surface
+    plate, comm, text_by_name = structure.nodes.mesh_dofs.plate, structure.comm, {}  # type: ignore[union-attr]
+    scalar_space = compat.function_space(plate.mesh, 1, vectors=False)
+    for face_name in sorted(set(plate.groups) - {*CRACK_FACE_NAMES}):
+        node_areas = compat.assembled_vector(
+            ufl.TestFunction(scalar_space) * plate.measure_on(face_name)
+        )
+        node_positions = scalar_space.tabulate_dof_coordinates()[: len(node_areas)]
+        face_area = comm.allreduce(node_areas.sum())
+        face_centre_text = format_point(
+            comm.allreduce(node_areas @ node_positions) / face_area, ".4g"
+        )
+        text_by_name[f"face {face_name}"] = (
+            f"{1e6 * face_area:.4g} mm^2 around {face_centre_text} m"
+        )
+    nodal_mesh = NodalMesh(structure)
+    surface_facets = nodal_mesh.boundary[~rows_in(nodal_mesh.boundary, nodal_mesh.crack_face_sides)]
+    surface_triangles = nodal_mesh.points[surface_facets]
+    text_by_name |= {
+        f"{crack_key}.point": f"{quantity(point_distances.min().round(12), 'm')} from the surface"
+        for crack_key, crack in scene.all_cracks.items()
+        for point_distances in solid_mesher.pairwise_triangle_distances(
+            np.reshape(crack.point or (), (-1, 3)), surface_triangles
         )
     }
-    for front in find_fronts(structure):
-        positions = np.append(
-            0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
+    for crack_front in find_fronts(structure):
+        arc_lengths = np.append(
+            0.0, np.linalg.norm(np.diff(crack_front.node_positions, axis=0), axis=1).cumsum()
         )
-        is_inner = front.is_closed | (np.abs(positions / positions[-1] - 0.5) <= INNER_SHARE)
-        inner_nodes, parameters = front.node_positions[is_inner], front.parameters[is_inner]
-        rays = zip(inner_nodes, front.frame_and_curvature(parameters)[0][:, 0], strict=True)
-        ligament = min((ray_length(*ray, surface) for ray in rays), default=np.nan)
-        in_plane = np.abs((surface - front.node_positions[0]) @ front.normals[0]) < 1e-6 * mesh.size
-        mouth = surface[np.any(in_plane & np.isin(sides, mesh.crack_face_sides), axis=1)]
-        distances = solid_mesher.triangle_distances(inner_nodes, mouth)
-        depth = distances.min(axis=1, initial=np.inf).max(initial=0.0)
+        is_inner = crack_front.is_closed | (
+            np.abs(arc_lengths / arc_lengths[-1] - 0.5) <= INNER_FRONT_DISTANCE_RATIO
+        )
+        inner_nodes, inner_node_parameters = (
+            crack_front.node_positions[is_inner],
+            crack_front.parameters[is_inner],
+        )
+        ray_points_and_directions = zip(
+            inner_nodes,
+            crack_front.frame_and_curvature(inner_node_parameters)[0][:, 0],
+            strict=True,
+        )
+        ligament = min(
+            (
+                ray_length(*ray_point_and_direction, surface_triangles)
+                for ray_point_and_direction in ray_points_and_directions
+            ),
+            default=np.nan,
+        )
+        is_in_crack_plane = (
+            np.abs((surface_triangles - crack_front.node_positions[0]) @ crack_front.normals[0])
+            < 1e-6 * nodal_mesh.size
+        )
+        mouth_triangles = surface_triangles[
+            np.any(is_in_crack_plane & np.isin(surface_facets, nodal_mesh.crack_face_sides), axis=1)
+        ]
+        mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
+        depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
         depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
-        rows[front.name] = (
-            f"{quantity(float(positions[-1]), 'm')} long, {depth_text}"
+        text_by_name[crack_front.name] = (
+            f"{quantity(float(arc_lengths[-1]), 'm')} long, {depth_text}"
             f"{quantity(ligament, 'm')} from the surface straight ahead at least"
         )
-    return rows
+    return text_by_name
 
 
 def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
@@ -161,12 +189,12 @@ def ray_length(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) 
     a hit, the result is the triangles' extent.
     """
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    normal = np.cross(direction, side_2)
-    determinants = (side_1 * normal).sum(axis=1)
+    direction_cross_side_2 = np.cross(direction, side_2)
+    determinants = (side_1 * direction_cross_side_2).sum(axis=1)
     determinants = np.where(np.abs(determinants) < 1e-300, np.inf, determinants)
     offsets = point - triangles[:, 0]
     u, offset_cross_side_1 = (
-        (offsets * normal).sum(axis=1) / determinants,
+        (offsets * direction_cross_side_2).sum(axis=1) / determinants,
         np.cross(offsets, side_1),
     )
     v = offset_cross_side_1 @ direction / determinants
@@ -188,13 +216,17 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """
     unit_scene, unit = scale_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh
-    face_points = [(face.key, face_point) for face in geometry.faces for face_point in face.values]
-    request = {
+    keys_and_face_points = [
+        (face.key, face_point) for face in geometry.faces for face_point in face.values
+    ]
+    mesher_request = {
         "unit": geometry.unit or "mm", "size": mesh.size, "per_turn": mesh.per_turn,
-        "faces": [(face_key, np.divide(point, unit).tolist()) for face_key, point in face_points],
+        "faces": [
+            (face_key, np.divide(point, unit).tolist()) for face_key, point in keys_and_face_points
+        ],
         "cracks": _mesher_cracks(unit_scene, unit), "cells": MAX_CELLS,
     }  # fmt: skip
-    return _run_mesher(str(geometry.file), request, scene), unit
+    return _run_mesher(str(geometry.file), mesher_request, scene), unit
 
 
 def _run_mesher(
@@ -218,16 +250,20 @@ def _run_mesher(
         if isinstance(contents, str):
             raise ValueError(contents)
     if "refused" in contents:
-        key, requirement = map(str, contents["refused"])
-        raise InputError(key, path if scene is None else _scene_value(scene, key), requirement)
+        refused_key, requirement = map(str, contents["refused"])
+        raise InputError(
+            refused_key,
+            path if scene is None else _value_for_message(scene, refused_key),
+            requirement,
+        )
     return contents
 
 
-def _scene_value(scene: Scene, key: str) -> object:
+def _value_for_message(scene: Scene, key: str) -> object:
     """Return the value of a scene's key for a message; for faces their names."""
-    table, _, field = key.rpartition(".")
-    value = getattr(scene.all_cracks.get(table) or getattr(scene, table), field)
-    return [face.key for face in value] if field == "faces" else value
+    table_name, _, field_name = key.rpartition(".")
+    value = getattr(scene.all_cracks.get(table_name) or getattr(scene, table_name), field_name)
+    return [face_table.key for face_table in value] if field_name == "faces" else value
 
 
 def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
@@ -235,24 +271,29 @@ def _mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
 
     ``unit`` is the length [m] of the mesh's unit; lengths of the scene [m] are divided by it.
     """
-    cracks = []
-    for key, crack in scene.all_cracks.items():
+    mesher_cracks = []
+    for crack_key, crack in scene.all_cracks.items():
         if crack.point is None:
-            geometry = _box_crack(crack, scene.geometry.sides)
+            geometry_fields = _box_crack(crack, scene.geometry.sides)
         else:
-            round_axes = crack.half_axes if crack.front != "through" else None
-            offset = (crack.length or 0.0) * crack.frame[0] * (round_axes is None)
-            geometry = {
+            ellipse_half_axes = crack.half_axes if crack.front != "through" else None
+            offset = (crack.length or 0.0) * crack.frame[0] * (ellipse_half_axes is None)
+            geometry_fields = {
                 "middle": (crack.point + offset).tolist(), "frame": crack.frame.tolist(),
-                "half": round_axes, "is_round": round_axes is not None,
-                "reach": round_axes and min(round_axes),
+                "half": ellipse_half_axes, "is_round": ellipse_half_axes is not None,
+                "reach": ellipse_half_axes and min(ellipse_half_axes),
             }  # fmt: skip
-        shapes = (name for name in ("radii", "depth", "length") if getattr(crack, name) is not None)
-        cracks.append({
-            "key": key, "shape": next(shapes, "point"), "unit": unit, **geometry,
+        given_size_keys = (
+            size_key
+            for size_key in ("radii", "depth", "length")
+            if getattr(crack, size_key) is not None
+        )
+        mesher_cracks.append({
+            "key": crack_key, "shape": next(given_size_keys, "point"), "unit": unit,
+            **geometry_fields,
             "elements": scene.mesh.given("lip_elements"), "grading": scene.mesh.grading,
         })  # fmt: skip
-    return cracks
+    return mesher_cracks
 
 
 def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
@@ -268,15 +309,15 @@ def _box_crack(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
     """
     width, _, thickness = sides
     left_end, right_end = crack.span(width)
-    center, half_length = 0.5 * (left_end + right_end), 0.5 * (right_end - left_end)
+    center_x, x_half_axis = 0.5 * (left_end + right_end), 0.5 * (right_end - left_end)
     if crack.edge is not None:
-        center, half_length = (0.0 if crack.edge == "left" else width), right_end - left_end
+        center_x, x_half_axis = (0.0 if crack.edge == "left" else width), right_end - left_end
     depth = crack.depth or 2.0 * thickness
     return {
-        "middle": [center, crack.given("height"), thickness], "half": [half_length, depth],
+        "middle": [center_x, crack.given("height"), thickness], "half": [x_half_axis, depth],
         "frame": [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
         "is_round": crack.front == "elliptical",
-        "reach": min(half_length, crack.depth or half_length),
+        "reach": min(x_half_axis, crack.depth or x_half_axis),
     }  # fmt: skip
 
 
@@ -285,7 +326,7 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     unit_scene, unit = scale_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
     occ, rim = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
-    solid_tags = (
+    solid_dim_tags = (
         [(3, occ.addBox(0.0, 0.0, 0.0, *box_size))]
         if rim is None
         else rim.draw_with_blade(*box_size)
@@ -295,35 +336,35 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     if any(crack.point is not None for crack in scene.all_cracks.values()):
         triangles, _ = solid_mesher.mesh_faces()
     try:
-        surfaces, fronts = solid_mesher.insert_cracks(
-            solid_tags, _mesher_cracks(unit_scene, unit), triangles
+        crack_surface_tags, fronts = solid_mesher.insert_cracks(
+            solid_dim_tags, _mesher_cracks(unit_scene, unit), triangles
         )
     except solid_mesher.Refusal as refusal:
-        key, requirement = refusal.args
-        if (value := _scene_value(scene, key)) is None:
+        refused_key, requirement = refusal.args
+        if (refused_value := _value_for_message(scene, refused_key)) is None:
             raise meshing_refusal(scene, requirement) from None
-        raise InputError(key, value, requirement) from None
+        raise InputError(refused_key, refused_value, requirement) from None
     _check_cell_number(scene, unit, fronts)
-    box_sides = [
+    box_side_planes = [
         ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
         ("back", 2, 0.0), ("front", 2, thickness),
     ]  # fmt: skip
-    groups: dict[str, list[int]] = {"clamp": []}
-    for _, tag in gmsh.model.getEntities(2):
-        center = occ.getCenterOfMass(2, tag)
-        if rim is not None and center[1] < 0.0:
-            name = rim.name_of(center)
+    surface_tags_by_name: dict[str, list[int]] = {"clamp": []}
+    for _, surface_tag in gmsh.model.getEntities(2):
+        face_center = occ.getCenterOfMass(2, surface_tag)
+        if rim is not None and face_center[1] < 0.0:
+            name = rim.name_of(face_center)
         else:
-            name = min(box_sides, key=lambda box_side: abs(center[box_side[1]] - box_side[2]))[0]
-        if tag not in surfaces:
-            groups.setdefault(name, []).append(tag)
+            name = min(box_side_planes, key=lambda plane: abs(face_center[plane[1]] - plane[2]))[0]
+        if surface_tag not in crack_surface_tags:
+            surface_tags_by_name.setdefault(name, []).append(surface_tag)
     if rim is not None:
-        rim.set_periodic(2, *(groups[name] for name in RIM_SIDES))
+        rim.set_periodic(2, *(surface_tags_by_name[name] for name in RIM_SIDES))
     try:
         solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else
         raise meshing_refusal(scene, str(error)) from None
-    return solid_mesher.collect_mesh(surfaces, groups), unit
+    return solid_mesher.collect_mesh(crack_surface_tags, surface_tags_by_name), unit
 
 
 def _check_cell_number(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:

@@ -28,28 +28,29 @@ CrackData = dict[str, Any]
 FrontData = dict[str, Any]
 """Data of a crack and of a front, see :func:`insert_cracks`."""
 
-UNIT_LENGTHS = {"m": 1e3, "mm": 1.0, "inch": 25.4}
+MILLIMETRES_BY_UNIT = {"m": 1e3, "mm": 1.0, "inch": 25.4}
 """Lengths of the units for files without one [mm]."""
 CELLS_PER_VOLUME = 5.0
 """Number of tetrahedra of length h that gmsh makes in a volume h^3."""
-COARSE_TRIANGLES = 25.0
+COARSE_TRIANGLES_PER_DIAGONAL = 25.0
 """Number of triangles along a part's diagonal in the coarse mesh."""
-STRAIGHT_RADIUS_RATIO = 2.5
+STRAIGHT_CELL_DISTANCE_RATIO = 2.5
 """Distance from a front up to which cells are straight, in elements at the front."""
-MIN_DETERMINANT_RATIO = 0.2
+MIN_JACOBIAN_RATIO_IN_CELL = 0.2
 """Minimum ratio of a cell's smallest to largest Jacobian determinant. Below it, a curved cell
 becomes straight."""
 MIN_SIZE_RATIO = 0.1
 """Minimum element length due to curvature, relative to the size."""
-NEAR_RATIO = 0.1
-"""Minimum ligament at a front, relative to its elements. Also the maximum distance of a named point
-from a face, relative to the part's size."""
-SEAM_ANGLE = 1.0 + math.pi
+MIN_LIGAMENT_RATIO = 0.1
+"""Minimum ligament at a front, relative to the front's elements."""
+MAX_FACE_POINT_DISTANCE_RATIO = 0.1
+"""Maximum distance of a named point from a face, relative to the part's size."""
+ELLIPSE_START_ANGLE = 1.0 + math.pi
 """Angle at which an ellipse begins and ends [rad]. On an axis, its vertex would be beside the mouth
 of a half ellipse, and rounded numbers would make a short edge there."""
-MAX_RADII_RATIO = 1.0 - 1e-9
+MAX_ELLIPSE_AXIS_RATIO = 1.0 - 1e-9
 """Maximum ratio of an ellipse's radii. Intersections with one that is a circle fail in gmsh 4.8."""
-N_CURVE_SAMPLES = 40
+N_CURVE_INTERVALS = 40
 """Number of intervals on a curve between sample points, and of triangles that identify a face."""
 
 
@@ -86,11 +87,18 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
     if request is None:
         gmsh.merge(path)
-        tags = gmsh.model.getPhysicalGroups()
-        names = [gmsh.model.getPhysicalName(*tag) for tag in tags]
-        entities = [gmsh.model.getEntitiesForPhysicalGroup(*tag) for tag in tags]
+        group_dim_tags = gmsh.model.getPhysicalGroups()
+        group_names = [gmsh.model.getPhysicalName(*dim_tag) for dim_tag in group_dim_tags]
+        group_entities = [
+            gmsh.model.getEntitiesForPhysicalGroup(*dim_tag) for dim_tag in group_dim_tags
+        ]
         return collect_groups(
-            [(*tag, *group) for tag, *group in zip(tags, names, entities, strict=True)]
+            [
+                (*dim_tag, *name_and_entities)
+                for dim_tag, *name_and_entities in zip(
+                    group_dim_tags, group_names, group_entities, strict=True
+                )
+            ]
         )
     try:
         return _mesh_part(path, request)
@@ -100,30 +108,34 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
 
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     """Mesh a part, or only its faces, as :func:`read` does."""
-    solid_tags = _import_part(path, request["unit"])
+    solid_dim_tags = _import_part(path, request["unit"])
     triangles, owners = mesh_faces()
     if "size" not in request:
         return {"triangles": triangles, "owners": owners}
-    faces_by_name = _find_named_faces(request["faces"], triangles, owners)
-    surfaces, fronts = insert_cracks(solid_tags, request["cracks"], triangles)
+    names_and_face_tags = _find_names_and_face_tags(request["faces"], triangles, owners)
+    crack_surfaces, fronts = insert_cracks(solid_dim_tags, request["cracks"], triangles)
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
         requirement = f"so that there are at most {request['cells']:.0e} cells: about"
-        key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
-        raise Refusal(key, f"{requirement} {n_bulk_cells + n_front_cells:.2g} would be")
+        refused_key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
+        raise Refusal(refused_key, f"{requirement} {n_bulk_cells + n_front_cells:.2g} would be")
     try:
         generate_mesh(size, fronts, request["per_turn"])
         gmsh.model.mesh.setOrder(2)
     except Exception as error:
         requirement = f"such that gmsh can mesh the part ({error})"
         raise Refusal("mesh.size", requirement) from None
-    face_of_surface = _match_surfaces(surfaces, triangles, owners)
-    groups = {
-        name: [surface for surface, face in face_of_surface.items() if face in faces]
-        for name, faces in faces_by_name
+    face_of_surface = _match_surfaces(crack_surfaces, triangles, owners)
+    surfaces_by_name = {
+        name: [
+            surface_tag
+            for surface_tag, face_tag in face_of_surface.items()
+            if face_tag in face_tags
+        ]
+        for name, face_tags in names_and_face_tags
     }
-    contents = collect_mesh(surfaces, groups)
+    contents = collect_mesh(crack_surfaces, surfaces_by_name)
     contents["positions"], contents["straight"] = straighten_edges(contents, fronts)
     return contents
 
@@ -136,16 +148,16 @@ def _import_part(path: str, unit: str) -> Tags:
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
-        solid_tags = gmsh.model.occ.importShapes(path, highestDimOnly=True)
+        solid_dim_tags = gmsh.model.occ.importShapes(path, highestDimOnly=True)
     except Exception as error:
         raise Refusal("geometry.file", f"readable by gmsh ({error})") from None
-    if len(solid_tags) != 1 or solid_tags[0][0] != 3:
-        n_solids = sum(dimension == 3 for dimension, _ in solid_tags)
+    if len(solid_dim_tags) != 1 or solid_dim_tags[0][0] != 3:
+        n_solids = sum(dimension == 3 for dimension, _ in solid_dim_tags)
         raise Refusal("geometry.file", f"a file with one solid: it has {n_solids or 'none'}")
-    if (factor := UNIT_LENGTHS[unit]) != 1.0:
-        gmsh.model.occ.dilate(solid_tags, 0.0, 0.0, 0.0, factor, factor, factor)
+    if (mm_per_unit := MILLIMETRES_BY_UNIT[unit]) != 1.0:
+        gmsh.model.occ.dilate(solid_dim_tags, 0.0, 0.0, 0.0, mm_per_unit, mm_per_unit, mm_per_unit)
     gmsh.model.occ.synchronize()
-    return solid_tags
+    return solid_dim_tags
 
 
 def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
@@ -159,17 +171,17 @@ def mesh_faces() -> tuple[np.ndarray, np.ndarray]:
         gmsh's tag of each triangle's face.
     """
     bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES
+    max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES_PER_DIAGONAL
     _set_sizes(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
         raise Refusal("geometry.file", f"a part whose faces gmsh can mesh ({error})") from None
     triangles, owners = [], []
-    for _, tag in gmsh.model.getEntities(2):
-        face_triangles = _face_triangles(tag)
+    for _, face_tag in gmsh.model.getEntities(2):
+        face_triangles = _face_triangles(face_tag)
         triangles.append(face_triangles)
-        owners += [tag] * len(face_triangles)
+        owners += [face_tag] * len(face_triangles)
     gmsh.model.mesh.clear()
     return np.concatenate(triangles), np.array(owners)
 
@@ -181,43 +193,54 @@ def _face_triangles(tag: int) -> np.ndarray:
         return np.zeros((0, 3, 3))
     n_nodes_per_element = gmsh.model.mesh.getElementProperties(kinds[0])[3]
     numbers, positions, _ = gmsh.model.mesh.getNodes()
-    order = np.argsort(numbers)
+    order_by_number = np.argsort(numbers)
     corner_numbers = nodes[0].reshape(-1, n_nodes_per_element)[:, :3]
-    node_index = order[np.searchsorted(numbers, corner_numbers, sorter=order)]
+    node_index = order_by_number[np.searchsorted(numbers, corner_numbers, sorter=order_by_number)]
     return positions.reshape(-1, 3)[node_index]
 
 
-def triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the distances between points (n, 3) and triangles (m, 3, 3): (n, m)."""
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     offsets = points[:, None] - triangles[:, 0]
-    a, b, c = (side_1**2).sum(1), (side_1 * side_2).sum(1), (side_2**2).sum(1)
-    d = (offsets * side_1).sum(2)
-    e = (offsets * side_2).sum(2)
-    area = np.maximum(a * c - b**2, 1e-300)
-    u, v = (c * d - b * e) / area, (a * e - b * d) / area
-    min_distances = np.linalg.norm(offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2)
-    min_distances[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
-    for start, stop in ((0, 1), (1, 2), (2, 0)):
-        side = triangles[:, stop] - triangles[:, start]
-        offsets = points[:, None] - triangles[:, start]
+    side_1_squared, side_1_dot_side_2, side_2_squared = (
+        (side_1**2).sum(1),
+        (side_1 * side_2).sum(1),
+        (side_2**2).sum(1),
+    )
+    offset_dot_side_1 = (offsets * side_1).sum(2)
+    offset_dot_side_2 = (offsets * side_2).sum(2)
+    gram_determinant = np.maximum(side_1_squared * side_2_squared - side_1_dot_side_2**2, 1e-300)
+    u, v = (
+        (side_2_squared * offset_dot_side_1 - side_1_dot_side_2 * offset_dot_side_2)
+        / gram_determinant,
+        (side_1_squared * offset_dot_side_2 - side_1_dot_side_2 * offset_dot_side_1)
+        / gram_determinant,
+    )
+    distances_to_triangles = np.linalg.norm(
+        offsets - u[..., None] * side_1 - v[..., None] * side_2, axis=2
+    )
+    distances_to_triangles[(u < 0.0) | (v < 0.0) | (u + v > 1.0)] = np.inf
+    for start_corner, stop_corner in ((0, 1), (1, 2), (2, 0)):
+        side = triangles[:, stop_corner] - triangles[:, start_corner]
+        offsets = points[:, None] - triangles[:, start_corner]
         fractions = np.clip(
             (offsets * side).sum(2) / np.maximum((side**2).sum(1), 1e-300), 0.0, 1.0
         )
-        min_distances = np.minimum(
-            min_distances, np.linalg.norm(offsets - fractions[..., None] * side, axis=2)
+        distances_to_triangles = np.minimum(
+            distances_to_triangles, np.linalg.norm(offsets - fractions[..., None] * side, axis=2)
         )
-    return min_distances
+    return distances_to_triangles
 
 
-def _find_named_faces(
-    faces: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
+def _find_names_and_face_tags(
+    names_and_points: Iterable[tuple[str, list[float]]], triangles: np.ndarray, owners: np.ndarray
 ) -> Iterable[tuple[str, set[int]]]:
     """Find the faces that a user names by points on them.
 
     Parameters
     ----------
-    faces : pairs of (str, (3,))
+    names_and_points : pairs of (str, (3,))
         Name and point; a name may have several points.
     triangles, owners
         From :func:`mesh_faces`.
@@ -227,33 +250,37 @@ def _find_named_faces(
     pairs of (str, set of int)
         Each name with the tags of the faces nearest to its points.
     """
-    size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
-    faces_by_name: dict[str, set[int]] = {}
-    for name, point in faces:
-        point_distances = triangle_distances(np.array([point]), triangles)[0]
-        if point_distances.min() > NEAR_RATIO * size:
-            position = ", ".join(f"{1e-3 * x:.4g}" for x in point)
-            raise Refusal("geometry.faces", f"points on faces: ({position}) of {name} is"
+    part_size = np.ptp(triangles.reshape(-1, 3), axis=0).max()
+    face_tags_by_name: dict[str, set[int]] = {}
+    for name, point in names_and_points:
+        point_distances = pairwise_triangle_distances(np.array([point]), triangles)[0]
+        if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
+            position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
+            raise Refusal("geometry.faces", f"points on faces: ({position_text}) of {name} is"
                           f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
-        faces_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
-    return faces_by_name.items()
+        face_tags_by_name.setdefault(name, set()).add(owners[point_distances.argmin()])
+    return face_tags_by_name.items()
 
 
 def _match_surfaces(
-    surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
+    crack_surfaces: list[int], triangles: np.ndarray, owners: np.ndarray
 ) -> dict[int, int]:
     """Match the surfaces of the cracked part to the faces of the uncracked part.
 
-    ``surfaces`` are the tags of the cracks, which are left out. Returns the face's tag by the tag
-    of each other surface; faces are those of :func:`mesh_faces`.
+    ``crack_surfaces`` are the tags of the cracks, which are left out. Returns the face's tag by the
+    tag of each other surface; faces are those of :func:`mesh_faces`.
     """
     face_of_surface = {}
-    for _, tag in gmsh.model.getEntities(2):
-        if tag not in surfaces:
-            middles = _face_triangles(tag).mean(axis=1)
-            samples = middles[:: max(1, len(middles) // N_CURVE_SAMPLES)]
-            nearest_faces = owners[triangle_distances(samples, triangles).argmin(axis=1)]
-            face_of_surface[tag] = np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0
+    for _, surface_tag in gmsh.model.getEntities(2):
+        if surface_tag not in crack_surfaces:
+            triangle_centres = _face_triangles(surface_tag).mean(axis=1)
+            sample_points = triangle_centres[:: max(1, len(triangle_centres) // N_CURVE_INTERVALS)]
+            nearest_faces = owners[
+                pairwise_triangle_distances(sample_points, triangles).argmin(axis=1)
+            ]
+            face_of_surface[surface_tag] = (
+                np.bincount(nearest_faces).argmax() if len(nearest_faces) else 0
+            )
     return face_of_surface
 
 
@@ -261,13 +288,13 @@ def _match_surfaces(
 
 
 def insert_cracks(
-    solid_tags: Tags, cracks: list[CrackData], triangles: np.ndarray
+    solid_dim_tags: Tags, cracks: list[CrackData], triangles: np.ndarray
 ) -> tuple[list[int], list[FrontData]]:
     """Cut cracks into a solid, and return their surfaces and fronts.
 
     Parameters
     ----------
-    solid_tags : list of (int, int)
+    solid_dim_tags : list of (int, int)
         The solid.
     cracks : list of dict
         "key" of the crack in the scene, as "cracks.1"; "shape", its key that a size is refused
@@ -288,30 +315,45 @@ def insert_cracks(
         "shortest" element length at the front; "growth" of the length with the distance; "length"
         of the front.
     """
-    occ, faces = gmsh.model.occ, []
+    occ, crack_face_dim_tags = gmsh.model.occ, []
     for crack in cracks:
         if crack["half"] is None:
             crack["half"] = [2.0 * np.ptp(triangles.reshape(-1, 3), axis=0).max()] * 2
-        inner_faces = occ.intersect(
-            _draw_crack_face(crack), solid_tags, removeObject=True, removeTool=False
+        inner_dim_tags = occ.intersect(
+            _draw_crack_face(crack), solid_dim_tags, removeObject=True, removeTool=False
         )[0]
-        inner_faces = [inner_face for inner_face in inner_faces if inner_face[0] == 2]
-        if len(inner_faces) != 1:
-            centres = np.reshape([occ.getCenterOfMass(*face) for face in inner_faces], (-1, 3))
-            is_in_face = triangle_distances(centres, triangles) < 1e-6 * np.ptp(triangles)
+        inner_dim_tags = [
+            inner_dim_tag for inner_dim_tag in inner_dim_tags if inner_dim_tag[0] == 2
+        ]
+        if len(inner_dim_tags) != 1:
+            centres = np.reshape(
+                [occ.getCenterOfMass(*face_dim_tag) for face_dim_tag in inner_dim_tags], (-1, 3)
+            )
+            is_on_part_face = pairwise_triangle_distances(centres, triangles) < 1e-6 * np.ptp(
+                triangles
+            )
             problem = (
-                f"misses the part{_describe_box(crack, triangles)}" if not inner_faces
-                else "lies in a face of it" if np.any(is_in_face)
-                else f"is in {len(inner_faces)} pieces"
+                f"misses the part{_describe_box(crack, triangles)}" if not inner_dim_tags
+                else "lies in a face of it" if np.any(is_on_part_face)
+                else f"is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
             raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
                           f" part: it {problem}")  # fmt: skip
-        faces += inner_faces
-    fragments, children = occ.fragment(solid_tags, faces) if faces else (solid_tags, [solid_tags])
+        crack_face_dim_tags += inner_dim_tags
+    fragments, children = (
+        occ.fragment(solid_dim_tags, crack_face_dim_tags)
+        if crack_face_dim_tags
+        else (solid_dim_tags, [solid_dim_tags])
+    )
     occ.synchronize()
     rims = [
-        {tag for _, tag in gmsh.model.getBoundary(surfaces, combined=False, oriented=False)}
-        for surfaces in children[1:]
+        {
+            curve_tag
+            for _, curve_tag in gmsh.model.getBoundary(
+                surface_dim_tags, combined=False, oriented=False
+            )
+        }
+        for surface_dim_tags in children[1:]
     ]
     fronts = [_describe_front(crack, rim) for crack, rim in zip(cracks, rims, strict=True)]
     if sum(dimension == 3 for dimension, _ in fragments) != 1:
@@ -321,29 +363,33 @@ def insert_cracks(
         )
         raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
                       " part in two, and crosses no other crack")  # fmt: skip
-    crack_data = [*zip(cracks, children[1:], rims, fronts, strict=True)]
-    for index, (crack, surfaces, rim, front) in reversed([*enumerate(crack_data)]):
-        if len(surfaces) != 1 or any(rim & other_rim for other_rim in rims[:index]):
+    cracks_rims_and_fronts = [*zip(cracks, children[1:], rims, fronts, strict=True)]
+    for crack_index, (crack, surface_dim_tags, rim, front) in reversed(
+        [*enumerate(cracks_rims_and_fronts)]
+    ):
+        if len(surface_dim_tags) != 1 or any(rim & other_rim for other_rim in rims[:crack_index]):
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
         if len(triangles):
-            _check_crack_position(crack, surfaces[0][1], front, triangles)
-    return [surfaces[0][1] for surfaces in children[1:]], fronts
+            _check_crack_position(crack, surface_dim_tags[0][1], front, triangles)
+    return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
 def _describe_box(crack: CrackData, triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
     start, end = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     start_text, end_text = (
-        ", ".join(f"{crack['unit'] * x:.4g}" for x in corner) for corner in (start, end)
+        ", ".join(f"{crack['unit'] * coordinate:.4g}" for coordinate in box_corner)
+        for box_corner in (start, end)
     )
-    scaled_middle = 1e-3 * np.array(crack["middle"])
-    hint = (
+    middle_read_as_mm = 1e-3 * np.array(crack["middle"])
+    unit_hint = (
         "; in mm?"
-        if np.any(scaled_middle) and np.all((start <= scaled_middle) & (scaled_middle <= end))
+        if np.any(middle_read_as_mm)
+        and np.all((start <= middle_read_as_mm) & (middle_read_as_mm <= end))
         else ""
     )
-    return f", which is from ({start_text}) to ({end_text}) m{hint}"
+    return f", which is from ({start_text}) to ({end_text}) m{unit_hint}"
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
@@ -353,29 +399,29 @@ def _draw_crack_face(crack: CrackData) -> Tags:
         a, b, e_1 = b, a, e_2
     if crack["is_round"]:
         curve = occ.addEllipse(
-            0.0, 0.0, 0.0, a, min(b, MAX_RADII_RATIO * a),
-            angle1=SEAM_ANGLE, angle2=SEAM_ANGLE + 2.0 * math.pi,
+            0.0, 0.0, 0.0, a, min(b, MAX_ELLIPSE_AXIS_RATIO * a),
+            angle1=ELLIPSE_START_ANGLE, angle2=ELLIPSE_START_ANGLE + 2.0 * math.pi,
         )  # fmt: skip
-        face = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
+        face_dim_tags = [(2, occ.addPlaneSurface([occ.addCurveLoop([curve])]))]
     else:
-        face = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
+        face_dim_tags = [(2, occ.addRectangle(-a, -b, 0.0, 2.0 * a, 2.0 * b))]
     e_2 = np.cross(normal, e_1)
     is_horizontal = math.hypot(normal[0], normal[1]) < 1e-12
-    angles = (
+    euler_angles = (
         math.atan2(e_1[1], e_1[0] * normal[2]) if is_horizontal else math.atan2(e_2[2], -e_1[2]),
         math.acos(np.clip(normal[2], -1.0, 1.0)),
         0.0 if is_horizontal else math.atan2(normal[1], normal[0]),
     )
-    for axis, angle in zip(((0, 0, 1), (0, 1, 0), (0, 0, 1)), angles, strict=True):
-        occ.rotate(face, 0.0, 0.0, 0.0, *axis, angle)
-    occ.translate(face, *(crack["middle"] - (crack["reach"] is None) * a * np.array(e_1)))
-    return face
+    for axis, angle in zip(((0, 0, 1), (0, 1, 0), (0, 0, 1)), euler_angles, strict=True):
+        occ.rotate(face_dim_tags, 0.0, 0.0, 0.0, *axis, angle)
+    occ.translate(face_dim_tags, *(crack["middle"] - (crack["reach"] is None) * a * np.array(e_1)))
+    return face_dim_tags
 
 
 def _sample_curve(curve: int) -> np.ndarray:
     """Return points on a curve, including its ends: (n, 3)."""
     (start,), (stop,) = gmsh.model.getParametrizationBounds(1, curve)
-    parameters = np.linspace(start, stop, N_CURVE_SAMPLES + 1)
+    parameters = np.linspace(start, stop, N_CURVE_INTERVALS + 1)
     return np.reshape(gmsh.model.getValue(1, curve, parameters), (-1, 3))
 
 
@@ -385,30 +431,40 @@ def _describe_front(crack: CrackData, rim: set[int]) -> FrontData:
     It consists of the rim's curves on the border of the ellipse or rectangle.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
-    curves, point_arrays, extent = [], [np.zeros((0, 3))], 0.0
-    for curve in rim:
-        points = _sample_curve(curve)
+    curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
+    for rim_curve in rim:
+        points = _sample_curve(rim_curve)
         x, y, _ = ((points - crack["middle"]) @ frame.T).T
         if is_straight:
-            scaled_radius, extent = 1.0 + x / half_axes[0], max(extent, -float(x.min()))
+            relative_border_position, extent_behind_front = (
+                1.0 + x / half_axes[0],
+                max(extent_behind_front, -float(x.min())),
+            )
         elif crack["is_round"]:
-            scaled_radius = np.hypot(x / half_axes[0], y / half_axes[1])
+            relative_border_position = np.hypot(x / half_axes[0], y / half_axes[1])
         else:
-            scaled_radius = np.maximum(np.abs(x) / half_axes[0], np.abs(y) / half_axes[1])
-        if np.abs(scaled_radius - 1.0).max() < 1e-5:
-            curves.append(curve)
+            relative_border_position = np.maximum(
+                np.abs(x) / half_axes[0], np.abs(y) / half_axes[1]
+            )
+        if np.abs(relative_border_position - 1.0).max() < 1e-5:
+            curves.append(rim_curve)
             point_arrays.append(points)
-    extent = extent if is_straight else crack["reach"]
-    length_ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
-    ends = np.array(
-        [curve_points[k] for curve_points in point_arrays[1:] for k in (0, -1)]
+    extent_behind_front = extent_behind_front if is_straight else crack["reach"]
+    element_length_ratio = crack["grading"] ** (1.0 / max(crack["elements"] - 1, 1))
+    curve_end_points = np.array(
+        [curve_points[end_index] for curve_points in point_arrays[1:] for end_index in (0, -1)]
     ).reshape(-1, 3)
-    is_near = np.linalg.norm(ends[:, None] - ends, axis=2) < 1e-5 * extent
+    is_same_end = (
+        np.linalg.norm(curve_end_points[:, None] - curve_end_points, axis=2)
+        < 1e-5 * extent_behind_front
+    )
     return {
         "curves": curves, "points": np.concatenate(point_arrays),
-        "ends": ends[is_near.sum(axis=1) == 1],
-        "shortest": float(extent / (length_ratio ** np.arange(crack["elements"])).sum()),
-        "growth": max(length_ratio - 1.0, 1.0 / 3.0),
+        "ends": curve_end_points[is_same_end.sum(axis=1) == 1],
+        "shortest": float(
+            extent_behind_front / (element_length_ratio ** np.arange(crack["elements"])).sum()
+        ),
+        "growth": max(element_length_ratio - 1.0, 1.0 / 3.0),
         "length": sum(
             np.linalg.norm(np.diff(curve_points, axis=0), axis=1).sum()
             for curve_points in point_arrays
@@ -427,15 +483,18 @@ def _check_crack_position(
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
     if (
         not front["curves"]
-        or triangle_distances(centre, triangles).min() < NEAR_RATIO * shortest_length
+        or pairwise_triangle_distances(centre, triangles).min()
+        < MIN_LIGAMENT_RATIO * shortest_length
     ):
         problem = "lies in a face of it" if front["curves"] else "has no front in it"
         raise Refusal(key, f"such that the crack is inside the part: it {problem}")
-    points, ends = front["points"], front["ends"]
-    end_distances = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1, initial=np.inf)
-    inner_points = points[end_distances > 2.0 * shortest_length]
-    ligament = triangle_distances(inner_points, triangles).min(initial=np.inf)
-    if ligament < NEAR_RATIO * shortest_length:
+    points, end_points = front["points"], front["ends"]
+    distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
+        axis=1, initial=np.inf
+    )
+    points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
+    ligament = pairwise_triangle_distances(points_off_ends, triangles).min(initial=np.inf)
+    if ligament < MIN_LIGAMENT_RATIO * shortest_length:
         raise Refusal(key, "farther from the surface: of its front some is"
                       f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
@@ -451,15 +510,16 @@ def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple
         Cells in tubes around fronts with shorter elements: the front's length times int 2 pi d
         / h^3 dd.
     """
-    bulk_volume = (
-        sum(gmsh.model.occ.getMass(3, tag) for _, tag in gmsh.model.getEntities(3)) / size**3
+    relative_volume = (
+        sum(gmsh.model.occ.getMass(3, volume_tag) for _, volume_tag in gmsh.model.getEntities(3))
+        / size**3
     )
     front_integral = 0.0
     for front in fronts:
         shortest_length = min(front["shortest"], size)
-        factor = 0.5 / shortest_length - 1.0 / size + 0.5 * shortest_length / size**2
-        front_integral += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * factor
-    return CELLS_PER_VOLUME * bulk_volume, CELLS_PER_VOLUME * front_integral
+        radial_integral = 0.5 / shortest_length - 1.0 / size + 0.5 * shortest_length / size**2
+        front_integral += front["length"] * 2.0 * math.pi / front["growth"] ** 2 * radial_integral
+    return CELLS_PER_VOLUME * relative_volume, CELLS_PER_VOLUME * front_integral
 
 
 # --- the mesh -------------------------------------------------------------------------------------
@@ -470,18 +530,21 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
 
     ``per_turn`` is the number of elements on a full turn of a curved face.
     """
-    fields = gmsh.model.mesh.field
+    field_module = gmsh.model.mesh.field
     graded_fields = []
     for front in fronts:
         if front["curves"]:
-            distance_field, threshold_field = fields.add("Distance"), fields.add("Threshold")
-            fields.setNumbers(distance_field, "CurvesList", front["curves"])
+            distance_field, threshold_field = (
+                field_module.add("Distance"),
+                field_module.add("Threshold"),
+            )
+            field_module.setNumbers(distance_field, "CurvesList", front["curves"])
             n_samples = min(
-                2000, max(N_CURVE_SAMPLES, math.ceil(2.0 * front["length"] / front["shortest"]))
+                2000, max(N_CURVE_INTERVALS, math.ceil(2.0 * front["length"] / front["shortest"]))
             )
             for name in ("NumPointsPerCurve", "Sampling"):  # gmsh until 4.8, and later
                 with suppress(Exception):
-                    fields.setNumber(distance_field, name, n_samples)
+                    field_module.setNumber(distance_field, name, n_samples)
             shortest_length = min(front["shortest"], size)
             graded_distance = max((size - shortest_length) / front["growth"], 1e-9 * size)
             threshold_options = {
@@ -491,13 +554,13 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
                 "DistMax": graded_distance,
             }
             for name, value in threshold_options.items():
-                fields.setNumber(threshold_field, name, value)
-            fields.setNumber(threshold_field, "DistMin", 0.0)
+                field_module.setNumber(threshold_field, name, value)
+            field_module.setNumber(threshold_field, "DistMin", 0.0)
             graded_fields.append(threshold_field)
     if graded_fields:
-        minimum_field = fields.add("Min")
-        fields.setNumbers(minimum_field, "FieldsList", graded_fields)
-        fields.setAsBackgroundMesh(minimum_field)
+        minimum_field = field_module.add("Min")
+        field_module.setNumbers(minimum_field, "FieldsList", graded_fields)
+        field_module.setAsBackgroundMesh(minimum_field)
     # Small faces of a part are not resolved, as some meshes would not end.
     min_size = min([MIN_SIZE_RATIO * size, *(front["shortest"] for front in fronts)])
     _set_sizes(FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size)
@@ -513,12 +576,14 @@ def _set_sizes(**options: float) -> None:
         gmsh.option.setNumber(f"Mesh.MeshSize{name}", value)
 
 
-def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) -> dict[str, Any]:
+def collect_mesh(
+    crack_surfaces: list[int], surfaces_by_name: dict[str, list[int]]
+) -> dict[str, Any]:
     """Collect gmsh's current mesh with named surfaces and cracks.
 
     Parameters
     ----------
-    surfaces : list of int
+    crack_surfaces : list of int
         Tags of the cracks.
     surfaces_by_name : dict of str to list of int
         Tags of the surfaces with a name.
@@ -529,14 +594,19 @@ def collect_mesh(surfaces: list[int], surfaces_by_name: dict[str, list[int]]) ->
         Arrays of :func:`collect_groups`, and "middles", the centres of the
         cracks (n, 3).
     """
-    groups = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
-    groups += [(2, name, entities) for name, entities in surfaces_by_name.items()]
-    groups += [(2, f"crack {number}", [tag]) for number, tag in enumerate(surfaces, 1)]
-    centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in surfaces]
+    group_rows = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
+    group_rows += [(2, name, entities) for name, entities in surfaces_by_name.items()]
+    group_rows += [
+        (2, f"crack {crack_number}", [tag]) for crack_number, tag in enumerate(crack_surfaces, 1)
+    ]
+    crack_centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in crack_surfaces]
     contents = collect_groups(
-        [(dimension, tag, *group) for tag, (dimension, *group) in enumerate(groups, 1)]
+        [
+            (dimension, tag, *name_and_entities)
+            for tag, (dimension, *name_and_entities) in enumerate(group_rows, 1)
+        ]
     )
-    return contents | {"middles": np.reshape(centres, (-1, 3))}
+    return contents | {"middles": np.reshape(crack_centres, (-1, 3))}
 
 
 def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
@@ -553,7 +623,7 @@ def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
         of each group; "names": its name; "nodes": all nodes in succession.
     """
     numbers, positions, _ = gmsh.model.mesh.getNodes()
-    headers, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]
+    headers, names, node_arrays = [], [], [np.zeros(0, dtype=np.uint64)]
     for dimension, tag, name, entities in groups:
         for entity in entities:
             kinds, _, element_nodes = gmsh.model.mesh.getElements(dimension, entity)
@@ -562,11 +632,11 @@ def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
                 for kind, nodes_of_kind in zip(kinds, element_nodes, strict=True)
             ]
             names += [name] * len(kinds)
-            nodes += element_nodes
+            node_arrays += element_nodes
     return {
         "numbers": numbers, "positions": positions.reshape(-1, 3),
         "heads": np.array(headers, dtype=np.int64).reshape(-1, 4),
-        "names": np.array(names, dtype=str), "nodes": np.concatenate(nodes),
+        "names": np.array(names, dtype=str), "nodes": np.concatenate(node_arrays),
     }  # fmt: skip
 
 
@@ -584,10 +654,14 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
     int
         Number of cells that change.
     """
-    positions, numbers = contents["positions"].copy(), contents["numbers"]
-    order = np.argsort(numbers)
-    cell_nodes = contents["nodes"][: contents["heads"][contents["heads"][:, 0] == 3, 3].sum()]
-    cells = order[np.searchsorted(numbers, cell_nodes, sorter=order)].reshape(-1, 10)
+    positions, node_numbers = contents["positions"].copy(), contents["numbers"]
+    order_by_number = np.argsort(node_numbers)
+    cell_node_numbers = contents["nodes"][
+        : contents["heads"][contents["heads"][:, 0] == 3, 3].sum()
+    ]
+    cells = order_by_number[
+        np.searchsorted(node_numbers, cell_node_numbers, sorter=order_by_number)
+    ].reshape(-1, 10)
     kind = gmsh.model.mesh.getElementType("tetrahedron", 2)
     reference_points = gmsh.model.mesh.getElementProperties(kind)[4]
     _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, reference_points, "GradLagrange")
@@ -597,25 +671,28 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
         """Return True for cells whose Jacobian determinants differ too much: (n_cells,)."""
         determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], gradients))
         return np.asarray(
-            determinants.min(axis=1) < MIN_DETERMINANT_RATIO * determinants.max(axis=1)
+            determinants.min(axis=1) < MIN_JACOBIAN_RATIO_IN_CELL * determinants.max(axis=1)
         )
 
-    must_straighten, is_straight = is_folded(), np.zeros(len(cells), dtype=bool)
+    must_straighten_cell, is_straightened_cell = is_folded(), np.zeros(len(cells), dtype=bool)
     for front in fronts:
-        for point in front["points"]:
-            corner_distances = np.linalg.norm(positions[cells[:, :4]] - point, axis=2).min(axis=1)
-            must_straighten |= (
+        for front_point in front["points"]:
+            corner_distances = np.linalg.norm(positions[cells[:, :4]] - front_point, axis=2).min(
+                axis=1
+            )
+            must_straighten_cell |= (
                 corner_distances
-                < STRAIGHT_RADIUS_RATIO * front["shortest"] + front["length"] / N_CURVE_SAMPLES
+                < STRAIGHT_CELL_DISTANCE_RATIO * front["shortest"]
+                + front["length"] / N_CURVE_INTERVALS
             )
     edge_centres = positions[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
-    is_bent = np.abs(positions[cells[:, 4:]] - edge_centres).max(axis=(1, 2)) > 1e-9 * np.ptp(
+    is_bent_cell = np.abs(positions[cells[:, 4:]] - edge_centres).max(axis=(1, 2)) > 1e-9 * np.ptp(
         positions
     )
-    while np.any(must_straighten & ~is_straight):
-        is_straight |= must_straighten
-        positions[cells[must_straighten, 4:]] = positions[
-            cells[must_straighten][:, TETRAHEDRON_EDGES]
+    while np.any(must_straighten_cell & ~is_straightened_cell):
+        is_straightened_cell |= must_straighten_cell
+        positions[cells[must_straighten_cell, 4:]] = positions[
+            cells[must_straighten_cell][:, TETRAHEDRON_EDGES]
         ].mean(axis=2)
-        must_straighten = is_folded()
-    return positions, int((is_straight & is_bent).sum())
+        must_straighten_cell = is_folded()
+    return positions, int((is_straightened_cell & is_bent_cell).sum())

@@ -29,7 +29,7 @@ import numpy as np
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import RPM, TURN, frequency_axis, in_unit
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
-from fenics_crack.fem.setting import expand_load_table
+from fenics_crack.fem.setting import read_load_table_harmonics
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import (
@@ -698,7 +698,7 @@ OF_SCENE = (
           "1.4e-10", units={"mm in a cycle": 1e-3}),
     Usual("excitation.wave", 0.0, 0.0, "{1} harmonics leave out {0:.2%} of what changes in it "
           "(root mean square)",
-          lambda _, scene: (expand_load_table(scene.excitation, scene.dimension)[1],
+          lambda _, scene: (read_load_table_harmonics(scene.excitation, scene.dimension)[1],
                             scene.excitation.wave_harmonics)),
     Usual(LOADS, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
           "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.force_given)),

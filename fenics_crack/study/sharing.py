@@ -63,16 +63,16 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
         last.clear()
         last += [made for shelf in shelves if (made := shelf.take(scene, comm)) is not None]
     if not last:
-        from fenics_crack.fem.build import assemble  # DOLFINx
+        from fenics_crack.fem.build import assemble_structure  # DOLFINx
 
-        last.append(Made(assemble(scene, comm), comm, parts))
+        last.append(Made(assemble_structure(scene, comm), comm, parts))
     elif (known := last[0]).parts != parts:
         pairs = known.structure.pairs
         changes = {"clearance": clearance_of(scene, pairs), "damping": damping_of(scene.damping)}
         if known.parts[1] != parts[1]:
-            from fenics_crack.fem.build import assemble_loads_on
+            from fenics_crack.fem.build import assemble_load_fields
 
-            changes |= assemble_loads_on(scene, known.structure)
+            changes |= assemble_load_fields(scene, known.structure)
         last[:] = [Made(known.structure._in_setting(DEFAULT_SETTING, **changes), comm, parts)]
     for shelf in shelves:
         shelf.note(last[0], scene)

@@ -14,8 +14,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import MOST_HARMONICS, InputError
-from fenics_crack.fem.blocks import count_plate_pairs
-from fenics_crack.fem.matrix_files import count_pairs
+from fenics_crack.fem.blocks import plate_pair_upper_bound
+from fenics_crack.fem.matrix_files import table_pair_upper_bound
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES, Contact
@@ -118,7 +118,7 @@ class Plan:
 def _most_pairs(scene: Scene) -> int:
     """Upper bound of the contact pairs of a scene; the mesh is made of a solid alone, or read."""
     if scene.structure is not None:
-        return count_pairs(scene.structure)
+        return table_pair_upper_bound(scene.structure)
     mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
     each = 1 if mouth else mesh.patches or math.inf
     if mesh.layout == "file" or scene.dimension == 3:
@@ -128,11 +128,11 @@ def _most_pairs(scene: Scene) -> int:
             return 0  # its cases will fail
         if not plate.has_cracks:
             return 0
-        cracks = len(plate.cracks)
+        cracks = len(plate.crack_geometries)
         nodes = len(plate.facets("lower_lip")) * mesh.order + cracks
     else:
         cracks = len(scene.all_cracks)
-        nodes = count_plate_pairs(scene) if cracks else 0
+        nodes = plate_pair_upper_bound(scene) if cracks else 0
     return int(min(each * cracks, nodes)) if cracks else 0
 
 

@@ -22,7 +22,7 @@ from surroundings import MPI_ENVIRONMENT, ROOT, RunCommand
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.fem.solid_mesher import (
-    STRAIGHT_RADIUS_RATIO,
+    STRAIGHT_CELL_DISTANCE_RATIO,
     TETRAHEDRON_EDGES,
     collect_groups,
     straighten_edges,
@@ -365,7 +365,7 @@ def test_cells_near_a_front_are_straight() -> None:
     cells = cells.reshape(-1, 10)
     centres = before[cells[:, TETRAHEDRON_EDGES]].mean(axis=2)
     distances = np.linalg.norm(before[cells[:, :4]] - front["points"][0], axis=2).min(axis=1)
-    near = distances < STRAIGHT_RADIUS_RATIO * 0.2
+    near = distances < STRAIGHT_CELL_DISTANCE_RATIO * 0.2
     is_curved = np.abs(before[cells[:, 4:]] - centres).max(axis=(1, 2)) > 1e-9
     assert count == np.sum(near & is_curved) and 0 < count < np.sum(is_curved)
     assert np.allclose(positions[cells[near, 4:]], centres[near], atol=1e-12)

@@ -20,5 +20,5 @@ def meshes(monkeypatch: pytest.MonkeyPatch) -> list[fc.Scene]:
         meshed_scenes.append(scene)
         return assemble(scene, *rest)
 
-    wrap(monkeypatch, "fenics_crack.fem.build.assemble", note_scene)
+    wrap(monkeypatch, "fenics_crack.fem.build.assemble_structure", note_scene)
     return meshed_scenes

@@ -27,7 +27,7 @@ import fenics_crack as fc
 import fenics_crack.fem.build
 from fenics_crack import Scene, SweepResult, prepare, run_sweep
 from fenics_crack.basics.errors import WriteError
-from fenics_crack.fem.build import assemble
+from fenics_crack.fem.build import assemble_structure
 from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
@@ -659,14 +659,14 @@ def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     def counted(scene: Scene, comm: MPI.Comm) -> fc.Structure:
         meshed.append(scene)
-        return assemble(scene, comm)
+        return assemble_structure(scene, comm)
 
     coarse = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
     coarse["harmonic_balance.harmonics"] = 5
     coarse |= {"curve.parameter": "rpm", "curve.start": 5000.0, "curve.stop": 6000.0}
     scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
     over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
-    monkeypatch.setattr(fenics_crack.fem.build, "assemble", counted)
+    monkeypatch.setattr(fenics_crack.fem.build, "assemble_structure", counted)
     found = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
     assert len(meshed) == 2
     case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
