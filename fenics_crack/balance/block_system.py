@@ -100,7 +100,7 @@ class BlockSystem(Snes):
             sparse.kron(sparse.identity(n_rows), global_gap.T), linear_part.shape[1]
         )
         self._constant_gap = structure.gap_of(np.zeros(linear.shape))
-        if problem.residual is not None:
+        if problem.residual_compliance is not None:
             static_response = all_modes(structure).static_displacement(problem.cutoff)
             force_rows = linear_part.tocsr()[: linear.size] * (self.force_unit / self.length_unit)
             self._slow_gap_map -= (

@@ -308,12 +308,12 @@ class ModalCompliance:
         self,
         omega: tuple[float, float],
         damping: tuple[float, float],
-        residual: np.ndarray | None = None,
+        residual_compliance: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
         """Return fields of the C struct ``structure_at_pairs``: the modes in R_k - R_inf.
 
         The base frequency w and the damping factor d change along a path. Each is given by its
-        value at p = 0 and its rate. ``residual`` is R_inf. With h_kj = 1 / (s_j - (k w)^2 + i k w d
+        value at p = 0 and its rate. ``residual_compliance`` is R_inf. With h_kj = 1 / (s_j - (k w)^2 + i k w d
         c_j),
 
             R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load.
@@ -329,9 +329,13 @@ class ModalCompliance:
         modes = self._modes
         if modes.damping.ndim == 2:
             return None
-        (n_modes, n_pairs), static_part = modes.pairs.shape, modes.residual
-        if residual is not None:
-            static_part = -residual if static_part is None else static_part - residual
+        (n_modes, n_pairs), static_compliance = modes.pairs.shape, modes.residual
+        if residual_compliance is not None:
+            static_compliance = (
+                -residual_compliance
+                if static_compliance is None
+                else static_compliance - residual_compliance
+            )
         return {
             "modes": n_modes,
             "omega": omega[0],
@@ -345,8 +349,8 @@ class ModalCompliance:
                 self._load * self._unit_load, len(self._order), n_modes, kind=complex
             ),
             "static_compliance": None
-            if static_part is None
-            else require_shape(static_part, n_pairs, n_pairs),
+            if static_compliance is None
+            else require_shape(static_compliance, n_pairs, n_pairs),
         }
 
     def derivative(self, name: str, force: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ class ContactIntegrals(ABC):
         Law for all pairs.
     harmonics : int
         H, the highest harmonic.
-    residual : (n_pairs, n_pairs) [m/N] or None
+    residual_compliance : (n_pairs, n_pairs) [m/N] or None
         R_inf, the compliance in series with contact: s = g + R_inf lambda; None: s = g.
     softness : float
         Further compliance in series with every pair, in units of ``unit``.
@@ -116,7 +116,7 @@ class ContactIntegrals(ABC):
 
     law: ContactLaw
     harmonics: int
-    residual: np.ndarray | None = field(default=None, kw_only=True)
+    residual_compliance: np.ndarray | None = field(default=None, kw_only=True)
     softness: float = field(default=0.0, kw_only=True)
 
     has_coupled_pairs: ClassVar[bool] = False
@@ -143,8 +143,8 @@ class ContactIntegrals(ABC):
         """
         return (
             self.spring_compliance
-            if self.residual is None
-            else np.diag(self.residual) + self.spring_compliance
+            if self.residual_compliance is None
+            else np.diag(self.residual_compliance) + self.spring_compliance
         )
 
     @cached_property
@@ -411,11 +411,13 @@ class CoupledIntegrals(ContactIntegrals):
         """Return the sets of closed pairs for R_inf + I/k and the softness."""
         if self.shared_sets is not None:
             return self.shared_sets
-        assert self.residual is not None
+        assert self.residual_compliance is not None
         softness = self.softness * self.unit + (
             self.spring_compliance if self.is_piecewise else 0.0
         )
-        return ActiveSetSolver(self.residual + softness * np.eye(len(self.residual)))
+        return ActiveSetSolver(
+            self.residual_compliance + softness * np.eye(len(self.residual_compliance))
+        )
 
     @property
     def is_piecewise(self) -> bool:

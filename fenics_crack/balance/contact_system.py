@@ -119,7 +119,7 @@ class ContactSystem:
         self.compliance, self.integrals, self._softness = compliance, integrals, softness
         self.shape = compliance.shape
         self.size = int(np.prod(self.shape))
-        self.residual = integrals.residual
+        self.residual_compliance = integrals.residual_compliance
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
         self.gap_basis = compliance.gap_basis if integrals.has_coupled_pairs else None
@@ -138,7 +138,7 @@ class ContactSystem:
     def dynamic_part(self) -> np.ndarray:
         """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
         matrices = self.compliance.matrices
-        return matrices if self.residual is None else matrices - self.residual
+        return matrices if self.residual_compliance is None else matrices - self.residual_compliance
 
     @cached_property
     def compiled(self) -> CompiledEquations | None:
@@ -164,7 +164,7 @@ class ContactSystem:
             :class:`CompiledEquations`.
         """
         return CompiledEquations(
-            self.residual, self._springs(self.integrals.law), linear, compliance,
+            self.residual_compliance, self._springs(self.integrals.law), linear, compliance,
             has_coupled_pairs=self.integrals.has_coupled_pairs, gap_basis=self.gap_basis,
             forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
@@ -197,14 +197,18 @@ class ContactSystem:
             resize_harmonics(stretch_period(coefficients, n_periods), self.integrals.harmonics)
             for coefficients in (gap, force)
         )
-        return gap if self.residual is None else gap + force @ self.residual
+        return gap if self.residual_compliance is None else gap + force @ self.residual_compliance
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Return the gap s - R_inf lambda from slow gap and force (n, n_rows).
 
         Rows are Fourier coefficients, or instants.
         """
-        return unknown if self.residual is None else unknown - force @ self.residual
+        return (
+            unknown
+            if self.residual_compliance is None
+            else unknown - force @ self.residual_compliance
+        )
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return residual F and Jacobian at a slow gap s (2H+1, n_rows) [m].
@@ -231,9 +235,10 @@ class ContactSystem:
         """
         springs = self._springs(law)
         min_compliance = float(springs.min())
-        if self.residual is not None:
+        if self.residual_compliance is not None:
             min_compliance = max(
-                min_compliance, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0])
+                min_compliance,
+                float(np.linalg.eigvalsh(self.residual_compliance + np.diag(springs))[0]),
             )
         return 1.0 / max(min_compliance, 1e-300)
 
@@ -372,7 +377,7 @@ class Wave:
         return float(2.0 * np.pi / self.base_omega)
 
     @cached_property
-    def residual(self) -> np.ndarray | None:
+    def residual_compliance(self) -> np.ndarray | None:
         """R_inf, the residual flexibility: (n_rows, n_rows) [m/N], or None.
 
         It is the gaps' quasi-static response to contact forces. Rows are the pairs' normal gaps;
@@ -401,9 +406,16 @@ class Wave:
     def _integrals(self) -> ContactIntegrals:
         """Integrals of contact forces with a residual flexibility, or with friction."""
         assert self.contact is not None
-        residual_or_none, n_rows = self.residual, self.structure_with_row_pairs.n_pairs
-        residual = np.zeros((n_rows, n_rows)) if residual_or_none is None else residual_or_none
-        return coupled_integrals(self.contact, self.harmonics, residual)
+        residual_compliance_or_none, n_gaps = (
+            self.residual_compliance,
+            self.structure_with_row_pairs.n_pairs,
+        )
+        residual_compliance = (
+            np.zeros((n_gaps, n_gaps))
+            if residual_compliance_or_none is None
+            else residual_compliance_or_none
+        )
+        return coupled_integrals(self.contact, self.harmonics, residual_compliance)
 
     @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
@@ -411,9 +423,9 @@ class Wave:
 
         s, the slow gap, is the gap g without its quasi-static response to forces lambda.
         """
-        if self.residual is None:
+        if self.residual_compliance is None:
             return self.gap_rows
-        return self.gap_rows + self.force_rows @ self.residual
+        return self.gap_rows + self.force_rows @ self.residual_compliance
 
     def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at phases (n,) of the response.
@@ -447,14 +459,20 @@ class Wave:
         if friction_of(contact) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
             force = self._integrals.forces_and_places_at(self.slow_gap_coefficients, phase)[0]
-        elif self.residual is not None:
+        elif self.residual_compliance is not None:
             force = self._integrals.forces_in_time(slow_gap)
         elif not is_rigid(contact):
             force = contact.force(slow_gap)
         else:
             assert contact.weight is not None
             force = np.maximum(0.0, contact.weight * slow_gap + basis @ self.force_coefficients)
-        return basis, slow_gap if self.residual is None else slow_gap - force @ self.residual, force
+        return (
+            basis,
+            slow_gap
+            if self.residual_compliance is None
+            else slow_gap - force @ self.residual_compliance,
+            force,
+        )
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each."""
@@ -466,7 +484,7 @@ class Wave:
 
         With a residual flexibility R_inf, g = s(t) - R_inf lambda(s(t)) has kinks in time.
         """
-        if self.residual is None:
+        if self.residual_compliance is None:
             return evaluate(self.gap_coefficients, self.base_omega, time)
         return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
@@ -530,7 +548,7 @@ class CompiledEquations(Equations):
 
     Parameters
     ----------
-    residual : (n_pairs, n_pairs) [m/N] or None
+    residual_compliance : (n_pairs, n_pairs) [m/N] or None
         Static compliance R_inf in series with contact.
     springs : (n_pairs,) [m/N]
         Compliance 1/k of each pair's contact spring.
@@ -555,7 +573,7 @@ class CompiledEquations(Equations):
 
     def __init__(
         self,
-        residual: np.ndarray | None,
+        residual_compliance: np.ndarray | None,
         springs: np.ndarray,
         linear: np.ndarray,
         compliance: np.ndarray | Mapping[str, Any],
@@ -573,7 +591,9 @@ class CompiledEquations(Equations):
             matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
         n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
-        static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
+        static_compliance = (
+            np.zeros((n_pairs, n_pairs)) if residual_compliance is None else residual_compliance
+        )
         full_linear_rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         structure = Struct(
             "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,

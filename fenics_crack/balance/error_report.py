@@ -301,24 +301,26 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    reference, residual = reference_of(wave), point.system.residual
+    reference, residual_compliance = reference_of(wave), point.system.residual_compliance
     if reference is None:
         return 0.0, 0.0
-    cutoff = np.inf if residual is None else problem.cutoff
+    cutoff = np.inf if residual_compliance is None else problem.cutoff
     reference_problem, start = replace(problem, structure=reference, static_above=cutoff), point.gap
     if point.system.integrals.has_coupled_pairs:
-        assert residual is not None
+        assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
             all_modes(reference_problem.structure_with_row_pairs).static_part(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
-            max_stiffness = len(residual) / (REGULAR_EIGENVALUE_RATIO * np.trace(residual))
+            max_stiffness = len(residual_compliance) / (
+                REGULAR_EIGENVALUE_RATIO * np.trace(residual_compliance)
+            )
             reference_problem = replace(
                 reference_problem, contact=with_penalty(problem.contact, float(max_stiffness))
             )
     system = reference_problem.system(reference_problem.compliance())
-    if system.residual is not None:
-        start = start + point.force @ system.residual
+    if system.residual_compliance is not None:
+        start = start + point.force @ system.residual_compliance
     return modal_truncation_errors(
         problem.structure, _change_by_better_system(point, wave, system, start, reference)
     )

@@ -33,15 +33,15 @@ from fenics_crack.numerics.fourier import (
 
 
 def coupled_integrals(
-    law: ContactLaw, harmonics: int, residual: np.ndarray, samples: int | None = None
+    law: ContactLaw, harmonics: int, residual_compliance: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
     """Return the integrals for pairs that a static compliance R_inf couples.
 
-    ``residual`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2 n_pairs), normal
+    ``residual_compliance`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2 n_pairs), normal
     gaps before tangential ones.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
-    return integrals_class(law, harmonics, residual=residual, samples=samples)
+    return integrals_class(law, harmonics, residual_compliance=residual_compliance, samples=samples)
 
 
 SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
@@ -86,15 +86,15 @@ class FrictionIntegrals(ContactIntegrals):
 
         Those are contact springs, 1/k on the diagonal, and ``softness``.
         """
-        assert self.residual is not None
+        assert self.residual_compliance is not None
         softness = self.spring_compliance + self.softness * self.unit
-        return np.ascontiguousarray(self.residual + np.diag(softness))
+        return np.ascontiguousarray(self.residual_compliance + np.diag(softness))
 
     @cached_property
     def spring_compliance(self) -> np.ndarray:
         """Return the contact springs' compliances, normal then tangential: (2 n_pairs,) [m/N]."""
-        assert self.residual is not None
-        return spring_compliances(self.law, len(self.residual) // 2)
+        assert self.residual_compliance is not None
+        return spring_compliances(self.law, len(self.residual_compliance) // 2)
 
     @property
     def instants(self) -> int:

@@ -200,7 +200,7 @@ class Problem:
     def cutoff(self) -> float:
         """Return the frequency above which modes are quasi-static [rad/s].
 
-        It matters only with a :attr:`residual` flexibility.
+        It matters only with a :attr:`residual_compliance`.
         """
         default = STATIC_CUTOFF_RATIO * self.harmonics * self.base_omega
         return default if self.static_above is None else self.static_above
@@ -211,7 +211,7 @@ class Problem:
 
         Solutions keep this value.
         """
-        return None if self.residual is None else self.cutoff
+        return None if self.residual_compliance is None else self.cutoff
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
@@ -227,7 +227,7 @@ class Problem:
         return friction_of(self.contact) is not None
 
     @cached_property
-    def residual(self) -> np.ndarray | None:
+    def residual_compliance(self) -> np.ndarray | None:
         """Return R_inf, the residual flexibility in series with contact [m/N].
 
         Crack faces with mass have R_inf if the law is rigid. They also have R_inf if the law is so
@@ -236,43 +236,47 @@ class Problem:
         """
         structure, contact = self.structure, self.contact
         if self.friction:
-            return self._residual_with_friction
+            return self._residual_compliance_with_friction
         has_light_faces, has_rigid_law = structure.light_lips, is_rigid(contact)
         may_project = is_rigid(contact) and contact.weight is not None and not has_light_faces
         if may_project or not is_small(structure):
             return None
-        residual = all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
+        residual_compliance = all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
         if not has_light_faces and not has_rigid_law:
-            is_requested = self.static_above is not None and np.any(residual)
+            is_requested = self.static_above is not None and np.any(residual_compliance)
             # A penalty k is stiff from k R_inf = 100 on.
             if (
                 not is_requested
-                and not float(np.max(contact.stiffness * np.diag(residual))) > 100.0
+                and not float(np.max(contact.stiffness * np.diag(residual_compliance))) > 100.0
             ):
                 return None
-        if has_rigid_law and not is_regular(residual):
+        if has_rigid_law and not is_regular(residual_compliance):
             if has_light_faces:
                 raise InputError("contact law", "unilateral", ALLOWED_IF_SINGULAR)
             return None
-        return residual
+        return residual_compliance
 
     @property
-    def _residual_with_friction(self) -> np.ndarray | None:
+    def _residual_compliance_with_friction(self) -> np.ndarray | None:
         """Return R_inf of normal, then tangential gaps: (2 n_pairs, 2 n_pairs) [m/N].
 
         It is None for large structures. Raises InputError if gaps have no compliance in series.
         """
         has_few_dofs = is_small(self.structure)
         springs = spring_compliances(self.contact, self.structure.n_pairs)
-        residual = (
+        residual_compliance = (
             all_modes(self.structure_with_row_pairs).static_part(self.cutoff)
             if has_few_dofs
             else None
         )
-        series_compliance = np.diag(springs) if residual is None else residual + np.diag(springs)
+        series_compliance = (
+            np.diag(springs)
+            if residual_compliance is None
+            else residual_compliance + np.diag(springs)
+        )
         if not np.all(springs) and not is_regular(series_compliance):
             raise InputError("contact", self.contact, ALLOWED_WITHOUT_COMPLIANCE)
-        return residual
+        return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
         """Return a problem whose static modes are settled for a whole family.
@@ -281,13 +285,15 @@ class Problem:
         which modes are static.
         """
         base_omega = cutoff / (STATIC_CUTOFF_RATIO * self.harmonics)
-        residual = replace(self, static_above=None, omega=base_omega * self.subharmonic).residual
-        return replace(self, static_above=np.inf if residual is None else cutoff)
+        residual_compliance = replace(
+            self, static_above=None, omega=base_omega * self.subharmonic
+        ).residual_compliance
+        return replace(self, static_above=np.inf if residual_compliance is None else cutoff)
 
     @property
     def is_projected(self) -> bool:
         """True if the constraint is balanced in frequency, for uncoupled pairs."""
-        return is_rigid(self.contact) and self.residual is None and not self.friction
+        return is_rigid(self.contact) and self.residual_compliance is None and not self.friction
 
     def with_weight(self, compliance: Compliance) -> Problem:
         """Return the problem with the weight of its projection, if it needs one."""
@@ -327,15 +333,15 @@ class Problem:
         A projected constraint uses its weight as the stiffness.
         """
         contact, harmonics = self.contact, self.harmonics
-        if self.residual is not None:
-            return coupled_integrals(contact, harmonics, self.residual, self.samples)
+        if self.residual_compliance is not None:
+            return coupled_integrals(contact, harmonics, self.residual_compliance, self.samples)
         if self.friction:
             zero_compliance = np.zeros((self.structure_with_row_pairs.n_pairs,) * 2)
             return coupled_integrals(contact, harmonics, zero_compliance, self.samples)
         if is_rigid(contact):
             assert contact.weight is not None
             inverse_weight = np.eye(self.structure.n_pairs) / contact.weight
-            return ExactIntegrals(contact, harmonics, residual=inverse_weight)
+            return ExactIntegrals(contact, harmonics, residual_compliance=inverse_weight)
         return contact_integrals(contact, harmonics, self.samples, self.subharmonic)
 
     def compliance(self) -> Compliance:
@@ -434,7 +440,7 @@ class Search:
             The contact is so stiff that rounding leaves nothing of its force.
         """
         system = self.system
-        if system.residual is None:
+        if system.residual_compliance is None:
             self._rounding = rounding_left(system.compliance, system.integrals.law)
             if self._rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._rounding)
@@ -532,7 +538,7 @@ class Search:
         if problem.friction:
             yield Start("from contact without friction", self._guesses_without_friction)
         else:
-            is_large = system.residual is not None or system.size > kernel.MANY_UNKNOWNS
+            is_large = system.residual_compliance is not None or system.size > kernel.MANY_UNKNOWNS
             min_harmonics = problem.least_harmonics if is_large else problem.harmonics
             counts = halve_harmonics(problem.harmonics, min_harmonics)
             name = "from fewer harmonics" if is_large else "full Newton steps"

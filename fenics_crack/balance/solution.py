@@ -167,7 +167,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
         None stands for the watched dof.
         """
-        if self.residual is None:
+        if self.residual_compliance is None:
             return evaluate(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
 

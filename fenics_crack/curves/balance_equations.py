@@ -200,7 +200,7 @@ class BalanceEquations(CurveSystem):
         the motion's period.
         """
         modal_part = self._compliance.modal_part(
-            omega_and_change, damping_and_change, self.problem.residual
+            omega_and_change, damping_and_change, self.problem.residual_compliance
         )
         return (
             None

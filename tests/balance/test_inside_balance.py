@@ -339,7 +339,9 @@ def residual(pairs: int, seed: int = 1) -> np.ndarray:
 def integrals(kind: str, harmonics: int, **options: Any) -> CoupledIntegrals:
     """Of three pairs under a law."""
     law, samples = LAWS[kind]
-    return CoupledIntegrals(law, harmonics, residual=residual(3), samples=samples, **options)
+    return CoupledIntegrals(
+        law, harmonics, residual_compliance=residual(3), samples=samples, **options
+    )
 
 
 def difference(function: Any, place: Any, step: Any) -> np.ndarray:
@@ -407,7 +409,7 @@ def test_coupled_samples_approach_with_second_order(pairs: int, harmonics: int) 
     errors = np.zeros(len(counts))
     for seed in range(8):
         gap = random_gaps(harmonics, pairs, seed)
-        made = CoupledIntegrals(RIGID, harmonics, residual=compliance)
+        made = CoupledIntegrals(RIGID, harmonics, residual_compliance=compliance)
         exact = made.force(gap)
         for place, count in enumerate(counts):
             found = replace(made, samples=int(count)).force(gap)
@@ -425,7 +427,7 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
     alone = ExactIntegrals(fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7)
     for seed in range(4):
         gap = random_gaps(7, 1, seed)
-        seen: dict[str, Any] = {"residual": np.full((1, 1), 0.4), "softness": softness}
+        seen: dict[str, Any] = {"residual_compliance": np.full((1, 1), 0.4), "softness": softness}
         forces = CoupledIntegrals(law, 7, **seen).linearise(gap)
         pair, spring = ExactIntegrals(law, 7, **seen).linearise(gap), alone.linearise(gap)
         for found in (forces, pair):
@@ -443,7 +445,9 @@ def test_grazing_contact_against_a_penalty() -> None:
         for column in range(10):
             gap = gaps[:, [column]]
             for sign in (1.0, -1.0):
-                made = CoupledIntegrals(RIGID, 4, residual=np.eye(1)).linearise(sign * gap)
+                made = CoupledIntegrals(RIGID, 4, residual_compliance=np.eye(1)).linearise(
+                    sign * gap
+                )
                 force = ExactIntegrals(fc.UnilateralPenalty(1.0), 4).force(sign * gap)
                 assert np.abs(made.force - force).max() < 1e-13
                 assert np.any(made.force) == (depth > 0.0 or sign < 0.0)
@@ -452,7 +456,7 @@ def test_grazing_contact_against_a_penalty() -> None:
 def test_smoothed_force_by_quadrature() -> None:
     """lambda(s(t)) of one pair times each wave, by QUADPACK."""
     law, compliance = fc.SmoothedPenalty(3.0, 4.0), np.full((1, 1), 0.2)
-    made, gap = CoupledIntegrals(law, 2, residual=compliance), random_gaps(2, 1)
+    made, gap = CoupledIntegrals(law, 2, residual_compliance=compliance), random_gaps(2, 1)
     found = made.linearise(gap).force[:, 0]
 
     def products(t: float) -> np.ndarray:
@@ -522,7 +526,7 @@ def test_widened_keeps_the_forces() -> None:
 def test_many_pairs_and_sets() -> None:
     """Forty pairs, hundreds of sets: the forces of many samples, and the tangent along a change."""
     compliance, gap = residual(40), random_gaps(4, 40)
-    made = CoupledIntegrals(RIGID, 4, residual=compliance)
+    made = CoupledIntegrals(RIGID, 4, residual_compliance=compliance)
     exact = made.linearise(gap)
     fine = replace(made, samples=1 << 13).linearise(gap)
     assert relative(fine.force, exact.force) < 1e-5

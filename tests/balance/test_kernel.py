@@ -182,7 +182,7 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
 
 
 TWO = ActiveSetSolver(np.eye(2))
-BEHIND = CoupledIntegrals(fc.UnilateralPenalty(1.0), 1, residual=np.eye(2))
+BEHIND = CoupledIntegrals(fc.UnilateralPenalty(1.0), 1, residual_compliance=np.eye(2))
 SYSTEM = CompiledEquations(None, np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
 WRONG = {
     "complementarity, a matrix too small": lambda: solve_complementarity(np.eye(2), np.ones(3)),

@@ -491,7 +491,7 @@ def test_several_changes_are_parted_below_the_floor() -> None:
 
 def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
     """M of the modes that move by SciPy's integrator, the law evaluated at its own instants."""
-    modes, residual = all_modes(found.structure), found.residual
+    modes, residual = all_modes(found.structure), found.residual_compliance
     if found.static_above is not None:
         modes = modes.with_static_modes(found.static_above)
     n, unit = len(modes.squares), np.eye(found.structure.n_pairs)

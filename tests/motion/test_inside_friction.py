@@ -136,7 +136,9 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     draw, harmonics = np.random.default_rng(6), 4
     root = draw.normal(size=(2 * pairs, 2 * pairs))
     residual = 0.3 * root @ root.T / (2 * pairs) + np.eye(2 * pairs)
-    own = FrictionIntegrals(CoulombFriction(RIGID, 0.4), harmonics, residual=residual, samples=512)
+    own = FrictionIntegrals(
+        CoulombFriction(RIGID, 0.4), harmonics, residual_compliance=residual, samples=512
+    )
     gap = draw.normal(size=(2 * harmonics + 1, 2 * pairs))
     gap /= np.arange(1, 2 * harmonics + 2)[:, None]
     gap[0, :pairs] = 0.2
@@ -158,7 +160,9 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
 def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None:
     """Its place goes with the gap of the first instant, or of that at which it slipped last, half
     a period later: against differences, by the tangential gap."""
-    integrals = FrictionIntegrals(CoulombFriction(RIGID, 0.4), 2, residual=np.eye(2), samples=64)
+    integrals = FrictionIntegrals(
+        CoulombFriction(RIGID, 0.4), 2, residual_compliance=np.eye(2), samples=64
+    )
     gap = np.zeros((5, 2))
     gap[0, 0], gap[1, 1] = 1.0, size
     at_wave = integrals.linearise(gap)
@@ -193,7 +197,7 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     phase = 2.0 * np.pi / 3.0 * np.arange(3)
     compliance = np.eye(6)
     compliance[3:, 3:] += 0.25 * (1.0 - np.eye(3))
-    own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual=compliance)
+    own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual_compliance=compliance)
     time = 2.0 * np.pi / 128 * np.arange(128)[:, None] - phase
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
     forces, states, places, _ = own.march(gap)
