@@ -864,7 +864,7 @@ def with_four_times(
     if "modes" not in errors.parts:
         return f"no part by modes, {'; '.join(errors.unknown.values()) or solution.status}"
     assert isinstance(structure, ReducedStructure) and run.contact is not None
-    orbit, mode = solution.assessment.orbit, numbers_of(run, solution).mode
+    orbit, mode = solution.assessment.nearest_orbit, numbers_of(run, solution).mode
     assert orbit is not None
     orbits = [orbit]
     for times in (2, 4):

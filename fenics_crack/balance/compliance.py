@@ -313,8 +313,8 @@ class ModalCompliance:
         """Return fields of the C struct ``structure_at_pairs``: the modes in R_k - R_inf.
 
         The base frequency w and the damping factor d change along a path. Each is given by its
-        value at p = 0 and its rate. ``residual_compliance`` is R_inf. With h_kj = 1 / (s_j - (k w)^2 + i k w d
-        c_j),
+        value at p = 0 and its rate. ``residual_compliance`` is R_inf. With h_kj = 1 / (s_j - (k
+        w)^2 + i k w d c_j),
 
             R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load.
 

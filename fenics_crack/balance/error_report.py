@@ -30,10 +30,10 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
 from fenics_crack.balance.more_modes import (
-    UNKNOWN,
+    UNKNOWN_ERROR,
     Errors,
     modal_truncation_errors,
-    motion_at_load,
+    motion_along_load,
     reference_of,
 )
 from fenics_crack.balance.problem import Problem
@@ -105,7 +105,7 @@ class ErrorReport(Described):
     @property
     def unknown(self) -> bool:
         """True if the total could not be estimated."""
-        return self.total >= UNKNOWN
+        return self.total >= UNKNOWN_ERROR
 
     @property
     def estimated(self) -> bool:
@@ -134,7 +134,7 @@ class ErrorReport(Described):
     def _title(self) -> str:
         return ", ".join(
             f"{name} {error:.2g}"
-            + (" (unknown)" if error >= UNKNOWN and name != "penetration" else "")
+            + (" (unknown)" if error >= UNKNOWN_ERROR and name != "penetration" else "")
             for name, error in self.to_dict().items()
         ) + ("" if self.confirmed else f" ({NOT_CONFIRMED})")
 
@@ -169,24 +169,27 @@ def estimate_errors(
 
     residual, penetration = relative(point.residual), relative(_penetration(point, problem))
     if not has_converged:
-        return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
+        return ErrorReport(residual, UNKNOWN_ERROR, 0.0, 0.0, penetration, UNKNOWN_ERROR)
     finer_integrals, sampling = point.system.integrals.refine(), 0.0
     if finer_integrals is not None:
         sampling = relative(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
-    if assessment.affordable:  # includes the sampling error
+    if assessment.can_search_orbit:  # includes the sampling error
         error, load_error = assessment.errors(search=search)
     else:
         error, load_error = _truncation_errors(point, wave)
-    truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
-    can_use_orbits = assessment.affordable and search and structure.light_lips
+    truncation = UNKNOWN_ERROR if error >= UNKNOWN_ERROR else max(error - sampling, 0.0)
+    can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
     more_modes = assessment.more_modes if can_use_orbits else None
     min_harmonics = problem.response_harmonics(ENOUGH_HARMONICS)
-    if can_use_orbits and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
-        modal_errors = UNKNOWN, UNKNOWN  # without an orbit the effect of more modes is unknown, too
+    if can_use_orbits and truncation >= UNKNOWN_ERROR and isinstance(structure, ReducedStructure):
+        modal_errors = (
+            UNKNOWN_ERROR,
+            UNKNOWN_ERROR,
+        )  # without an orbit the effect of more modes is unknown, too
     elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics):
-        modal_errors = more_modes.errors or (UNKNOWN, UNKNOWN)
+        modal_errors = more_modes.errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
     else:
         modal_errors = _reduction_errors(point, wave, problem)
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
@@ -197,8 +200,9 @@ def estimate_errors(
         sampling=sampling,
         reduction=modal_errors[0],
         penetration=penetration,
-        displacement=min(load_error + modal_errors[1], UNKNOWN),
-        confirmed=not (assessment.affordable and search) or assessment.orbit is not None,
+        displacement=min(load_error + modal_errors[1], UNKNOWN_ERROR),
+        confirmed=not (assessment.can_search_orbit and search)
+        or assessment.nearest_orbit is not None,
     )
 
 
@@ -212,26 +216,26 @@ def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorRe
 
     The reference is that of the solution's reduced structure.
     """
-    gap_motion = reference_solution.gap_coefficients.copy()
-    gap_motion[0] += solution.structure.clearance
+    gap_plus_clearance = reference_solution.gap_coefficients.copy()
+    gap_plus_clearance[0] += solution.structure.clearance
     change_square = mean_square(reference_solution.gap_coefficients - solution.gap_coefficients)
-    gap_error = math.sqrt(change_square / moving_mean_square(gap_motion))
-    load_error = _change_at_load(
+    gap_error = math.sqrt(change_square / moving_mean_square(gap_plus_clearance))
+    load_error = _relative_change_at_load(
         solution, reference_solution.structure, reference_solution.displacement_coefficients
     )
     reduction, displacement = modal_truncation_errors(solution.structure, (gap_error, load_error))
     return ErrorReport(reduction=reduction, displacement=displacement)
 
 
-def _change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
+def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
     """Return the relative change of the displacement at the load (collective).
 
     It is the change from the motion ``wave`` to the coefficients ``displacement`` (2H+1, n_local)
     of another ``structure``. The reference is the root mean square, with the mean at most as large
     as all else.
     """
-    motion = motion_at_load(wave.structure, wave.displacement_coefficients)
-    change = mean_square(motion_at_load(structure, displacement) - motion)
+    motion = motion_along_load(wave.structure, wave.displacement_coefficients)
+    change = mean_square(motion_along_load(structure, displacement) - motion)
     return math.sqrt(change / moving_mean_square(motion)) if motion.any() else 0.0
 
 
@@ -240,12 +244,16 @@ def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
     """
-    gap_motion, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
-    gap_motion[0] += clearance
+    gap_plus_clearance, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
+    gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
     rounding = NEGLIGIBLE**2 * mean_square(linear_gap)
-    is_still = mean_square(gap_motion) <= rounding  # the load presses the crack faces together
-    return 0.0 if is_still else math.sqrt(mean_square(change) / moving_mean_square(gap_motion))
+    is_still = (
+        mean_square(gap_plus_clearance) <= rounding
+    )  # the load presses the crack faces together
+    return (
+        0.0 if is_still else math.sqrt(mean_square(change) / moving_mean_square(gap_plus_clearance))
+    )
 
 
 def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
@@ -278,22 +286,24 @@ def _change_by_better_system(
     """Return the relative changes from a solution to that of better equations.
 
     Newton's method begins at coefficients ``start`` of the slow gap. ``structure`` is that of the
-    better equations. The changes, of gaps and of the displacement at the load, are :data:`UNKNOWN`
-    if Newton's method fails.
+    better equations. The changes, of gaps and of the displacement at the load, are
+    :data:`UNKNOWN_ERROR` if Newton's method fails.
     """
     start_point = better_system.linearise(start)
     size = max(float(np.linalg.norm(start)), 1e-300)
     tolerance = max(COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / size, ROUNDING)
     end_point = solve_robustly(better_system, start, 1.0, tolerance=tolerance)
     if end_point is None:
-        return UNKNOWN, UNKNOWN
+        return UNKNOWN_ERROR, UNKNOWN_ERROR
     better_point, n_rows = better_system.linearise(end_point.unknown), len(base_point.force)
     gap_error = relative_size(
         better_point.gap - start_point.gap, base_point, wave.structure_with_row_pairs.clearance
     )
     force = base_point.force + (better_point.force - start_point.force)[:n_rows]
-    load_error = _change_at_load(wave, structure, better_system.compliance.displacement(force))
-    return min(gap_error, UNKNOWN), min(load_error, UNKNOWN)
+    load_error = _relative_change_at_load(
+        wave, structure, better_system.compliance.displacement(force)
+    )
+    return min(gap_error, UNKNOWN_ERROR), min(load_error, UNKNOWN_ERROR)
 
 
 def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Errors:

@@ -37,8 +37,8 @@ def coupled_integrals(
 ) -> ContactIntegrals:
     """Return the integrals for pairs that a static compliance R_inf couples.
 
-    ``residual_compliance`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2 n_pairs), normal
-    gaps before tangential ones.
+    ``residual_compliance`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2
+    n_pairs), normal gaps before tangential ones.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
     return integrals_class(law, harmonics, residual_compliance=residual_compliance, samples=samples)

@@ -35,7 +35,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.block_system import FORMS
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
 from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, error_against_reference
-from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, reference_of
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, reference_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -520,7 +520,7 @@ def _search_orbit_from_solutions(
             solution = _solver_for(solver, start_problem).attempt(initial, wholly=False)[1]
             if solution.converged:
                 solutions.append(solution)
-                yield solution.assessment.states
+                yield solution.assessment.states_over_period
 
     search = search_orbit(
         flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
@@ -538,7 +538,7 @@ def _states_with_more_modes(
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
         return more_modes.orbit.sampled.whole_states[SEGMENT_STARTS]
-    return MoreModes(flow, assessment.wave, orbit).states
+    return MoreModes(flow, assessment.wave, orbit).states_over_period
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
@@ -584,7 +584,8 @@ def solution_of_orbit(
     if more_modes and initial and initial.structure is problem.structure:
         initial_modes = initial.assessment.more_modes
         more_modes = replace(
-            more_modes, inverse=initial_modes.orbit_inverse if initial_modes else None
+            more_modes,
+            inverse_function=initial_modes.orbit_inverse_function if initial_modes else None,
         )
     reduction, load_error = _modal_truncation_errors(problem, wave_with, more_modes)
     goal = _error_goal(tolerance, reduction)
@@ -601,13 +602,13 @@ def solution_of_orbit(
         )
         solution = wave_with(harmonics)
     gap, errors = orbit.gap, solution.assessment.errors()
-    gap_motion = gap + problem.structure.clearance
+    gap_plus_clearance = gap + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
         truncation=errors[0],
         reduction=reduction,
-        penetration=relative_to_motion(np.maximum(gap, 0.0), gap_motion),
-        displacement=min(errors[1] + load_error, UNKNOWN),
+        penetration=relative_to_motion(np.maximum(gap, 0.0), gap_plus_clearance),
+        displacement=min(errors[1] + load_error, UNKNOWN_ERROR),
     )
     return replace(solution.reported(report), iterations=orbit.iterations)
 
@@ -648,7 +649,7 @@ def _modal_truncation_errors(
         solution = balance.attempt(wave_with(n_harmonics), wholly=False, more_modes=more_modes)[1]
         if solution.converged:
             return solution.report.reduction, solution.report.displacement
-    return (more_modes and more_modes.errors) or (UNKNOWN, UNKNOWN)
+    return (more_modes and more_modes.errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------
@@ -675,7 +676,7 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """
     error = solution.report.truncation + solution.report.sampling
     is_unknown = (
-        error >= UNKNOWN
+        error >= UNKNOWN_ERROR
         and solution.harmonics >= SearchOptions.harmonics[-1] * solution.subharmonic
     )
     meets_goal = error <= _error_goal(tolerance, solution.report.reduction)
@@ -751,7 +752,11 @@ def motion_without_friction(
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
     solution = Solver(start_problem).solve()
     assessment = solution.assessment
-    return assessment.orbit if assessment.is_accepted and assessment.orbit is not None else solution
+    return (
+        assessment.nearest_orbit
+        if assessment.is_accepted and assessment.nearest_orbit is not None
+        else solution
+    )
 
 
 def find_sliding_lines(

@@ -394,7 +394,7 @@ class Solver:
             solution = solution_of(
                 problem, end_point, status=search.status, has_converged=search.has_converged,
                 assessment=Assessment(
-                    wave, source=more_modes.nearest_orbit if more_modes else search.orbit,
+                    wave, source_orbit=more_modes.nearest_orbit if more_modes else search.orbit,
                     more_modes=more_modes,
                 ),
             )  # fmt: skip

@@ -15,7 +15,7 @@ from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
@@ -461,7 +461,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             return "its largest multiplier is 1 to its accuracy"
         if self.undecided.all():
             return "no exact orbit is accepted for any point of the curve"
-        return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
+        return self.assessment(index).rejection_reason or "its largest multiplier is 1 to rounding"
 
     @property
     def resolution(self) -> float:
@@ -602,7 +602,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             orbit_solution = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
             more_modes = orbit_solution.assessment.more_modes
             if more_modes is not None:
-                return UNKNOWN if more_modes.errors is None else more_modes.errors[1]
+                return UNKNOWN_ERROR if more_modes.errors is None else more_modes.errors[1]
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment, with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
 from fenics_crack.basics.tables import percent
@@ -249,9 +249,9 @@ def shoot(
     assessment, n_load_periods = _assessment_of(structure, solution, contact), solution.subharmonic
     assert assessment.wave.contact is not None
     flow = exact_flow(structure, assessment.wave.contact)
-    orbit = None if settle else assessment.orbit
+    orbit = None if settle else assessment.nearest_orbit
     if orbit is None:
-        orbits = FlowOrbits(flow, solution.omega, assessment.states[0], n_load_periods)
+        orbits = FlowOrbits(flow, solution.omega, assessment.states_over_period[0], n_load_periods)
         settled_unknown = orbits.start
         for _ in range(settle):
             settled_unknown = orbits.advance_period(settled_unknown, 1.0)
@@ -356,13 +356,13 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
     assessment = replace(solution, structure=structure).assessment
-    if assessment.irregular_motion is not None:
-        return (assessment.irregular_motion,)
+    if assessment.irregular_attractor is not None:
+        return (assessment.irregular_attractor,)
     has_monodromy = (
         assessment.flow is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
     )
     verdict = stability_of(assessment).verdict if has_monodromy else "no exact flow"
-    orbit = assessment.orbit if has_monodromy else None
+    orbit = assessment.nearest_orbit if has_monodromy else None
     if verdict != "unstable" or orbit is None:
         requirement = (
             f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
@@ -400,13 +400,13 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
-    orbits = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
+    orbits = FlowOrbits(flow, solution.omega, solution.assessment.states_over_period[0])
     return find_attractor(orbits, np.zeros(flow.size), SearchOptions.periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:
     """Return the stability of an assessed solution by its nearest exact orbit."""
-    orbit, motion = assessment.orbit, assessment.irregular_motion
+    orbit, motion = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:
         assert assessment.flow is not None
         multipliers = np.full(assessment.flow.size, np.nan + 0j)
@@ -418,10 +418,13 @@ def stability_of(assessment: Assessment) -> Stability:
                 np.nan,
                 reason=f"no orbit was found, and the exact motion {motion.description}",
             )
-        if assessment.prediction is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            multipliers = eigenvalues(assessment.prediction.monodromy)
-        return Stability(multipliers, "undecided", np.nan, reason=assessment.reason)
-    reason, largest_modulus = assessment.reason, abs(orbit.multipliers[0])
+        if (
+            assessment.orbit_prediction is not None
+            and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
+        ):
+            multipliers = eigenvalues(assessment.orbit_prediction.monodromy)
+        return Stability(multipliers, "undecided", np.nan, reason=assessment.rejection_reason)
+    reason, largest_modulus = assessment.rejection_reason, abs(orbit.multipliers[0])
     if not reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
@@ -454,7 +457,7 @@ def _stability_by_linear_flow(
         unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
     largest_modulus, truncation_error, reason = abs(multipliers[0]), solution.report.truncation, ""
-    if truncation_error >= UNKNOWN or not np.isfinite(uncertainty):
+    if truncation_error >= UNKNOWN_ERROR or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
     elif truncation_error > LARGE_ERROR:
         reason = f"the truncated harmonics change it by {percent(truncation_error)}; use more"

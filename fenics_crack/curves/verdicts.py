@@ -113,7 +113,7 @@ def _growth_along(curve: ResponseCurve, is_open: np.ndarray) -> np.ndarray:
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
-        if motion := assessment.irregular_motion:
+        if motion := assessment.irregular_attractor:
             growth[index] = motion.growth
     for start_index, end_index in pairwise(followed_indices):
         stretch, end_growths = slice(start_index, end_index + 1), growth[[start_index, end_index]]

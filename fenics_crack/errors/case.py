@@ -186,7 +186,7 @@ class Case:
                 START_HARMONICS * periods,
                 subharmonic=periods,
             )
-            orbit = Solver(problem).solve(answer).assessment.orbit
+            orbit = Solver(problem).solve(answer).assessment.nearest_orbit
             if orbit is None:
                 break
             twin = replace(study, structure=reduced_structure, contact=contact_law)

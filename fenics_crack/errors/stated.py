@@ -337,7 +337,7 @@ class StatedCase(Case):
         """
         wave, assessment = self.wave, self.answer.assessment
         min_harmonics = ENOUGH_HARMONICS * wave.subharmonic
-        if assessment.affordable and (more_modes := assessment.more_modes):
+        if assessment.can_search_orbit and (more_modes := assessment.more_modes):
             is_short = self.answer.orbit is None and wave.harmonics < min_harmonics
             if motion := more_modes.motion if is_short else more_modes.orbit:
                 return more_modes.nearest_orbit, motion
@@ -349,7 +349,7 @@ class StatedCase(Case):
     @property
     def _has_massless_flow(self) -> bool:
         """True if exact orbits are affordable and crack faces have no mass."""
-        return self.answer.assessment.affordable and self.study.structure.light_lips
+        return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
 
     def harmonics(self) -> Varied:
         """Judge by the exact orbit, or by more harmonics (collective)."""

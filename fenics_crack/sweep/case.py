@@ -335,7 +335,7 @@ class Cases:
         if found.reason:
             remark = f"; {found.verdict}: {found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):
-            said = more.contradicts(found.verdict)
+            said = more.describe_contradiction(found.verdict)
             remark = YET + said if said else ""
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
 
