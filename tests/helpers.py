@@ -168,7 +168,7 @@ def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
     """The block system of a problem with samples on one rank; its residual, and its Jacobian
     without the coordinates of damped modes, of all displacements (2H+1, n) [N], [N/m]."""
     compliance = problem.compliance()
-    linear = compliance.displacement(np.zeros(compliance.shape))
+    linear = compliance.displacement(np.zeros(compliance.gap_shape))
     compliance.destroy()
     with BlockSystem(problem, linear) as block:
         at, value = block.matrix.createVecs()

@@ -117,14 +117,18 @@ class ContactSystem:
         self, compliance: Compliance, integrals: ContactIntegrals, softness: float = 0.0
     ) -> None:
         self.compliance, self.integrals, self._softness = compliance, integrals, softness
-        self.shape = compliance.shape
+        self.shape = compliance.gap_shape
         self.size = int(np.prod(self.shape))
         self.residual_compliance = integrals.residual_compliance
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
-        self.gap_basis = compliance.gap_basis if integrals.has_coupled_pairs else None
+        self.reachable_gap_basis = (
+            compliance.reachable_gap_basis if integrals.has_coupled_pairs else None
+        )
         """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
-        n_step_unknowns = n_rows * (n_pairs if self.gap_basis is None else self.gap_basis.shape[1])
+        n_step_unknowns = n_rows * (
+            n_pairs if self.reachable_gap_basis is None else self.reachable_gap_basis.shape[1]
+        )
         self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
         self.n_cost_unknowns = min(n_step_unknowns, MATRIX_FREE)
         """Unknowns by which the time of a step grows."""
@@ -158,14 +162,15 @@ class ContactSystem:
         linear : (2H+1, n_pairs) [m]
             g_lin, without the modes' part if ``compliance`` has modes.
         compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
-            R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_part`).
+            R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_fields_for_kernel`).
         **path_rates
             Changes along p: ``linear_rate``, ``growth``, ``softness`` of
             :class:`CompiledEquations`.
         """
         return CompiledEquations(
             self.residual_compliance, self._springs(self.integrals.law), linear, compliance,
-            has_coupled_pairs=self.integrals.has_coupled_pairs, gap_basis=self.gap_basis,
+            has_coupled_pairs=self.integrals.has_coupled_pairs,
+            reachable_gap_basis=self.reachable_gap_basis,
             forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
 
@@ -176,8 +181,8 @@ class ContactSystem:
     @cached_property
     def dynamic_part_in_basis(self) -> np.ndarray:
         """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
-        assert self.gap_basis is not None
-        return self.gap_basis.T @ self.dynamic_part @ self.gap_basis
+        assert self.reachable_gap_basis is not None
+        return self.reachable_gap_basis.T @ self.dynamic_part @ self.reachable_gap_basis
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return the slow gap s = g + R_inf lambda with the system's harmonics.
@@ -301,8 +306,10 @@ class ContactPoint(DenseLinearisation):
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
-        if system.gap_basis is not None:
-            return self.forces.identity_plus(system.dynamic_part_in_basis, system.gap_basis)
+        if system.reachable_gap_basis is not None:
+            return self.forces.identity_plus(
+                system.dynamic_part_in_basis, system.reachable_gap_basis
+            )
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
@@ -313,11 +320,12 @@ class ContactPoint(DenseLinearisation):
         if system.matrix_free:
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
-        if system.gap_basis is not None:
+        if system.reachable_gap_basis is not None:
             response = (
-                respond(system.dynamic_part, self.forces.apply(right_side)) @ system.gap_basis
+                respond(system.dynamic_part, self.forces.apply(right_side))
+                @ system.reachable_gap_basis
             )
-            return right_side - solve_factored(factors, response) @ system.gap_basis.T
+            return right_side - solve_factored(factors, response) @ system.reachable_gap_basis.T
         return solve_factored(factors, right_side)
 
     @property
@@ -556,7 +564,7 @@ class CompiledEquations(Equations):
         Gap g_lin without contact at p = 0, without the modes' part if ``compliance`` has modes.
     compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
         Dynamic less static compliance R_k - R_inf at p = 0, or its modes
-        (:meth:`ModalCompliance.modal_part`).
+        (:meth:`ModalCompliance.modal_fields_for_kernel`).
     has_coupled_pairs : bool
         True if R_inf has more than a diagonal.
     basis : (n_pairs, n) or None
@@ -579,7 +587,7 @@ class CompiledEquations(Equations):
         compliance: np.ndarray | Mapping[str, Any],
         *,
         has_coupled_pairs: bool = False,
-        gap_basis: np.ndarray | None = None,
+        reachable_gap_basis: np.ndarray | None = None,
         forms_jacobian: bool = True,
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
@@ -590,7 +598,7 @@ class CompiledEquations(Equations):
         if isinstance(compliance, np.ndarray):
             matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
             compliance = {"compliance": matrices}
-        n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
+        n_columns = n_pairs if reachable_gap_basis is None else reachable_gap_basis.shape[1]
         static_compliance = (
             np.zeros((n_pairs, n_pairs)) if residual_compliance is None else residual_compliance
         )
@@ -607,7 +615,8 @@ class CompiledEquations(Equations):
             spring_compliances=require_shape(springs, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,
-            basis=None if gap_basis is None else require_shape(gap_basis, n_pairs, n_columns),
+            basis=None if reachable_gap_basis is None
+            else require_shape(reachable_gap_basis, n_pairs, n_columns),
         )  # fmt: skip
         self._point = attach_destructor(
             kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point

@@ -121,7 +121,7 @@ class BalanceEquations(CurveSystem):
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
         assert isinstance(point.system.compliance, ModalCompliance)
-        return point.system.compliance.derivative(self.name, point.force)
+        return point.system.compliance.residual_derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
         """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
@@ -199,7 +199,7 @@ class BalanceEquations(CurveSystem):
         Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
         the motion's period.
         """
-        modal_part = self._compliance.modal_part(
+        modal_part = self._compliance.modal_fields_for_kernel(
             omega_and_change, damping_and_change, self.problem.residual_compliance
         )
         return (
@@ -254,7 +254,9 @@ class _BalanceOfVariedStructure(BalanceEquations):
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations if v changes only the gap without contact, linearly."""
-        residual_by_value = self._compliance.derivative(self.name, np.zeros(start_system.shape))
+        residual_by_value = self._compliance.residual_derivative(
+            self.name, np.zeros(start_system.shape)
+        )
         linear_gap_rate = -(self.end - self.start) * residual_by_value
         return start_system.compile(
             start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate

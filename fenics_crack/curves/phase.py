@@ -150,7 +150,7 @@ class PhasePoint(Linearisation):
     @cached_property
     def unknown_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
-            compliance_of(self.contact_point).derivative("omega", self.contact_point.force)
+            compliance_of(self.contact_point).residual_derivative("omega", self.contact_point.force)
         )
 
     @cached_property
