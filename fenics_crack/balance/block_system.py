@@ -35,7 +35,7 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_system import MAX_COMPLIANCE_RATIO, ContactPoint, Wave
+from fenics_crack.balance.contact_system import DYNAMIC_TO_SOFT_PAIR_COMPLIANCE, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
@@ -314,10 +314,10 @@ class BlockSolver(Solver):
         problem, system = self.problem, self.problem.system(compliance)
         search = Search(system, problem, self.residual_tolerance, share, remedy=REMEDY)
         linear = compliance.displacement(np.zeros(system.shape))
-        # The softest contact changes the gaps by at most MAX_COMPLIANCE_RATIO of the load's effect.
+        # The softest contact changes the gaps by at most this fraction of the load's effect.
         min_factor = (
-            MAX_COMPLIANCE_RATIO
-            * system.integrals.unit
+            DYNAMIC_TO_SOFT_PAIR_COMPLIANCE
+            * system.integrals.mean_pair_compliance
             / np.abs(system.dynamic_part).sum(axis=2).max()
         )
         starts = [(linear, min(min_factor, 1.0))]

@@ -76,19 +76,19 @@ from fenics_crack.numerics.fourier import (
 )
 from fenics_crack.numerics.newton import gmres
 
-MATRIX_FREE = 350
+MAX_UNKNOWNS_WITH_JACOBIAN = 350
 """Unknowns per step above which the Jacobian of coupled pairs is not formed.
 
 Measured with H = 8 to 40 and 18 pairs: both ways take equally long at 300 to 350 unknowns.
 """
 
-MAX_COMPLIANCE_RATIO = 0.05
+DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
 """Ratio of the dynamic compliance to the pairs' own, at the softest contact.
 
 Below this ratio the solution is unique and close to the linear one.
 """
 
-ByParameter = Callable[["ContactPoint"], np.ndarray]
+ParameterDerivative = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
@@ -97,10 +97,10 @@ def default_weight(compliance: Compliance) -> float:
 
     It is the inverse of the largest row sum of the static compliance |R_0|.
     """
-    max_compliance = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
-    if not max_compliance > 0.0:
+    max_row_sum = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not max_row_sum > 0.0:
         raise InputError("structure", "static compliance 0", "one whose pairs can move")
-    return 1.0 / max_compliance
+    return 1.0 / max_row_sum
 
 
 class ContactSystem:
@@ -110,13 +110,17 @@ class ContactSystem:
     forces, R_k the dynamic and R_inf the static compliance, b the forces' coefficients.
 
     The parameter p leads from soft contact to the law itself, at p = 1. The compliance in series
-    with every pair is ``softness`` |1 - p|^3, in units of ``integrals.unit``.
+    with every pair is ``start_softness`` |1 - p|^3, in units of ``integrals.mean_pair_compliance``.
     """
 
     def __init__(
-        self, compliance: Compliance, integrals: ContactIntegrals, softness: float = 0.0
+        self, compliance: Compliance, integrals: ContactIntegrals, start_softness: float = 0.0
     ) -> None:
-        self.compliance, self.integrals, self._softness = compliance, integrals, softness
+        self.compliance, self.integrals, self._start_softness = (
+            compliance,
+            integrals,
+            start_softness,
+        )
         self.shape = compliance.gap_shape
         self.size = int(np.prod(self.shape))
         self.residual_compliance = integrals.residual_compliance
@@ -129,8 +133,10 @@ class ContactSystem:
         n_step_unknowns = n_rows * (
             n_pairs if self.reachable_gap_basis is None else self.reachable_gap_basis.shape[1]
         )
-        self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
-        self.n_cost_unknowns = min(n_step_unknowns, MATRIX_FREE)
+        self.matrix_free = (
+            integrals.has_coupled_pairs and n_step_unknowns > MAX_UNKNOWNS_WITH_JACOBIAN
+        )
+        self.n_cost_unknowns = min(n_step_unknowns, MAX_UNKNOWNS_WITH_JACOBIAN)
         """Unknowns by which the time of a step grows."""
 
     @cached_property
@@ -141,16 +147,20 @@ class ContactSystem:
     @cached_property
     def dynamic_part(self) -> np.ndarray:
         """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
-        matrices = self.compliance.matrices
-        return matrices if self.residual_compliance is None else matrices - self.residual_compliance
+        compliance_matrices = self.compliance.matrices
+        return (
+            compliance_matrices
+            if self.residual_compliance is None
+            else compliance_matrices - self.residual_compliance
+        )
 
     @cached_property
     def compiled(self) -> CompiledEquations | None:
         """Return the equations in the kernel, or None without exact integrals."""
-        if not self.integrals.exact:
+        if not self.integrals.is_exact:
             return None
-        softness = self._softness * self.integrals.unit
-        return self.compile(self.linear, self.dynamic_part, softness=softness)
+        series_compliance = self._start_softness * self.integrals.mean_pair_compliance
+        return self.compile(self.linear, self.dynamic_part, softness=series_compliance)
 
     def compile(
         self, linear: np.ndarray, compliance: np.ndarray | Mapping[str, Any], **path_rates: Any
@@ -199,8 +209,8 @@ class ContactSystem:
         (2H+1, n_rows) [m]
         """
         gap, force = (
-            resize_harmonics(stretch_period(coefficients, n_periods), self.integrals.harmonics)
-            for coefficients in (gap, force)
+            resize_harmonics(stretch_period(gap_or_force, n_periods), self.integrals.harmonics)
+            for gap_or_force in (gap, force)
         )
         return gap if self.residual_compliance is None else gap + force @ self.residual_compliance
 
@@ -220,42 +230,50 @@ class ContactSystem:
 
         ``parameter`` 1 is the law itself, 0 very soft contact.
         """
-        distance = 1.0 - parameter
-        compliance_rate = -3.0 * self._softness * distance * abs(distance)
+        distance_to_law = 1.0 - parameter
+        softness_rate = -3.0 * self._start_softness * distance_to_law * abs(distance_to_law)
         return ContactPoint(
-            self, unknown, self.integrals.with_softness(self._softness * abs(distance) ** 3),
-            lambda point: respond(self.dynamic_part, compliance_rate * point.forces.by_softness()),
-        )  # fmt: skip
+            self,
+            unknown,
+            self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
+            lambda point: respond(
+                self.dynamic_part, softness_rate * point.linearised_forces.by_softness()
+            ),
+        )
 
-    def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
+    def with_derivative(
+        self, unknown: np.ndarray, parameter_derivative: ParameterDerivative
+    ) -> ContactPoint:
         """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
 
         ``unknown`` has the coefficients of the slow gap s, the gap less its quasi-static part."""
-        return ContactPoint(self, unknown, self.integrals, by_parameter)
+        return ContactPoint(self, unknown, self.integrals, parameter_derivative)
 
-    def steepest_force(self, law: ContactLaw) -> float:
+    def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest stiffness d lambda / ds for a law [N/m].
 
         It is the inverse of the smallest eigenvalue of R_inf + I/k.
         """
-        springs = self._springs(law)
-        min_compliance = float(springs.min())
+        spring_compliance = self._springs(law)
+        min_series_compliance = float(spring_compliance.min())
         if self.residual_compliance is not None:
-            min_compliance = max(
-                min_compliance,
-                float(np.linalg.eigvalsh(self.residual_compliance + np.diag(springs))[0]),
+            min_series_compliance = max(
+                min_series_compliance,
+                float(np.linalg.eigvalsh(self.residual_compliance + np.diag(spring_compliance))[0]),
             )
-        return 1.0 / max(min_compliance, 1e-300)
+        return 1.0 / max(min_series_compliance, 1e-300)
 
-    def along_friction(self) -> FrictionPath:
+    def system_along_friction(self) -> SystemAlongFriction:
         """Return these equations with a factor of the friction coefficient as parameter p."""
-        return FrictionPath(self.compliance, self.integrals)
+        return SystemAlongFriction(self.compliance, self.integrals)
 
-    def along_softness(self) -> ContactSystem:
+    def system_along_softness(self) -> ContactSystem:
         """Return these equations with p from very soft contact, 0, to the law, 1."""
-        max_compliance = float(np.abs(self.dynamic_part).sum(axis=2).max())
-        softness = max_compliance / (MAX_COMPLIANCE_RATIO * self.integrals.unit)
-        return ContactSystem(self.compliance, self.integrals, softness)
+        max_row_sum = float(np.abs(self.dynamic_part).sum(axis=2).max())
+        start_softness = max_row_sum / (
+            DYNAMIC_TO_SOFT_PAIR_COMPLIANCE * self.integrals.mean_pair_compliance
+        )
+        return ContactSystem(self.compliance, self.integrals, start_softness)
 
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
@@ -266,14 +284,14 @@ class ContactSystem:
         return ContactSystem(compliance, self.integrals.with_harmonics(harmonics))
 
 
-class FrictionPath(ContactSystem):
+class SystemAlongFriction(ContactSystem):
     """:class:`ContactSystem` from contact without friction, at p = 0, to full friction."""
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return residual and Jacobian with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
         integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
-        return ContactPoint(self, unknown, integrals, by_friction)
+        return ContactPoint(self, unknown, integrals, residual_by_friction_scale)
 
 
 class ContactPoint(DenseLinearisation):
@@ -284,11 +302,11 @@ class ContactPoint(DenseLinearisation):
         system: ContactSystem,
         unknown: np.ndarray,
         integrals: ContactIntegrals,
-        by_parameter: ByParameter,
+        parameter_derivative: ParameterDerivative,
     ) -> None:
-        self.system, self.unknown, self._derivative = system, unknown, by_parameter
-        self.forces = integrals.linearise(unknown)
-        self.force = self.forces.force
+        self.system, self.unknown, self._derivative_function = system, unknown, parameter_derivative
+        self.linearised_forces = integrals.linearise(unknown)
+        self.force = self.linearised_forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
         self.gap = system.gap(unknown, self.force)
         """Coefficients of the gap g: (2H+1, n_pairs) [m]."""
@@ -302,18 +320,18 @@ class ContactPoint(DenseLinearisation):
     @cached_property
     def jacobian(self) -> np.ndarray:
         """Return J = I + (R - R_inf) T, where T is db/ds."""
-        return self.forces.identity_plus(self.system.dynamic_part)
+        return self.linearised_forces.identity_plus(self.system.dynamic_part)
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
         if system.reachable_gap_basis is not None:
-            return self.forces.identity_plus(
+            return self.linearised_forces.identity_plus(
                 system.dynamic_part_in_basis, system.reachable_gap_basis
             )
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return change + respond(self.system.dynamic_part, self.forces.apply(change))
+        return change + respond(self.system.dynamic_part, self.linearised_forces.apply(change))
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
@@ -321,11 +339,14 @@ class ContactPoint(DenseLinearisation):
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
         if system.reachable_gap_basis is not None:
-            response = (
-                respond(system.dynamic_part, self.forces.apply(right_side))
+            response_in_basis = (
+                respond(system.dynamic_part, self.linearised_forces.apply(right_side))
                 @ system.reachable_gap_basis
             )
-            return right_side - solve_factored(factors, response) @ system.reachable_gap_basis.T
+            return (
+                right_side
+                - solve_factored(factors, response_in_basis) @ system.reachable_gap_basis.T
+            )
         return solve_factored(factors, right_side)
 
     @property
@@ -335,11 +356,11 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self._derivative(self)
+        return self._derivative_function(self)
 
     def gap_change(self, change: np.ndarray) -> np.ndarray:
         """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
-        return self.system.gap(change, self.forces.apply(change))
+        return self.system.gap(change, self.linearised_forces.apply(change))
 
     def gap_change_by_force(self, change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
@@ -460,26 +481,30 @@ class Wave:
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the basis, gaps [m] and contact forces [N] (n, n_rows) at its phases."""
-        contact = self.contact
-        slow_gap = basis @ self.slow_gap_coefficients
-        if contact is None:
-            return basis, slow_gap, np.zeros_like(slow_gap)
-        if friction_of(contact) is not None:
+        contact_law = self.contact
+        slow_gap_at_phases = basis @ self.slow_gap_coefficients
+        if contact_law is None:
+            return basis, slow_gap_at_phases, np.zeros_like(slow_gap_at_phases)
+        if friction_of(contact_law) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
-            force = self._integrals.forces_and_places_at(self.slow_gap_coefficients, phase)[0]
+            force_at_phases = self._integrals.forces_and_places_at(
+                self.slow_gap_coefficients, phase
+            )[0]
         elif self.residual_compliance is not None:
-            force = self._integrals.forces_in_time(slow_gap)
-        elif not is_rigid(contact):
-            force = contact.force(slow_gap)
+            force_at_phases = self._integrals.forces_at_gap_samples(slow_gap_at_phases)
+        elif not is_rigid(contact_law):
+            force_at_phases = contact_law.force(slow_gap_at_phases)
         else:
-            assert contact.weight is not None
-            force = np.maximum(0.0, contact.weight * slow_gap + basis @ self.force_coefficients)
+            assert contact_law.weight is not None
+            force_at_phases = np.maximum(
+                0.0, contact_law.weight * slow_gap_at_phases + basis @ self.force_coefficients
+            )
         return (
             basis,
-            slow_gap
+            slow_gap_at_phases
             if self.residual_compliance is None
-            else slow_gap - force @ self.residual_compliance,
-            force,
+            else slow_gap_at_phases - force_at_phases @ self.residual_compliance,
+            force_at_phases,
         )
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -532,15 +557,17 @@ class Wave:
 
     def coordinates(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m]."""
-        basis, _, force = self.at_phase(self.base_omega * np.atleast_1d(time))
-        displacement = basis @ self.displacement_coefficients
+        basis, _, force_at_times = self.at_phase(self.base_omega * np.atleast_1d(time))
+        displacement_at_times = basis @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
-            static_response = all_modes(self.structure_with_row_pairs).static_displacement(
-                self.static_above
-            )
-            displacement -= (force - basis @ self.force_rows) @ static_response.T
-        return displacement
+            static_displacement_per_force = all_modes(
+                self.structure_with_row_pairs
+            ).static_displacement(self.static_above)
+            displacement_at_times -= (
+                force_at_times - basis @ self.force_rows
+            ) @ static_displacement_per_force.T
+        return displacement_at_times
 
 
 def _join_rows(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
@@ -596,38 +623,40 @@ class CompiledEquations(Equations):
         self.shape = linear.shape
         harmonics, n_pairs = self.shape[0] // 2, self.shape[1]
         if isinstance(compliance, np.ndarray):
-            matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
-            compliance = {"compliance": matrices}
-        n_columns = n_pairs if reachable_gap_basis is None else reachable_gap_basis.shape[1]
+            dynamic_compliance_matrices = require_shape(
+                compliance, harmonics + 1, n_pairs, n_pairs, kind=complex
+            )
+            compliance = {"compliance": dynamic_compliance_matrices}
+        n_basis_gaps = n_pairs if reachable_gap_basis is None else reachable_gap_basis.shape[1]
         static_compliance = (
             np.zeros((n_pairs, n_pairs)) if residual_compliance is None else residual_compliance
         )
-        full_linear_rate = np.zeros_like(linear) if linear_rate is None else linear_rate
-        structure = Struct(
+        linear_rate_or_zeros = np.zeros_like(linear) if linear_rate is None else linear_rate
+        structure_struct = Struct(
             "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,
             linear=require_shape(linear, *self.shape),
-            linear_rate=require_shape(full_linear_rate, *self.shape), **compliance,
+            linear_rate=require_shape(linear_rate_or_zeros, *self.shape), **compliance,
         )  # fmt: skip
-        self._kernel_input = Struct(
-            "contact_pairs", structure=structure, n_basis_gaps=n_columns,
+        self._kernel_struct = Struct(
+            "contact_pairs", structure=structure_struct, n_basis_gaps=n_basis_gaps,
             growth=growth, softness=softness,
             residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
             spring_compliances=require_shape(springs, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,
             basis=None if reachable_gap_basis is None
-            else require_shape(reachable_gap_basis, n_pairs, n_columns),
+            else require_shape(reachable_gap_basis, n_pairs, n_basis_gaps),
         )  # fmt: skip
-        self._point = attach_destructor(
-            kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point
+        self._point_handle = attach_destructor(
+            kernel.new_contact_point(self._kernel_struct.address), kernel.free_contact_point
         )
-        self.function_table = kernel.equations_of_contact(self._point)
+        self.function_table = kernel.equations_of_contact(self._point_handle)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """Return residual F and Jacobian at a slow gap s = ``unknown`` and a parameter p."""
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
-    def evaluate_at(self, point: CompiledPoint) -> Any:
+    def function_table_at(self, point: CompiledPoint) -> Any:
         """Return the C function table, with the equations evaluated at a point.
 
         The table is a pointer that functions of the kernel take. ConvergenceError: no contact
@@ -646,13 +675,13 @@ class CompiledEquations(Equations):
         self._last_linearisation = ref(point)
         return point
 
-    def largest_compliance(self, parameter: float) -> float:
+    def max_dynamic_row_sum(self, parameter: float) -> float:
         """Return the largest row sum of abs(R_k - R_inf) at a parameter p [m/N]."""
         self._last_linearisation = None
-        compliance = float(kernel.largest_dynamic_row_sum(self._point, parameter))
-        if not math.isfinite(compliance):
+        max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
+        if not math.isfinite(max_row_sum):
             self.check_outcome(kernel.SINGULAR_STRUCTURE)
-        return compliance
+        return max_row_sum
 
 
 class CompiledPoint(Linearisation):
@@ -666,34 +695,34 @@ class CompiledPoint(Linearisation):
 
     @property
     def residual(self) -> np.ndarray:
-        residual = np.empty_like(self.unknown)
-        functions = self.system.evaluate_at(self)
-        functions.residual(functions, pointer(residual))
-        return residual
+        residual_coefficients = np.empty_like(self.unknown)
+        function_table = self.system.function_table_at(self)
+        function_table.residual(function_table, pointer(residual_coefficients))
+        return residual_coefficients
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         solution = np.array(right_side, dtype=float, order="C")
         if solution.size != self.unknown.size:
             raise ValueError(f"{solution.size} numbers instead of {self.unknown.size}")
-        functions = self.system.evaluate_at(self)
-        functions.solve_tolerance = kernel.SOLUTION_TOLERANCE
-        functions.solve(functions, pointer(solution))
+        function_table = self.system.function_table_at(self)
+        function_table.solve_tolerance = kernel.SOLUTION_TOLERANCE
+        function_table.solve(function_table, pointer(solution))
         return solution
 
     @property
     def by_parameter(self) -> np.ndarray:
-        derivative = np.empty_like(self.unknown)
-        functions = self.system.evaluate_at(self)
-        functions.by_parameter(functions, pointer(derivative))
-        return derivative
+        residual_derivative = np.empty_like(self.unknown)
+        function_table = self.system.function_table_at(self)
+        function_table.by_parameter(function_table, pointer(residual_derivative))
+        return residual_derivative
 
     @property
     def sign(self) -> float:
-        functions = self.system.evaluate_at(self)
-        return float(functions.sign(functions))
+        function_table = self.system.function_table_at(self)
+        return float(function_table.sign(function_table))
 
 
-def by_friction(point: ContactPoint) -> np.ndarray:
+def residual_by_friction_scale(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
-    assert isinstance(point.forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.forces.by_friction_scale())
+    assert isinstance(point.linearised_forces, FrictionForces)
+    return respond(point.system.dynamic_part, point.linearised_forces.by_friction_scale())

@@ -170,7 +170,7 @@ def estimate_errors(
     residual, penetration = relative(point.residual), relative(_penetration(point, problem))
     if not has_converged:
         return ErrorReport(residual, UNKNOWN_ERROR, 0.0, 0.0, penetration, UNKNOWN_ERROR)
-    finer_integrals, sampling = point.system.integrals.refine(), 0.0
+    finer_integrals, sampling = point.system.integrals.exact_or_finer(), 0.0
     if finer_integrals is not None:
         sampling = relative(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)

@@ -675,9 +675,9 @@ class Search:
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.friction:
-            system = system.along_friction()
+            system = system.system_along_friction()
         else:
-            system = system.along_softness()
+            system = system.system_along_softness()
             start_point = self._take_full_steps(system, system.linear, parameter=0.0)
         if start_point is None:
             return
@@ -732,7 +732,7 @@ def _iteration_budget(system: ContactSystem) -> float:
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
-        return MAX_FRICTION_WORK / (integrals.instants * system.n_cost_unknowns)
+        return MAX_FRICTION_WORK / (integrals.n_instants * system.n_cost_unknowns)
     kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
     if getattr(system, "compiled", None) is not None:
         return kernel_limit

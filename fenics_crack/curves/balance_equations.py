@@ -25,7 +25,7 @@ from fenics_crack.balance.contact_system import (
     CompiledEquations,
     ContactPoint,
     ContactSystem,
-    by_friction,
+    residual_by_friction_scale,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
@@ -96,7 +96,7 @@ class BalanceEquations(CurveSystem):
     def max_force_slope(self) -> float:
         """Largest slope of the contact forces, under the stiffer law of both ends [N/m]."""
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
-        return max(self.system(self.start).steepest_force(law) for law in laws)
+        return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
 
     @classmethod
     @abstractmethod
@@ -149,7 +149,7 @@ class BalanceEquations(CurveSystem):
     def compiled(self) -> CompiledEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
         system = self.system(self.start)
-        return self._compile_equations(system) if system.integrals.exact else None
+        return self._compile_equations(system) if system.integrals.is_exact else None
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations from the system at p = 0, or None."""
@@ -174,7 +174,7 @@ class BalanceEquations(CurveSystem):
         stiffness, or less with a residual flexibility.
         """
         if self.compiled is not None:
-            largest_compliance = self.compiled.largest_compliance(parameter)
+            largest_compliance = self.compiled.max_dynamic_row_sum(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
             largest_compliance = float(np.abs(dynamic_part).sum(axis=2).max())
@@ -312,7 +312,9 @@ class BalanceAlongStiffness(BalanceEquations):
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return respond(point.system.dynamic_part, point.forces.by_log_stiffness()) / value
+        return (
+            respond(point.system.dynamic_part, point.linearised_forces.by_log_stiffness()) / value
+        )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(
@@ -334,7 +336,7 @@ class BalanceAlongFriction(BalanceEquations):
         return replace(problem, contact=replace(friction, coefficient=coefficient))
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return by_friction(point) / value
+        return residual_by_friction_scale(point) / value
 
 
 class BalanceAlongSpeed(BalanceEquations):

@@ -7,8 +7,8 @@ form. A curve therefore costs the same on any mesh.
 
 With harmonic balance, root finding locates folds. The sign of det J, the Jacobian determinant,
 shows branch points, and shrinking steps locate them. If J is not formed
-(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`), branch points go unnoticed. Verdicts
-follow after the curve (:mod:`verdicts`).
+(:data:`fenics_crack.balance.contact_system.MAX_UNKNOWNS_WITH_JACOBIAN`), branch points go
+unnoticed. Verdicts follow after the curve (:mod:`verdicts`).
 
 Along orbits, Newton's method forms the monodromy matrix at each point for the tangent.
 Multipliers, steps that resolve them, and all bifurcations (:mod:`orbit_events`) then cost only the

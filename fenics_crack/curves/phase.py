@@ -142,7 +142,7 @@ class PhasePoint(Linearisation):
         return (
             self.drive.power(
                 self.contact_point,
-                self.contact_point.force + self.contact_point.forces.apply(change),
+                self.contact_point.force + self.contact_point.linearised_forces.apply(change),
             )
             - self.power
         )

@@ -184,7 +184,7 @@ def test_jacobian_against_finite_differences(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed", "constraint", "weighted"])
 def test_softness_derivative_against_finite_differences(kind: str) -> None:
     """dF / dp between soft contact and the law."""
-    system = system_of(problem_of(kind)).along_softness()
+    system = system_of(problem_of(kind)).system_along_softness()
     unknown = np.random.default_rng(9).normal(size=system.shape)
     sides = [system.linearise(unknown, 0.5 + step).residual for step in (1e-6, -1e-6)]
     slope = (sides[0] - sides[1]) / 2e-6

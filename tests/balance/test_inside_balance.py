@@ -377,13 +377,13 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     harmonics, made = 4, integrals(law, 4)
     gap = random_gaps(harmonics, 3, 2)
     grid = np.linspace(0.0, 2.0 * np.pi, 4097)
-    _, closed = made.active_sets.solve(evaluate(gap, 1.0, grid))
+    _, closed = made.active_set_solver.solve(evaluate(gap, 1.0, grid))
     events = []
     for place in np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)):
         low, high = grid[place], grid[place + 1]
         for _ in range(60):
             middle = 0.5 * (low + high)
-            same = made.active_sets.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
+            same = made.active_set_solver.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
             low, high = (middle, high) if np.array_equal(same, closed[place]) else (low, middle)
         events.append(low)
     assert len(events) >= 6
@@ -393,7 +393,8 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     for low, high in pairwise(ends):
         theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
         force = (
-            made.forces_in_time(evaluate(gap, 1.0, theta)) * (0.5 * (high - low) * weights)[:, None]
+            made.forces_at_gap_samples(evaluate(gap, 1.0, theta))
+            * (0.5 * (high - low) * weights)[:, None]
         )
         expected[0] += force.sum(axis=0) / (2.0 * np.pi)
         for k in range(1, harmonics + 1):
@@ -427,7 +428,10 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
     alone = ExactIntegrals(fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7)
     for seed in range(4):
         gap = random_gaps(7, 1, seed)
-        seen: dict[str, Any] = {"residual_compliance": np.full((1, 1), 0.4), "softness": softness}
+        seen: dict[str, Any] = {
+            "residual_compliance": np.full((1, 1), 0.4),
+            "relative_softness": softness,
+        }
         forces = CoupledIntegrals(law, 7, **seen).linearise(gap)
         pair, spring = ExactIntegrals(law, 7, **seen).linearise(gap), alone.linearise(gap)
         for found in (forces, pair):
@@ -461,7 +465,7 @@ def test_smoothed_force_by_quadrature() -> None:
 
     def products(t: float) -> np.ndarray:
         waves = np.array([0.5, np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
-        return waves * made.forces_in_time(evaluate(gap, 1.0, np.array([t])))[0, 0]
+        return waves * made.forces_at_gap_samples(evaluate(gap, 1.0, np.array([t])))[0, 0]
 
     integrals, _ = scipy.integrate.quad_vec(products, 0.0, 2.0 * np.pi, epsabs=1e-11, limit=200)
     assert found == pytest.approx(integrals / np.pi, abs=1e-9)
@@ -493,7 +497,7 @@ def test_coupled_tangent_against_finite_differences(kind: str, harmonics: int) -
 @pytest.mark.parametrize("kind", LAWS)
 def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> None:
     """By central differences; a rigid law has no stiffness to depend on."""
-    gap, made = random_gaps(5, 3, 3), integrals(kind, 5, softness=softness)
+    gap, made = random_gaps(5, 3, 3), integrals(kind, 5, relative_softness=softness)
     forces, step = made.linearise(gap), 1e-5
     found = forces.by_softness()
     soft = [made.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)]
@@ -506,7 +510,9 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     def scaled(logarithm: float) -> np.ndarray:
         other = replace(made, law=law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
-        kept = other.with_softness(softness * made.unit / other.unit)
+        kept = other.with_softness(
+            softness * made.mean_pair_compliance / other.mean_pair_compliance
+        )
         return kept.linearise(gap).force
 
     assert relative(difference(scaled, 0.0, step) / step, forces.by_log_stiffness()) < 1e-5
@@ -517,7 +523,7 @@ def test_widened_keeps_the_forces() -> None:
     for kind in LAWS:
         gap = random_gaps(4, 3)
         wide = np.vstack([gap, np.zeros((8, 3))])
-        made = integrals(kind, 4, softness=0.2)
+        made = integrals(kind, 4, relative_softness=0.2)
         made = made if kind == "sampled" else replace(made, samples=None)
         found = made.with_harmonics(8).linearise(wide).force[:9]
         assert relative(found, made.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)

@@ -716,7 +716,7 @@ def test_largest_compliance(name: str) -> None:
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance.matrices
         expected = np.abs(matrices).sum(axis=2).max()
-        assert family.compiled.largest_compliance(parameter) == pytest.approx(expected, rel=1e-12)
+        assert family.compiled.max_dynamic_row_sum(parameter) == pytest.approx(expected, rel=1e-12)
 
 
 def must(point: PathPoint | None) -> PathPoint:
@@ -888,7 +888,7 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
     """With three pairs on lips without mass, in every family: the steps that Python's loop takes,
     to rounding where J is formed, to what products leave where it is not."""
     if not formed:
-        monkeypatch.setattr(contact_system, "MATRIX_FREE", 0)
+        monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", 0)
     family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
     system = family.system(family.start)
     assert system.integrals.has_coupled_pairs and system.matrix_free != formed
@@ -910,7 +910,7 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
 def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid path through its folds, its solutions found by products and its sign by factors, or
     not at all: its points are solutions, and it ends where Python's ends."""
-    monkeypatch.setattr(contact_system, "MATRIX_FREE", limit)
+    monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", limit)
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)

@@ -779,7 +779,7 @@ def test_without_a_matrix_the_same_curve(monkeypatch: pytest.MonkeyPatch) -> Non
     plate = fc.reduce_structure(steel("all"), modes=5, method="massless")
     curves = []
     for limit in (10_000, 10):
-        monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", limit)
+        monkeypatch.setattr("fenics_crack.balance.contact_system.MAX_UNKNOWNS_WITH_JACOBIAN", limit)
         curves.append(fc.continue_frequency(plate, *SPAN, fc.UnilateralConstraint(), harmonics=6))
     formed, other = curves
     assert other.complete and len(folds(formed)) == 2

@@ -143,7 +143,7 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     gap /= np.arange(1, 2 * harmonics + 2)[:, None]
     gap[0, :pairs] = 0.2
     known = own.linearise(gap)
-    assert {0, 1, 2, 3} <= set(np.unique(known.states))
+    assert {0, 1, 2, 3} <= set(np.unique(known.contact_states))
     change, step = draw.normal(size=gap.shape), 1e-7
     ends = [own.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     expected = (ends[0] - ends[1]) / (2.0 * step)
@@ -166,7 +166,10 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     gap = np.zeros((5, 2))
     gap[0, 0], gap[1, 1] = 1.0, size
     at_wave = integrals.linearise(gap)
-    assert np.all(at_wave.states == 1) and integrals.march(sample_period(gap, 64))[3][0] == origin
+    assert (
+        np.all(at_wave.contact_states == 1)
+        and integrals.march(sample_period(gap, 64))[3][0] == origin
+    )
     change, step = np.zeros((5, 2)), 1e-7
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
@@ -202,7 +205,7 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
     forces, states, places, _ = own.march(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
-    again = own.sets.solve(gap, places[-1])[0]
+    again = own.set_solver.solve(gap, places[-1])[0]
     assert again == pytest.approx(forces, abs=1e-10)
-    short = own.sets.solve(gap, gap[0, 3:], max_periods=2)[0]
+    short = own.set_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
     assert np.abs(short - forces).max() > 0.01
