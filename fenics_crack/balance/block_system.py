@@ -292,8 +292,8 @@ class BlockSolver(Solver):
     def __post_init__(self) -> None:
         problem, structure = self.problem, self.problem.structure
         refusals = {
-            "with UnilateralConstraint of crack faces with mass": problem.is_projected,
-            "with friction": problem.friction,
+            "with UnilateralConstraint of crack faces with mass": problem.has_projected_constraint,
+            "with friction": problem.has_friction,
             "of a bladed disk that is not reduced": structure.n_sectors > 1,
         }
         for condition in (condition for condition, is_refused in refusals.items() if is_refused):
@@ -335,7 +335,7 @@ class BlockSolver(Solver):
                 displacement, reached_factor = _raise_stiffness(block, search, *starts.pop(0))
                 search.has_converged = reached_factor == 1.0
                 end = f" up to {reached_factor:.2g} of the contact stiffness, then {block.reason}"
-                search.record_attempt(
+                search.append_attempt_text(
                     f"block system{'' if search.has_converged else end}", iterations_before
                 )
             point = system.linearise(block.slow_gap(block.vector_of(displacement)))

@@ -55,7 +55,7 @@ class BalanceEquations(CurveSystem):
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
             problem = problem.with_common_cutoff(self._common_cutoff(problem, start, end))
-        if problem.is_projected:
+        if problem.has_projected_constraint:
             requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, requirement)
         self.problem, self.start, self.end = problem, start, end

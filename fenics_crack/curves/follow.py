@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.problem import MAX_UNKNOWNS_PER_CALL, Problem, least_harmonics
+from fenics_crack.balance.problem import MAX_CURVE_UNKNOWNS_PER_CALL, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
     INTERRUPTED,
@@ -217,7 +217,7 @@ def _find_other_curve(
         for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
                 growing_curve = grow(stage_start, stage_end, start_solution)
-                max_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
+                max_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_CURVE_UNKNOWNS_PER_CALL
                 max_points = max(n_first_points, max_unknowns // growing_curve.system.n_unknowns)
                 n_left_points = max(1, max_points - n_spent_points)
                 growing_curve.most_points = min(n_left_points, growing_curve.most_points)

@@ -293,7 +293,7 @@ class Cases:
         law = slide_along_lines(self._structure, omega, self._law)
         problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
         found = None
-        if is_unilateral(law) and not problem.friction:
+        if is_unilateral(law) and not problem.has_friction:
             near = float(self._geometry.natural.nearest(omega)["omega_bilinear"])
             found = resonance_at(problem, near, tolerance=table.tolerance)
         if found is None or found.several:

@@ -355,7 +355,7 @@ class SweepResult(Tabular):
             "error_displacement": 0.0,
         }
         parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
-        if problem.is_projected:
+        if problem.has_projected_constraint:
             parts["weight"] = default_weight(problem.compliance())
         return solution_from(parts, structure, law)
 

@@ -1051,7 +1051,7 @@ def test_each_start_is_needed(
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations, besides those of five smaller
     numbers of harmonics: what was tried, what to do."""
-    monkeypatch.setattr("fenics_crack.balance.problem.MAX_KERNEL_ITERATIONS", 1250)
+    monkeypatch.setattr("fenics_crack.balance.problem.MAX_SEARCH_ITERATIONS", 1250)
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
     assert not solution.converged

@@ -46,7 +46,7 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without iterations for a single guess, and with no orbit: "no solution" and a remedy, the
     iterations as many as the budget has, besides one for each guess."""
     structure, law = rubbing_masses()
-    monkeypatch.setattr("fenics_crack.balance.problem.MAX_FRICTION_WORK", 1.0)
+    monkeypatch.setattr("fenics_crack.balance.problem.MAX_FRICTION_SEARCH_WORK", 1.0)
     monkeypatch.setattr("fenics_crack.balance.problem.is_affordable", lambda *given: False)
     found = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
     assert not found.converged and found.report.unknown
