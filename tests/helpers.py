@@ -175,13 +175,13 @@ def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
         size, stiffness = linear.size, block.force_unit / block.length_unit
 
         def residual(displacement: np.ndarray) -> np.ndarray:
-            at.array_w[:] = block.vector_of(displacement)
+            at.array_w[:] = block.scaled_unknowns_of(displacement)
             block.evaluate(at, value)
             assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * at.norm())
             return block.force_unit * value.array_r[:size].reshape(linear.shape)
 
         def jacobian(displacement: np.ndarray) -> np.ndarray:
-            at.array_w[:] = block.vector_of(displacement)
+            at.array_w[:] = block.scaled_unknowns_of(displacement)
             block.linearise(at)
             whole = csr(block.matrix).toarray()
             modal = np.linalg.solve(whole[size:, size:], whole[size:, :size])

@@ -118,14 +118,14 @@ class ErrorReport(Described):
 
         Of equal parts the first is named.
         """
-        return max(ERROR_PARTS, key=lambda name: getattr(self, name))
+        return max(ERROR_PARTS, key=lambda part_name: getattr(self, part_name))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the errors by their names, and the total."""
         return {
-            name: error
-            for name, error in (asdict(self) | {"total": self.total}).items()
-            if name != "confirmed"
+            part_name: part_error
+            for part_name, part_error in (asdict(self) | {"total": self.total}).items()
+            if part_name != "confirmed"
         }
 
     def _units(self) -> dict[str, str]:
@@ -133,9 +133,9 @@ class ErrorReport(Described):
 
     def _title(self) -> str:
         return ", ".join(
-            f"{name} {error:.2g}"
-            + (" (unknown)" if error >= UNKNOWN_ERROR and name != "penetration" else "")
-            for name, error in self.to_dict().items()
+            f"{part_name} {part_error:.2g}"
+            + (" (unknown)" if part_error >= UNKNOWN_ERROR and part_name != "penetration" else "")
+            for part_name, part_error in self.to_dict().items()
         ) + ("" if self.confirmed else f" ({NOT_CONFIRMED})")
 
 
@@ -162,28 +162,41 @@ def estimate_errors(
     search, has_converged : bool
     """
     structure, wave = problem.structure, assessment.wave
-    expanded_gap = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
+    gap_of_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
 
     def relative(change: np.ndarray) -> float:
         return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
-    residual, penetration = relative(point.residual), relative(_penetration(point, problem))
+    relative_residual, relative_penetration = (
+        relative(point.residual),
+        relative(_penetration(point, problem)),
+    )
     if not has_converged:
-        return ErrorReport(residual, UNKNOWN_ERROR, 0.0, 0.0, penetration, UNKNOWN_ERROR)
-    finer_integrals, sampling = point.system.integrals.exact_or_finer(), 0.0
+        return ErrorReport(
+            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_penetration, UNKNOWN_ERROR
+        )
+    finer_integrals, sampling_error = point.system.integrals.exact_or_finer(), 0.0
     if finer_integrals is not None:
-        sampling = relative(
+        sampling_error = relative(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
     if assessment.can_search_orbit:  # includes the sampling error
-        error, load_error = assessment.errors(search=search)
+        harmonics_error, load_error = assessment.errors(search=search)
     else:
-        error, load_error = _truncation_errors(point, wave)
-    truncation = UNKNOWN_ERROR if error >= UNKNOWN_ERROR else max(error - sampling, 0.0)
+        harmonics_error, load_error = _truncation_errors(point, wave)
+    truncation_error = (
+        UNKNOWN_ERROR
+        if harmonics_error >= UNKNOWN_ERROR
+        else max(harmonics_error - sampling_error, 0.0)
+    )
     can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
     more_modes = assessment.more_modes if can_use_orbits else None
     min_harmonics = problem.response_harmonics(ENOUGH_HARMONICS)
-    if can_use_orbits and truncation >= UNKNOWN_ERROR and isinstance(structure, ReducedStructure):
+    if (
+        can_use_orbits
+        and truncation_error >= UNKNOWN_ERROR
+        and isinstance(structure, ReducedStructure)
+    ):
         modal_errors = (
             UNKNOWN_ERROR,
             UNKNOWN_ERROR,
@@ -193,24 +206,24 @@ def estimate_errors(
     else:
         modal_errors = _reduction_errors(point, wave, problem)
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
-            modal_errors = max(modal_errors[0], truncation), max(modal_errors[1], load_error)
+            modal_errors = max(modal_errors[0], truncation_error), max(modal_errors[1], load_error)
     return ErrorReport(
-        residual=max(residual, relative(expanded_gap - point.gap)),
-        truncation=truncation,
-        sampling=sampling,
+        residual=max(relative_residual, relative(gap_of_displacement - point.gap)),
+        truncation=truncation_error,
+        sampling=sampling_error,
         reduction=modal_errors[0],
-        penetration=penetration,
+        penetration=relative_penetration,
         displacement=min(load_error + modal_errors[1], UNKNOWN_ERROR),
         confirmed=not (assessment.can_search_orbit and search)
         or assessment.nearest_orbit is not None,
     )
 
 
-NOT_ESTIMATED = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 """Report of a solution whose errors were not requested."""
 
 
-def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorReport:
+def report_against_reference(solution: Wave, reference_solution: Wave) -> ErrorReport:
     """Return the report of a linear solution, by its change to the reference's solution
     (collective).
 
@@ -218,13 +231,17 @@ def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorRe
     """
     gap_plus_clearance = reference_solution.gap_coefficients.copy()
     gap_plus_clearance[0] += solution.structure.clearance
-    change_square = mean_square(reference_solution.gap_coefficients - solution.gap_coefficients)
-    gap_error = math.sqrt(change_square / moving_mean_square(gap_plus_clearance))
+    change_mean_square = mean_square(
+        reference_solution.gap_coefficients - solution.gap_coefficients
+    )
+    gap_error = math.sqrt(change_mean_square / mean_square_with_limited_mean(gap_plus_clearance))
     load_error = _relative_change_at_load(
         solution, reference_solution.structure, reference_solution.displacement_coefficients
     )
-    reduction, displacement = modal_truncation_errors(solution.structure, (gap_error, load_error))
-    return ErrorReport(reduction=reduction, displacement=displacement)
+    reduction_error, displacement_error = modal_truncation_errors(
+        solution.structure, (gap_error, load_error)
+    )
+    return ErrorReport(reduction=reduction_error, displacement=displacement_error)
 
 
 def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
@@ -234,9 +251,15 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
     of another ``structure``. The reference is the root mean square, with the mean at most as large
     as all else.
     """
-    motion = motion_along_load(wave.structure, wave.displacement_coefficients)
-    change = mean_square(motion_along_load(structure, displacement) - motion)
-    return math.sqrt(change / moving_mean_square(motion)) if motion.any() else 0.0
+    motion_coefficients = motion_along_load(wave.structure, wave.displacement_coefficients)
+    change_mean_square = mean_square(
+        motion_along_load(structure, displacement) - motion_coefficients
+    )
+    return (
+        math.sqrt(change_mean_square / mean_square_with_limited_mean(motion_coefficients))
+        if motion_coefficients.any()
+        else 0.0
+    )
 
 
 def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
@@ -247,12 +270,14 @@ def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray
     gap_plus_clearance, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
     gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
-    rounding = NEGLIGIBLE**2 * mean_square(linear_gap)
+    negligible_mean_square = NEGLIGIBLE**2 * mean_square(linear_gap)
     is_still = (
-        mean_square(gap_plus_clearance) <= rounding
+        mean_square(gap_plus_clearance) <= negligible_mean_square
     )  # the load presses the crack faces together
     return (
-        0.0 if is_still else math.sqrt(mean_square(change) / moving_mean_square(gap_plus_clearance))
+        0.0
+        if is_still
+        else math.sqrt(mean_square(change) / mean_square_with_limited_mean(gap_plus_clearance))
     )
 
 
@@ -265,14 +290,14 @@ def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
     converge with many stiff pairs, unless pairs have a residual flexibility.
     """
     kept_harmonics, n_pairs = point.system.integrals.harmonics, point.unknown.shape[1]
-    harmonics = max(
+    more_harmonics = max(
         2 * kept_harmonics,
         kept_harmonics + 4,
         min(4 * kept_harmonics, (MAX_DENSE_SIZE // n_pairs - 1) // 2),
     )
-    larger_system = point.system.with_harmonics(harmonics)
+    larger_system = point.system.with_harmonics(more_harmonics)
     return _change_by_better_system(
-        point, wave, larger_system, resize_harmonics(point.unknown, harmonics), wave.structure
+        point, wave, larger_system, resize_harmonics(point.unknown, more_harmonics), wave.structure
     )
 
 
@@ -280,28 +305,37 @@ def _change_by_better_system(
     base_point: ContactPoint,
     wave: Wave,
     better_system: ContactSystem,
-    start: np.ndarray,
+    start_slow_gap: np.ndarray,
     structure: Structure,
 ) -> Errors:
     """Return the relative changes from a solution to that of better equations.
 
-    Newton's method begins at coefficients ``start`` of the slow gap. ``structure`` is that of the
+    Newton's method begins at coefficients ``start_slow_gap``. ``structure`` is that of the
     better equations. The changes, of gaps and of the displacement at the load, are
     :data:`UNKNOWN_ERROR` if Newton's method fails.
     """
-    start_point = better_system.linearise(start)
-    size = max(float(np.linalg.norm(start)), 1e-300)
-    tolerance = max(COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / size, ROUNDING)
-    end_point = solve_robustly(better_system, start, 1.0, tolerance=tolerance)
-    if end_point is None:
-        return UNKNOWN_ERROR, UNKNOWN_ERROR
-    better_point, n_rows = better_system.linearise(end_point.unknown), len(base_point.force)
-    gap_error = relative_size(
-        better_point.gap - start_point.gap, base_point, wave.structure_with_row_pairs.clearance
+    start_point = better_system.linearise(start_slow_gap)
+    start_norm = max(float(np.linalg.norm(start_slow_gap)), 1e-300)
+    tolerance = max(
+        COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / start_norm, ROUNDING
     )
-    force = base_point.force + (better_point.force - start_point.force)[:n_rows]
+    end_path_point = solve_robustly(better_system, start_slow_gap, 1.0, tolerance=tolerance)
+    if end_path_point is None:
+        return UNKNOWN_ERROR, UNKNOWN_ERROR
+    converged_better_point, n_base_rows = (
+        better_system.linearise(end_path_point.unknown),
+        len(base_point.force),
+    )
+    gap_error = relative_size(
+        converged_better_point.gap - start_point.gap,
+        base_point,
+        wave.structure_with_row_pairs.clearance,
+    )
+    better_force = (
+        base_point.force + (converged_better_point.force - start_point.force)[:n_base_rows]
+    )
     load_error = _relative_change_at_load(
-        wave, structure, better_system.compliance.displacement(force)
+        wave, structure, better_system.compliance.displacement(better_force)
     )
     return min(gap_error, UNKNOWN_ERROR), min(load_error, UNKNOWN_ERROR)
 
@@ -311,28 +345,35 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    reference, residual_compliance = reference_of(wave), point.system.residual_compliance
-    if reference is None:
+    reference_structure, residual_compliance = reference_of(wave), point.system.residual_compliance
+    if reference_structure is None:
         return 0.0, 0.0
     cutoff = np.inf if residual_compliance is None else problem.cutoff
-    reference_problem, start = replace(problem, structure=reference, static_above=cutoff), point.gap
+    reference_problem, start_slow_gap = (
+        replace(problem, structure=reference_structure, static_above=cutoff),
+        point.gap,
+    )
     if point.system.integrals.has_coupled_pairs:
         assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
             all_modes(reference_problem.structure_with_row_pairs).static_part(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
-            max_stiffness = len(residual_compliance) / (
+            rigid_penalty_stiffness = len(residual_compliance) / (
                 REGULAR_EIGENVALUE_RATIO * np.trace(residual_compliance)
             )
             reference_problem = replace(
-                reference_problem, contact=with_penalty(problem.contact, float(max_stiffness))
+                reference_problem,
+                contact=with_penalty(problem.contact, float(rigid_penalty_stiffness)),
             )
-    system = reference_problem.system(reference_problem.compliance())
-    if system.residual_compliance is not None:
-        start = start + point.force @ system.residual_compliance
+    reference_system = reference_problem.system(reference_problem.compliance())
+    if reference_system.residual_compliance is not None:
+        start_slow_gap = start_slow_gap + point.force @ reference_system.residual_compliance
     return modal_truncation_errors(
-        problem.structure, _change_by_better_system(point, wave, system, start, reference)
+        problem.structure,
+        _change_by_better_system(
+            point, wave, reference_system, start_slow_gap, reference_structure
+        ),
     )
 
 
@@ -356,7 +397,10 @@ def mean_square(coefficients: np.ndarray) -> float:
     return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
 
 
-def moving_mean_square(coefficients: np.ndarray) -> float:
+def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square in which means contribute no more than all else; never zero."""
-    vibration, means = 0.5 * np.sum(coefficients[1:] ** 2), np.sum(coefficients[0] ** 2)
-    return motion_square(float(vibration), float(means))
+    vibration_mean_square, mean_square_sum = (
+        0.5 * np.sum(coefficients[1:] ** 2),
+        np.sum(coefficients[0] ** 2),
+    )
+    return motion_square(float(vibration_mean_square), float(mean_square_sum))

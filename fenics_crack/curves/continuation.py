@@ -23,7 +23,7 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import check_initial, initial_orbit, solve_beside
+from fenics_crack.balance.harmonic_balance import check_initial, search_initial_orbit, solve_beside
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -501,7 +501,7 @@ def _find_start_orbit(
         return initial
     if initial is not None:
         check_initial(problem, initial)
-    search = initial_orbit(problem, initial)
+    search = search_initial_orbit(problem, initial)
     if search.orbit is None:
         failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search.reason}"
         advice_words = (

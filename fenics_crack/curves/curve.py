@@ -14,7 +14,7 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
+from fenics_crack.balance.harmonic_balance import solution_of_orbit, truncated_orbit_solution
 from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
@@ -599,7 +599,9 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return the estimated error of the displacement at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
-            orbit_solution = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
+            orbit_solution = truncated_orbit_solution(
+                problem, orbit, orbit.coefficients(problem.harmonics)
+            )
             more_modes = orbit_solution.assessment.more_modes
             if more_modes is not None:
                 return UNKNOWN_ERROR if more_modes.errors is None else more_modes.errors[1]

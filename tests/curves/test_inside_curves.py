@@ -757,7 +757,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no orbit is found at the start, by a curve from the end; or it says that there is
     none."""
     whole = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
-    search = continuation.initial_orbit
+    search = continuation.search_initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return search(problem, initial)._replace(orbit=None, reason="lost")
@@ -765,11 +765,11 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
 
-    monkeypatch.setattr(continuation, "initial_orbit", lost_at_start)
+    monkeypatch.setattr(continuation, "search_initial_orbit", lost_at_start)
     curve = fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
     assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
     assert curve.points[0] == pytest.approx(whole.points[0], rel=1e-6)
-    monkeypatch.setattr(continuation, "initial_orbit", lost)
+    monkeypatch.setattr(continuation, "search_initial_orbit", lost)
     with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
         fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
 

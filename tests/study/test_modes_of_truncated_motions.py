@@ -119,7 +119,7 @@ def test_modes_where_no_solution_converges(
         )
         return found.report.reduction
 
-    true, attempt = reduction(), Solver.attempt
+    true, attempt = reduction(), Solver.search_and_solution
 
     def fail(self: Solver, *starts: Any, **options: Any) -> Any:
         search, found = attempt(self, *starts, **options)
@@ -127,7 +127,7 @@ def test_modes_where_no_solution_converges(
             return search, found
         return search, replace(found, converged=False).reported(fc.ErrorReport(truncation=1.0))
 
-    monkeypatch.setattr(Solver, "attempt", fail)
+    monkeypatch.setattr(Solver, "search_and_solution", fail)
     monkeypatch.setattr("fenics_crack.balance.more_modes.find_orbit", lambda *_, **__: None)
     assert 0.3 * true < reduction() < 3.0 * true
 
