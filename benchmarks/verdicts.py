@@ -283,7 +283,7 @@ def unconfirmed(arguments: common.Arguments) -> None:
             solution = fc.solve_harmonic_balance(
                 case.structure, case.omega, case.law, harmonics=harmonics, throw=False
             )
-            assessment = Assessment(solution.assessment.wave, refinements=0)
+            assessment = Assessment(solution.assessment.wave, n_harmonic_doublings=0)
             orbit = nearest_orbit(solution, assessment) if solution.converged else None
             if orbit is None or (true_error := distance(assessment.wave, orbit)) < 1e-6:
                 continue
@@ -332,7 +332,9 @@ def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> Peri
         )  # fmt: skip
         if not finer_solution.converged:
             break
-        orbits.append(Assessment(finer_solution.assessment.wave, refinements=0).orbit)
+        orbits.append(
+            Assessment(finer_solution.assessment.wave, n_harmonic_doublings=0).nearest_orbit
+        )
     exact_orbits = [orbit for orbit in orbits if orbit is not None]
     return min(exact_orbits, key=lambda orbit: distance(wave, orbit), default=None)
 
