@@ -378,7 +378,7 @@ def duffing() -> fc.Structure:
 
 def newton_roots(system: Any, starts: int = 400) -> list[np.ndarray]:
     """The distinct solutions that Newton's method finds from random starts of many sizes."""
-    size = np.linalg.norm(system.linear)
+    size = np.linalg.norm(system.linear_gap)
     rng, found = np.random.default_rng(0), list[np.ndarray]()
     for _ in range(starts):
         gap = rng.normal(size=system.shape)

@@ -29,7 +29,7 @@ from fenics_crack.balance.more_modes import (
     MoreModes,
     is_still,
     motion_along_load,
-    reference_of,
+    reference_structure_of,
 )
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
@@ -302,7 +302,7 @@ class Assessment:
         """
         if self._more_modes is not None:
             return self._more_modes
-        wave, reference_structure = self.wave, reference_of(self.wave)
+        wave, reference_structure = self.wave, reference_structure_of(self.wave)
         if self.flow is None or reference_structure is None or not is_small(reference_structure):
             return None
         assert wave.contact is not None
@@ -338,10 +338,10 @@ class Assessment:
             last_failure_reason = self._failure_reasons[-1:] or ["no exact orbit was found near it"]
             return f"{change_text}, and {last_failure_reason[0]}"
         stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
-        orbit_in_words = (
+        orbit_text = (
             f"the nearest exact orbit, which is {stability_text}, is {percent(self.distance)} away"
         )
-        return f"{orbit_in_words} where {error_text} was predicted: it may be another motion"
+        return f"{orbit_text} where {error_text} was predicted: it may be another motion"
 
 
 def stated_error(prediction: float) -> float:

@@ -80,43 +80,38 @@ class BlockSystem(Snes):
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear_displacement.shape, problem.load
-        local_square_sums = np.array(
-            [np.sum(coefficients**2) for coefficients in (linear_displacement, self._load)]
-        )
-        displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(local_square_sums))
+        square_sums = np.array([np.sum(rows**2) for rows in (linear_displacement, self._load)])
+        displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(square_sums))
         self.length_unit = float(displacement_norm) or 1.0
         """Unit of the unknowns [m]."""
         self.force_unit = float(load_norm) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
         self._first_dof_by_rank = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
         self._scaled_shapes_and_rates = np.zeros((structure.n_local, 0)), np.zeros(0)
-        damping_modes = damped_modes(structure)
-        if damping_modes is not None:  # scaled: their coordinates are as large as the unknowns
-            max_shape_square = structure.sum_over_ranks(
-                np.sum(damping_modes.mass_shapes**2, axis=0)
-            ).max()
+        given_modes = damped_modes(structure)
+        if given_modes is not None:  # scaled: their coordinates are as large as the unknowns
+            max_square = structure.sum_over_ranks(np.sum(given_modes.mass_shapes**2, axis=0)).max()
             self._scaled_shapes_and_rates = (
-                damping_modes.mass_shapes / math.sqrt(max_shape_square),
-                max_shape_square * damping_modes.modal_damping,
+                given_modes.mass_shapes / math.sqrt(max_square),
+                max_square * given_modes.modal_damping,
             )
-        linear_part_coo = self._linear_part(problem.base_omega)
+        linear_coo = self._linear_part(problem.base_omega)
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
         self._force_map = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
         self._slow_gap_map = self._group_columns_by_rank(
-            sparse.kron(sparse.identity(n_rows), global_gap.T), linear_part_coo.shape[1]
+            sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
         if problem.residual_compliance is not None:
-            static_displacement_per_force = all_modes(structure).static_displacement(problem.cutoff)
-            unscaled_linear_part = linear_part_coo.tocsr()[: linear_displacement.size] * (
+            static_response = all_modes(structure).static_displacement(problem.cutoff)
+            displacement_rows = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
             self._slow_gap_map -= (
-                sparse.kron(sparse.identity(n_rows), static_displacement_per_force.T)
-                @ unscaled_linear_part
+                sparse.kron(sparse.identity(n_rows), static_response.T) @ displacement_rows
             )
-            self._gap_at_zero_unknown += self._load @ static_displacement_per_force
+            self._gap_at_zero_unknown += self._load @ static_response
         gap_entry_numbers = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
         self._tangent_entry_indices = (
             np.repeat(gap_entry_numbers, n_rows, axis=1).ravel(),
@@ -130,32 +125,24 @@ class BlockSystem(Snes):
         )
         # Absolute values do not cancel: no entry is missed.
         contact_pattern = (abs(self._force_map) @ tangent_pattern @ abs(self._slow_gap_map)).tocoo()
-        entries = np.append(linear_part_coo.data, 0.0 * contact_pattern.data)
-        row_and_column_indices = (
-            np.append(linear_part_coo.row, contact_pattern.row),
-            np.append(linear_part_coo.col, contact_pattern.col),
+        entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
+        entry_indices = (
+            np.append(linear_coo.row, contact_pattern.row),
+            np.append(linear_coo.col, contact_pattern.col),
         )
-        jacobian_matrix = distribute_rows(
-            sparse.coo_matrix((entries, row_and_column_indices), linear_part_coo.shape),
-            structure.comm,
+        jacobian = distribute_rows(
+            sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
-        self._linear_matrix = jacobian_matrix.duplicate(copy=True)
-        self._local_slow_gap_map = self._slow_gap_map[
-            :, slice(*jacobian_matrix.getOwnershipRange())
-        ]
-        self.rounding = residual_rounding(
-            10.0 * jacobian_matrix.norm() / math.sqrt(linear_part_coo.shape[1])
-        )
+        self._linear_matrix = jacobian.duplicate(copy=True)
+        self._local_slow_gap_map = self._slow_gap_map[:, slice(*jacobian.getOwnershipRange())]
+        self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
-        super().__init__(jacobian_matrix, history)
-        petsc_preconditioner = self._snes.getKSP().getPC()
-        if (
-            petsc_preconditioner.getType() == "lu"
-            and petsc_preconditioner.getFactorSolverType() == "mumps"
-        ):
-            petsc_preconditioner.setOperators(jacobian_matrix)
-            petsc_preconditioner.setFactorSetUpSolverType()
-            petsc_preconditioner.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
+        super().__init__(jacobian, history)
+        preconditioner = self._snes.getKSP().getPC()
+        if preconditioner.getType() == "lu" and preconditioner.getFactorSolverType() == "mumps":
+            preconditioner.setOperators(jacobian)
+            preconditioner.setFactorSetUpSolverType()
+            preconditioner.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
     def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the Jacobian's linear part A.
@@ -247,10 +234,10 @@ class BlockSystem(Snes):
         if PETSc.Sys.hasExternalPackage("mumps"):
             solver.getPC().setFactorSolverType("mumps")
 
-    def displacement(self, unknown: Any) -> np.ndarray:
+    def displacement(self, unknown_vector: Any) -> np.ndarray:
         """Return the displacement u of a PETSc vector of unknowns: (2H+1, n_local) [m]."""
         n_entries = int(np.prod(self._shape))
-        return self.length_unit * unknown.array_r[:n_entries].reshape(self._shape)
+        return self.length_unit * unknown_vector.array_r[:n_entries].reshape(self._shape)
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""

@@ -126,22 +126,24 @@ class DynamicStiffness:
                 f"dynamic stiffness at {omega:g} rad/s: the structure is singular ({cause_text})"
             )
 
-    def solve(self, force: np.ndarray) -> np.ndarray:
+    def solve(self, dof_forces: np.ndarray) -> np.ndarray:
         """Return Z^-1 f, displacements by real or complex forces f (m, n_local) (collective)."""
         n_local = self.structure.n_local
         if self._damping_matrix is not None:
-            force_in_real_form = np.concatenate([np.real(force), -np.imag(force)], axis=1)
+            force_in_real_form = np.concatenate([np.real(dof_forces), -np.imag(dof_forces)], axis=1)
             solution_rows = self._factorisation.solve(force_in_real_form)
             return solution_rows[:, :n_local] - 1j * solution_rows[:, n_local:]
         real_force_rows = (
-            np.concatenate([force.real, force.imag]) if np.iscomplexobj(force) else force
+            np.concatenate([dof_forces.real, dof_forces.imag])
+            if np.iscomplexobj(dof_forces)
+            else dof_forces
         )
         solution_rows = self._factorisation.solve(real_force_rows)
-        if np.iscomplexobj(force):
-            solution_rows = solution_rows[: len(force)] + 1j * solution_rows[len(force) :]
+        if np.iscomplexobj(dof_forces):
+            solution_rows = solution_rows[: len(dof_forces)] + 1j * solution_rows[len(dof_forces) :]
         if self._damped_modes is None:
             return solution_rows
-        modal_force = self.structure.sum_over_ranks(force @ self._damped_modes.shapes)
+        modal_force = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
         return (
             solution_rows
             + (modal_force * self._receptance_correction) @ self._damped_modes.shapes.T
@@ -288,24 +290,24 @@ class ModalCompliance:
             else compliance + self._all_modes.residual
         )
 
-    def displacement(self, force: np.ndarray) -> np.ndarray:
+    def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
         displacement = from_complex(
-            -self._negative_modal_displacement(force) @ self._all_modes.shapes.T
+            -self._negative_modal_displacement(contact_force) @ self._all_modes.shapes.T
         )
         return (
             displacement
             if self._massless_displacement_per_load is None
-            else displacement + self._massless_displacement(force)
+            else displacement + self._massless_displacement(contact_force)
         )
 
-    def displacements(self, base_omega: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def displacements(self, base_omega: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
         ----------
         base_omega : (n,) [rad/s]
-        force : (2H+1, n, n_pairs) [N]
+        contact_force : (2H+1, n, n_pairs) [N]
             Contact forces at each frequency.
 
         Returns
@@ -320,7 +322,7 @@ class ModalCompliance:
         modal_receptance = modes.modal_receptances(
             harmonic_omegas.ravel(), self._damping_factor, is_mode_loaded
         )
-        modal_force = self._modal_load[:, None] - to_complex(force) @ modes.pairs.T
+        modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.pairs.T
         modal_displacement = modes.respond(
             modal_receptance.reshape(*harmonic_omegas.shape, *modal_receptance.shape[1:]),
             modal_force,
@@ -332,21 +334,27 @@ class ModalCompliance:
         return (
             displacement
             + self._load_factor * self._massless_displacement_per_load[:, None]
-            - force @ modes.static_pairs.T
+            - contact_force @ modes.static_pairs.T
         )
 
-    def selected_displacement(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return rows (m, n_local) times the displacement under contact forces: (2H+1, m)."""
+    def selected_displacement(
+        self, selection_rows: np.ndarray, contact_force: np.ndarray
+    ) -> np.ndarray:
+        """Return selected displacements under contact forces: (2H+1, m).
+
+        Returns ``selection_rows`` (m, n_local) times the displacement.
+        """
         displacement = from_complex(
-            -self._negative_modal_displacement(force) @ (rows @ self._all_modes.shapes).T
+            -self._negative_modal_displacement(contact_force)
+            @ (selection_rows @ self._all_modes.shapes).T
         )
         return (
             displacement
             if self._massless_displacement_per_load is None
-            else displacement + self._massless_displacement(force) @ rows.T
+            else displacement + self._massless_displacement(contact_force) @ selection_rows.T
         )
 
-    def _massless_displacement(self, force: np.ndarray) -> np.ndarray:
+    def _massless_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
         assert (
             self._all_modes.static_pairs is not None
@@ -354,7 +362,7 @@ class ModalCompliance:
         )
         return (
             self._load_factor * self._massless_displacement_per_load
-            - force @ self._all_modes.static_pairs.T
+            - contact_force @ self._all_modes.static_pairs.T
         )
 
     def modal_fields_for_kernel(
@@ -412,9 +420,10 @@ class ModalCompliance:
     def residual_derivative(self, parameter_name: str, contact_force: np.ndarray) -> np.ndarray:
         """Return the derivative of R lambda - g_lin by a parameter: (2H+1, n_pairs).
 
-        It is the residual's derivative at fixed contact forces lambda. ``parameter_name`` is a
-        parameter of :meth:`with_parameters`; "omega" is the base frequency w. With the modal
-        impedance Z_k = omega_j^2 - (k w)^2 + i k w d c, the damping factor d and H = Z^-1,
+        The contact forces lambda are fixed, so this is the residual's derivative.
+        ``parameter_name`` is a parameter of :meth:`with_parameters`; "omega" is the base frequency
+        w. With the modal impedance Z_k = omega_j^2 - (k w)^2 + i k w d c, the damping factor d and
+        H = Z^-1,
 
             dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
         """
@@ -434,20 +443,23 @@ class ModalCompliance:
             self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.pairs
         )
 
-    def selected_displacement_by_omega(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def selected_displacement_by_omega(
+        self, selection_rows: np.ndarray, contact_force: np.ndarray
+    ) -> np.ndarray:
         """Return the derivative of :meth:`selected_displacement` by the base frequency.
 
         The contact forces are fixed: (2H+1, m).
         """
         return from_complex(
-            -self._negative_modal_displacement_by_omega(force) @ (rows @ self._all_modes.shapes).T
+            -self._negative_modal_displacement_by_omega(contact_force)
+            @ (selection_rows @ self._all_modes.shapes).T
         )
 
-    def _negative_modal_displacement_by_omega(self, force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement_by_omega(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the derivative of modal displacements by the base frequency: (H+1, n_modes)."""
         harmonic_orders, negative_modal_displacement = (
             self._harmonic_orders[:, None],
-            self._negative_modal_displacement(force),
+            self._negative_modal_displacement(contact_force),
         )
         damping_force_per_omega = (
             1j * self._damping_factor * self._all_modes.damping_force(negative_modal_displacement)
@@ -464,9 +476,11 @@ class ModalCompliance:
             self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.pairs
         )
 
-    def _negative_modal_displacement(self, force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return modal displacements under contact forces less load: (H+1, n_modes) complex."""
-        modal_force_less_load = to_complex(force) @ self._all_modes.pairs.T - self._modal_load
+        modal_force_less_load = (
+            to_complex(contact_force) @ self._all_modes.pairs.T - self._modal_load
+        )
         return self._all_modes.respond(self._receptance, modal_force_less_load)
 
     def destroy(self) -> None:
@@ -527,16 +541,16 @@ class FactoredCompliance:
             pair_shapes.T * modal_receptance[:, None, :], pair_shapes
         )
 
-    def displacement(self, force: np.ndarray) -> np.ndarray:
+    def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        return self.solve_blocks(self.load - self.structure.apply_b(force))
+        return self.solve_blocks(self.load - self.structure.apply_b(contact_force))
 
-    def solve_blocks(self, force: np.ndarray) -> np.ndarray:
+    def solve_blocks(self, dof_force_rows: np.ndarray) -> np.ndarray:
         """Return the displacement under forces f, both coefficients (2H+1, n_local)."""
         complex_displacements = [
             dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]
             for k, (dynamic_stiffness, complex_force) in enumerate(
-                zip(self._stiffness_by_harmonic, to_complex(force), strict=True)
+                zip(self._stiffness_by_harmonic, to_complex(dof_force_rows), strict=True)
             )
         ]
         return from_complex(np.array(complex_displacements, dtype=complex))

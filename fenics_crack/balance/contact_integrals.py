@@ -66,18 +66,20 @@ class ContactForces(ABC):
     force: np.ndarray
 
     @abstractmethod
-    def apply(self, change: np.ndarray) -> np.ndarray:
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
         """Return the forces' change T ds by a gap's change ds, both (2H+1, n_pairs)."""
 
     @abstractmethod
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
+    def identity_plus(
+        self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the dense Jacobian I + R T of s + R b(s), with T = db/ds.
 
         Parameters
         ----------
-        matrices : (H+1, n, n) complex [m/N]
+        compliance_matrices : (H+1, n, n) complex [m/N]
             R_k, compliance of the pairs at harmonic k.
-        basis : (n_pairs, n), optional
+        gap_basis : (n_pairs, n), optional
             Orthonormal basis U of gaps. The matrix is then I + R U^T T U, with R in this basis.
 
         Returns
@@ -90,7 +92,7 @@ class ContactForces(ABC):
     def by_softness(self) -> np.ndarray:
         """Return the derivative of the forces b by the softness: (2H+1, n_pairs) [N].
 
-        The softness is a compliance in series with all pairs, relative to their mean compliance.
+        The softness is a compliance in series with all pairs, relative to the mean compliance.
         """
 
     @abstractmethod
@@ -157,12 +159,12 @@ class ContactIntegrals(ABC):
         """Return the contact forces for slow gaps at n instants, both (n, n_pairs) [m], [N]."""
 
     @abstractmethod
-    def linearise(self, gap: np.ndarray) -> ContactForces:
+    def linearise(self, gap_coefficients: np.ndarray) -> ContactForces:
         """Return the forces' coefficients and derivatives for a gap (2H+1, n_pairs) [m]."""
 
-    def force(self, gap: np.ndarray) -> np.ndarray:
+    def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
         """Return the forces' coefficients for a gap (2H+1, n_pairs) [m]: same shape [N]."""
-        return self.linearise(gap).force
+        return self.linearise(gap_coefficients).force
 
     def with_harmonics(self, harmonics: int) -> Self:
         """Return integrals with another number of harmonics, and enough samples for them."""
@@ -182,17 +184,17 @@ class ContactIntegrals(ABC):
 
 
 def contact_integrals(
-    law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
+    law: ContactLaw, harmonics: int, samples: int | None = None, n_load_periods: int = 1
 ) -> PairIntegrals:
     """Return integrals for uncoupled pairs.
 
     The integrals are exact if the law is piecewise linear and no samples are requested. Otherwise
     ``samples`` is the number of instants in the period; default: :func:`default_samples` for each
-    of the load's ``periods`` in it.
+    of the load's ``n_load_periods`` in it.
     """
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
-    return SampledIntegrals(law, harmonics, samples or periods * default_samples(harmonics))
+    return SampledIntegrals(law, harmonics, samples or n_load_periods * default_samples(harmonics))
 
 
 def default_samples(harmonics: int) -> int:
@@ -217,8 +219,8 @@ class SampledIntegrals(ContactIntegrals):
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         return self.law.force(gap_samples)
 
-    def linearise(self, gap: np.ndarray) -> PairForces:
-        gap_samples, law = sample_period(gap, self.samples), self.law
+    def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
+        gap_samples, law = sample_period(gap_coefficients, self.samples), self.law
         if self.relative_softness:
             law = law.scaled(1.0 / (1.0 + self.relative_softness))
         # Means of exp(i m theta), m < 2 H + 1; with few instants high orders alias to low ones.
@@ -267,13 +269,13 @@ class ExactIntegrals(ContactIntegrals):
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         return np.asarray(self.closed_stiffness * np.maximum(gap_samples, 0.0))
 
-    def linearise(self, gap: np.ndarray) -> PairForces:
-        n_rows, n_pairs = gap.shape
-        gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
+    def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
+        n_rows, n_pairs = gap_coefficients.shape
+        gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
         stiffness = np.full(n_pairs, self.closed_stiffness)
         force, tangent = np.empty((n_rows, n_pairs)), np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
-            self.harmonics, n_pairs, pointer(gap), pointer(stiffness),
+            self.harmonics, n_pairs, pointer(gap_coefficients), pointer(stiffness),
             pointer(quarter_period_waves(self.harmonics)), pointer(np.empty(2 * n_pairs * n_rows)),
             pointer(force), pointer(tangent),
         )  # fmt: skip
@@ -294,15 +296,19 @@ class PairForces(ContactForces):
         Derivative of a pair's force by its gap.
     """
 
-    def __init__(self, force: np.ndarray, tangent: np.ndarray, by_softness: np.ndarray) -> None:
-        self.force, self.tangent, self._by_softness = force, tangent, by_softness
+    def __init__(
+        self, force: np.ndarray, tangent: np.ndarray, softness_derivative: np.ndarray
+    ) -> None:
+        self.force, self.tangent, self._softness_derivative = force, tangent, softness_derivative
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        return np.matmul(self.tangent, change.T[:, :, None])[:, :, 0].T
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        return np.matmul(self.tangent, gap_change.T[:, :, None])[:, :, 0].T
 
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        assert basis is None
-        jacobian_matrix = respond_to_columns(matrices, self.tangent)
+    def identity_plus(
+        self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
+    ) -> np.ndarray:
+        assert gap_basis is None
+        jacobian_matrix = respond_to_columns(compliance_matrices, self.tangent)
         jacobian_matrix.flat[:: len(jacobian_matrix) + 1] += 1.0
         return jacobian_matrix
 
@@ -314,25 +320,29 @@ class PairForces(ContactForces):
         return self.force
 
     def by_softness(self) -> np.ndarray:
-        return self._by_softness
+        return self._softness_derivative
 
 
-def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
+def respond(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Multiply contact forces (2H+1, n_pairs) [N] by the compliance R_k of each harmonic.
 
-    ``matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
+    ``compliance_matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
     """
     n_rows, n_pairs = force.shape
-    matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
+    compliance_matrices = require_shape(
+        compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
+    )
     force, response = (
         require_shape(force, 2 * (n_rows // 2) + 1, n_pairs),
         np.empty((n_rows, n_pairs)),
     )
-    kernel.respond(n_rows // 2, n_pairs, pointer(matrices), pointer(force), pointer(response))
+    kernel.respond(
+        n_rows // 2, n_pairs, pointer(compliance_matrices), pointer(force), pointer(response)
+    )
     return response
 
 
-def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+def respond_to_columns(compliance_matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Return the compliance times the forces' derivative, R T, as a dense matrix.
 
     On coefficients (a, b) of a force a - i b, R_k is the real matrix [[Re R_k, Im R_k], [-Im R_k,
@@ -340,7 +350,7 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    matrices : (H+1, n_pairs, n_pairs) complex
+    compliance_matrices : (H+1, n_pairs, n_pairs) complex
         Compliance R_k at harmonic k.
     tangent : (n_pairs, 2H+1, n)
         T of each pair: derivative of a force's coefficients by n unknowns.
@@ -351,10 +361,12 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
         Rows are ordered (coefficient, pair), columns (unknown, pair).
     """
     n_pairs, n_rows, n_columns = tangent.shape
-    matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
+    compliance_matrices = require_shape(
+        compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
+    )
     tangent = require_shape(tangent, n_pairs, 2 * (n_rows // 2) + 1, n_columns)
     product = np.empty((n_rows * n_pairs, n_columns * n_pairs))
-    array_pointers = map(pointer, (matrices, tangent, product))
+    array_pointers = map(pointer, (compliance_matrices, tangent, product))
     kernel.respond_to_columns(n_rows // 2, n_pairs, n_columns, *array_pointers)
     return product
 
@@ -458,15 +470,19 @@ class CoupledIntegrals(ContactIntegrals):
             return self.active_set_solver.solve(gap_samples)[0]
         return smooth_forces_and_slopes(self.law, self.active_set_solver.compliance, gap_samples)[0]
 
-    def linearise(self, gap: np.ndarray) -> CoupledForces:
-        return _ExactForces(self, gap) if self.is_exact else _SampledForces(self, gap)
+    def linearise(self, gap_coefficients: np.ndarray) -> CoupledForces:
+        return (
+            _ExactForces(self, gap_coefficients)
+            if self.is_exact
+            else _SampledForces(self, gap_coefficients)
+        )
 
 
 class CoupledForces(ContactForces):
     """Coefficients of contact forces that follow from the gaps of all pairs."""
 
     @abstractmethod
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         """Return the derivative T of forces by gaps.
 
         With a basis U (n_pairs, n) of gaps, return U^T T U.
@@ -477,12 +493,14 @@ class CoupledForces(ContactForces):
             For each coefficient of a pair's force: by the gaps', ordered (coefficient, pair).
         """
 
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        tangent = self.tangent(basis)
+    def identity_plus(
+        self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
+    ) -> np.ndarray:
+        tangent = self.tangent(gap_basis)
         cosine_tangent_rows, sine_tangent_rows = tangent[1::2], tangent[2::2]
-        real_part, imaginary_part = matrices[1:].real, matrices[1:].imag
+        real_part, imaginary_part = compliance_matrices[1:].real, compliance_matrices[1:].imag
         compliance_times_tangent = np.empty_like(tangent)
-        compliance_times_tangent[0] = matrices[0].real @ tangent[0]
+        compliance_times_tangent[0] = compliance_matrices[0].real @ tangent[0]
         compliance_times_tangent[1::2] = np.matmul(real_part, cosine_tangent_rows) + np.matmul(
             imaginary_part, sine_tangent_rows
         )
@@ -512,10 +530,10 @@ _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
 class _ExactForces(CoupledForces):
     """Exact forces by the kernel, whose C object may serve several gaps in turn."""
 
-    def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
+    def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
         n_pairs = len(integrals.active_set_solver.compliance)
-        self._gap_coefficients = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
+        self._gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
         self.force = np.empty_like(self._gap_coefficients)
         self._evaluated_kernel_handle()
 
@@ -539,21 +557,23 @@ class _ExactForces(CoupledForces):
             kernel_evaluator.evaluated_forces = self
         return kernel_evaluator.handle
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        change, force_change = (
-            require_shape(change, *self._gap_coefficients.shape),
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        gap_change, force_change = (
+            require_shape(gap_change, *self._gap_coefficients.shape),
             np.empty(self._gap_coefficients.shape),
         )
         kernel.forces_by_gap(
-            self._evaluated_kernel_handle(), pointer(change), pointer(force_change)
+            self._evaluated_kernel_handle(), pointer(gap_change), pointer(force_change)
         )
         return force_change
 
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         n_pairs = self._gap_coefficients.shape[1]
-        n_columns = n_pairs if basis is None else basis.shape[1]
+        n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
         stiffness_means = np.empty((4 * self.harmonics + 1, n_columns, n_columns))
-        basis_pointer = NULL if basis is None else pointer(require_shape(basis, n_pairs, n_columns))
+        basis_pointer = (
+            NULL if gap_basis is None else pointer(require_shape(gap_basis, n_pairs, n_columns))
+        )
         if kernel.means_of_stiffness(
             self._evaluated_kernel_handle(), basis_pointer, n_columns, pointer(stiffness_means)
         ):
@@ -594,10 +614,12 @@ class _SampledForces(CoupledForces):
     inverse of D on the closed pairs.
     """
 
-    def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
+    def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
         active_set_solver = integrals.active_set_solver
-        gap_samples = sample_period(gap, integrals.samples or default_samples(integrals.harmonics))
+        gap_samples = sample_period(
+            gap_coefficients, integrals.samples or default_samples(integrals.harmonics)
+        )
         if integrals.is_piecewise:
             self._force_samples, is_closed = active_set_solver.solve(gap_samples)
             self._stiffness_matrix_samples = active_set_solver.invert_sets(is_closed)
@@ -613,8 +635,8 @@ class _SampledForces(CoupledForces):
         )
         self.force = fourier_coefficients(self._force_samples, self.harmonics)
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        gap_change_samples = sample_period(change, len(self._band_limited_stiffness_samples))
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        gap_change_samples = sample_period(gap_change, len(self._band_limited_stiffness_samples))
         force_change_samples = np.empty_like(gap_change_samples)
         kernel.multiply_each(
             *gap_change_samples.shape,
@@ -625,12 +647,12 @@ class _SampledForces(CoupledForces):
         )
         return fourier_coefficients(force_change_samples, self.harmonics)
 
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         stiffness_means = np.concatenate(
             [self._stiffness_matrix_coefficients[:1], 0.5 * self._stiffness_matrix_coefficients[1:]]
         )
         return tangent_from_means(
-            stiffness_means if basis is None else basis.T @ stiffness_means @ basis
+            stiffness_means if gap_basis is None else gap_basis.T @ stiffness_means @ gap_basis
         )
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ ParameterDerivative = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
-def default_weight(compliance: Compliance) -> float:
+def default_projection_weight(compliance: Compliance) -> float:
     """Return the default weight eps of a projected constraint [N/m].
 
     It is the inverse of the largest row sum of the static compliance |R_0|.
@@ -140,7 +140,7 @@ class ContactSystem:
         """Unknowns by which the time of a step grows."""
 
     @cached_property
-    def linear(self) -> np.ndarray:
+    def linear_gap(self) -> np.ndarray:
         """Return g_lin, the gap without contact forces: (2H+1, n_pairs) [m]."""
         return self.compliance.linear_gap
 
@@ -160,31 +160,37 @@ class ContactSystem:
         if not self.integrals.is_exact:
             return None
         series_compliance = self._start_softness * self.integrals.mean_pair_compliance
-        return self.compile(self.linear, self.dynamic_part, softness=series_compliance)
+        return self.compile(
+            self.linear_gap, self.dynamic_part, start_series_compliance=series_compliance
+        )
 
     def compile(
-        self, linear: np.ndarray, compliance: np.ndarray | Mapping[str, Any], **path_rates: Any
+        self,
+        linear_gap: np.ndarray,
+        compliance_or_modes: np.ndarray | Mapping[str, Any],
+        **path_rates: Any,
     ) -> CompiledEquations:
         """Return the kernel's equations for these pairs.
 
         Parameters
         ----------
-        linear : (2H+1, n_pairs) [m]
-            g_lin, without the modes' part if ``compliance`` has modes.
-        compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
+        linear_gap : (2H+1, n_pairs) [m]
+            g_lin, without the modes' part if modes are given.
+        compliance_or_modes : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
             R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_fields_for_kernel`).
         **path_rates
-            Changes along p: ``linear_rate``, ``growth``, ``softness`` of
-            :class:`CompiledEquations`.
+            Changes along p: ``linear_gap_rate``, ``log_stiffness_rate``,
+            ``start_series_compliance`` of :class:`CompiledEquations`.
         """
         return CompiledEquations(
-            self.residual_compliance, self._springs(self.integrals.law), linear, compliance,
+            self.residual_compliance, self._gap_spring_compliances(self.integrals.law),
+            linear_gap, compliance_or_modes,
             has_coupled_pairs=self.integrals.has_coupled_pairs,
             reachable_gap_basis=self.reachable_gap_basis,
             forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
 
-    def _springs(self, law: ContactLaw) -> np.ndarray:
+    def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
         """Return the compliance 1/k of each gap's contact spring: (n_rows,) [m/N]."""
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
@@ -254,7 +260,7 @@ class ContactSystem:
 
         It is the inverse of the smallest eigenvalue of R_inf + I/k.
         """
-        spring_compliance = self._springs(law)
+        spring_compliance = self._gap_spring_compliances(law)
         min_series_compliance = float(spring_compliance.min())
         if self.residual_compliance is not None:
             min_series_compliance = max(
@@ -315,7 +321,7 @@ class ContactPoint(DenseLinearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         """Return the residual F(s) of the equations: (2H+1, n_pairs) [m]."""
         system = self.system
-        return self.unknown - system.linear + respond(system.dynamic_part, self.force)
+        return self.unknown - system.linear_gap + respond(system.dynamic_part, self.force)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
@@ -358,14 +364,14 @@ class ContactPoint(DenseLinearisation):
     def by_parameter(self) -> np.ndarray:
         return self._derivative_function(self)
 
-    def gap_change(self, change: np.ndarray) -> np.ndarray:
+    def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
-        return self.system.gap(change, self.linearised_forces.apply(change))
+        return self.system.gap(slow_gap_change, self.linearised_forces.apply(slow_gap_change))
 
-    def gap_change_by_force(self, change: np.ndarray) -> np.ndarray:
+    def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
-        unknown_change = self.solve(-respond(self.system.dynamic_part, change))
-        return self.system.gap(self.gap_change(unknown_change), change)
+        unknown_change = self.solve(-respond(self.system.dynamic_part, force_change))
+        return self.system.gap(self.gap_change(unknown_change), force_change)
 
 
 # --- the motion -----------------------------------------------------------------------------------
@@ -424,12 +430,12 @@ class Wave:
     @property
     def gap_rows(self) -> np.ndarray:
         """Coefficients of normal gaps, then of tangential ones: (2H+1, n_rows) [m]."""
-        return _join_rows(self.gap_coefficients, self.tangential_gap_coefficients)
+        return _join_columns(self.gap_coefficients, self.tangential_gap_coefficients)
 
     @property
     def force_rows(self) -> np.ndarray:
         """Coefficients of normal forces, then of friction forces: (2H+1, n_rows) [N]."""
-        return _join_rows(self.force_coefficients, self.tangential_force_coefficients)
+        return _join_columns(self.force_coefficients, self.tangential_force_coefficients)
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
@@ -465,7 +471,9 @@ class Wave:
             1, cos, sin, ..., the factors of coefficients.
         gap, force : (n, n_rows) [m], [N]
         """
-        return self._gaps_and_forces_at(fourier_basis_for(self.gap_coefficients, phase), phase)
+        return self._basis_gaps_and_forces_at(
+            fourier_basis_for(self.gap_coefficients, phase), phase
+        )
 
     def over_period(self, n_instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at n equally spaced instants.
@@ -473,11 +481,11 @@ class Wave:
         Shapes are those of :meth:`at_phase`.
         """
         phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        return self._gaps_and_forces_at(
+        return self._basis_gaps_and_forces_at(
             fourier_basis_over_period(self.harmonics, n_instants), phase
         )
 
-    def _gaps_and_forces_at(
+    def _basis_gaps_and_forces_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the basis, gaps [m] and contact forces [N] (n, n_rows) at its phases."""
@@ -570,9 +578,13 @@ class Wave:
         return displacement_at_times
 
 
-def _join_rows(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
+def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:
     """Return normal and tangential columns side by side."""
-    return normal if tangential is None else np.hstack([normal, tangential])
+    return (
+        normal_columns
+        if tangential_columns is None
+        else np.hstack([normal_columns, tangential_columns])
+    )
 
 
 # --- in the kernel --------------------------------------------------------------------------------
@@ -587,22 +599,22 @@ class CompiledEquations(Equations):
         Static compliance R_inf in series with contact.
     springs : (n_pairs,) [m/N]
         Compliance 1/k of each pair's contact spring.
-    linear : (2H+1, n_pairs) [m]
-        Gap g_lin without contact at p = 0, without the modes' part if ``compliance`` has modes.
-    compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
+    linear_gap : (2H+1, n_pairs) [m]
+        Gap g_lin without contact at p = 0, without the modes' part if modes are given.
+    compliance_or_modes : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
         Dynamic less static compliance R_k - R_inf at p = 0, or its modes
         (:meth:`ModalCompliance.modal_fields_for_kernel`).
     has_coupled_pairs : bool
         True if R_inf has more than a diagonal.
-    basis : (n_pairs, n) or None
+    reachable_gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make, if modes are fewer than coupled pairs.
     forms_jacobian : bool
         False: solutions take products with J, and its sign is nan.
-    linear_rate : (2H+1, n_pairs) [m], optional
+    linear_gap_rate : (2H+1, n_pairs) [m], optional
         Change of g_lin per unit of p.
-    growth : float
+    log_stiffness_rate : float
         Change of ln k per unit of p.
-    softness : float [m/N]
+    start_series_compliance : float [m/N]
         Compliance in series with each pair at p = 0; it falls like |1 - p|^3.
     """
 
@@ -610,36 +622,38 @@ class CompiledEquations(Equations):
         self,
         residual_compliance: np.ndarray | None,
         springs: np.ndarray,
-        linear: np.ndarray,
-        compliance: np.ndarray | Mapping[str, Any],
+        linear_gap: np.ndarray,
+        compliance_or_modes: np.ndarray | Mapping[str, Any],
         *,
         has_coupled_pairs: bool = False,
         reachable_gap_basis: np.ndarray | None = None,
         forms_jacobian: bool = True,
-        linear_rate: np.ndarray | None = None,
-        growth: float = 0.0,
-        softness: float = 0.0,
+        linear_gap_rate: np.ndarray | None = None,
+        log_stiffness_rate: float = 0.0,
+        start_series_compliance: float = 0.0,
     ) -> None:
-        self.shape = linear.shape
+        self.shape = linear_gap.shape
         harmonics, n_pairs = self.shape[0] // 2, self.shape[1]
-        if isinstance(compliance, np.ndarray):
+        if isinstance(compliance_or_modes, np.ndarray):
             dynamic_compliance_matrices = require_shape(
-                compliance, harmonics + 1, n_pairs, n_pairs, kind=complex
+                compliance_or_modes, harmonics + 1, n_pairs, n_pairs, kind=complex
             )
-            compliance = {"compliance": dynamic_compliance_matrices}
+            compliance_or_modes = {"compliance": dynamic_compliance_matrices}
         n_basis_gaps = n_pairs if reachable_gap_basis is None else reachable_gap_basis.shape[1]
         static_compliance = (
             np.zeros((n_pairs, n_pairs)) if residual_compliance is None else residual_compliance
         )
-        linear_rate_or_zeros = np.zeros_like(linear) if linear_rate is None else linear_rate
+        linear_gap_rate_or_zeros = (
+            np.zeros_like(linear_gap) if linear_gap_rate is None else linear_gap_rate
+        )
         structure_struct = Struct(
             "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,
-            linear=require_shape(linear, *self.shape),
-            linear_rate=require_shape(linear_rate_or_zeros, *self.shape), **compliance,
+            linear=require_shape(linear_gap, *self.shape),
+            linear_rate=require_shape(linear_gap_rate_or_zeros, *self.shape), **compliance_or_modes,
         )  # fmt: skip
         self._kernel_struct = Struct(
             "contact_pairs", structure=structure_struct, n_basis_gaps=n_basis_gaps,
-            growth=growth, softness=softness,
+            growth=log_stiffness_rate, softness=start_series_compliance,
             residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
             spring_compliances=require_shape(springs, n_pairs),
             has_coupled_pairs=has_coupled_pairs,

@@ -34,7 +34,7 @@ from fenics_crack.balance.more_modes import (
     Errors,
     modal_truncation_errors,
     motion_along_load,
-    reference_of,
+    reference_structure_of,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
@@ -50,7 +50,7 @@ from fenics_crack.numerics.newton import motion_square, solve_robustly
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
-ENOUGH_HARMONICS = SearchOptions.harmonics[-1]
+MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.harmonics[-1]
 """Harmonics of the load's frequency at which two solutions show the change due to modes.
 
 On 14 plates next to a resonance it is 0.3 to 3 times that of orbits; with 20 harmonics from a
@@ -164,12 +164,12 @@ def estimate_errors(
     structure, wave = problem.structure, assessment.wave
     gap_of_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
 
-    def relative(change: np.ndarray) -> float:
+    def relative_gap_size(change: np.ndarray) -> float:
         return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
     relative_residual, relative_penetration = (
-        relative(point.residual),
-        relative(_penetration(point, problem)),
+        relative_gap_size(point.residual),
+        relative_gap_size(_rms_penetration(point, problem)),
     )
     if not has_converged:
         return ErrorReport(
@@ -177,7 +177,7 @@ def estimate_errors(
         )
     finer_integrals, sampling_error = point.system.integrals.exact_or_finer(), 0.0
     if finer_integrals is not None:
-        sampling_error = relative(
+        sampling_error = relative_gap_size(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
     if assessment.can_search_orbit:  # includes the sampling error
@@ -191,7 +191,7 @@ def estimate_errors(
     )
     can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
     more_modes = assessment.more_modes if can_use_orbits else None
-    min_harmonics = problem.response_harmonics(ENOUGH_HARMONICS)
+    min_harmonics = problem.response_harmonics(MIN_HARMONICS_FOR_MODAL_CHANGE)
     if (
         can_use_orbits
         and truncation_error >= UNKNOWN_ERROR
@@ -208,7 +208,7 @@ def estimate_errors(
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
             modal_errors = max(modal_errors[0], truncation_error), max(modal_errors[1], load_error)
     return ErrorReport(
-        residual=max(relative_residual, relative(gap_of_displacement - point.gap)),
+        residual=max(relative_residual, relative_gap_size(gap_of_displacement - point.gap)),
         truncation=truncation_error,
         sampling=sampling_error,
         reduction=modal_errors[0],
@@ -262,7 +262,7 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
     )
 
 
-def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
+def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
     """Return the root mean square of a gap's change, relative to that of B^T u = g + g0.
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
@@ -277,7 +277,7 @@ def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray
     return (
         0.0
         if is_still
-        else math.sqrt(mean_square(change) / mean_square_with_limited_mean(gap_plus_clearance))
+        else math.sqrt(mean_square(gap_change) / mean_square_with_limited_mean(gap_plus_clearance))
     )
 
 
@@ -345,7 +345,10 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    reference_structure, residual_compliance = reference_of(wave), point.system.residual_compliance
+    reference_structure, residual_compliance = (
+        reference_structure_of(wave),
+        point.system.residual_compliance,
+    )
     if reference_structure is None:
         return 0.0, 0.0
     cutoff = np.inf if residual_compliance is None else problem.cutoff
@@ -377,7 +380,7 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
     )
 
 
-def _penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
+def _rms_penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
     """Return the root mean square penetration max(g, 0) of each pair: (1, n_pairs) [m]."""
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
@@ -399,8 +402,8 @@ def mean_square(coefficients: np.ndarray) -> float:
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square in which means contribute no more than all else; never zero."""
-    vibration_mean_square, mean_square_sum = (
+    vibration_mean_square, squared_means_sum = (
         0.5 * np.sum(coefficients[1:] ** 2),
         np.sum(coefficients[0] ** 2),
     )
-    return motion_square(float(vibration_mean_square), float(mean_square_sum))
+    return motion_square(float(vibration_mean_square), float(squared_means_sum))

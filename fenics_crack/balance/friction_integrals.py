@@ -163,8 +163,8 @@ class FrictionIntegrals(ContactIntegrals):
         requested_indices = unique_index_of_phase[n_instants:]
         return normal_and_friction_forces[requested_indices], sticking_places[requested_indices]
 
-    def linearise(self, gap: np.ndarray) -> FrictionForces:
-        return FrictionForces(self, gap)
+    def linearise(self, gap_coefficients: np.ndarray) -> FrictionForces:
+        return FrictionForces(self, gap_coefficients)
 
     def exact_or_finer(self) -> Self:
         return replace(self, samples=4 * self.n_instants)
@@ -176,9 +176,9 @@ class FrictionIntegrals(ContactIntegrals):
 class FrictionForces(CoupledForces):
     """Coefficients of contact and friction forces for slow gaps (2H+1, 2 n_pairs) [m]."""
 
-    def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
-        self._integrals, self._shape = integrals, gap.shape
-        gap_samples = sample_period(gap, integrals.n_instants)
+    def __init__(self, integrals: FrictionIntegrals, gap_coefficients: np.ndarray) -> None:
+        self._integrals, self._shape = integrals, gap_coefficients.shape
+        gap_samples = sample_period(gap_coefficients, integrals.n_instants)
         (
             self._force_samples,
             self.contact_states,
@@ -187,8 +187,8 @@ class FrictionForces(CoupledForces):
         ) = integrals.march(gap_samples)
         self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        return self._force_coefficient_change(sample_period(change, self._integrals.n_instants))
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
         """Return the change of the forces' coefficients for gaps' changes at N instants.
@@ -218,9 +218,9 @@ class FrictionForces(CoupledForces):
             raise MemoryError("friction")
         return fourier_coefficients(force_change_samples, self._integrals.harmonics)
 
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         n_rows, n_gaps = self._shape
-        gap_basis_matrix = np.eye(n_gaps) if basis is None else np.ascontiguousarray(basis)
+        gap_basis_matrix = np.eye(n_gaps) if gap_basis is None else np.ascontiguousarray(gap_basis)
         n_instants, n_columns = self._integrals.n_instants, gap_basis_matrix.shape[1]
         instant_phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
         waves = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))

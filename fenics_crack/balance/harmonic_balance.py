@@ -39,7 +39,7 @@ from fenics_crack.balance.error_report import (
     ErrorReport,
     report_against_reference,
 )
-from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, reference_of
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, reference_structure_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -109,11 +109,11 @@ def solve_linear(
 
     @cache
     def estimate() -> ErrorReport:
-        reference = reference_of(solution)
-        if reference is None:
+        reference_structure = reference_structure_of(solution)
+        if reference_structure is None:
             return ErrorReport()
         return report_against_reference(
-            solution, _linear_periodic_solution(reference, omega, harmonics)
+            solution, _linear_periodic_solution(reference_structure, omega, harmonics)
         )
 
     return replace(solution, estimate=estimate)
@@ -334,8 +334,11 @@ def mode_counts(
 ) -> list[int]:
     """Return ascending numbers of modes for a large structure, doubled each time."""
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
-    doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
-    return [min(first_modes * 2**power, max_modes) for power in range(doublings + 1)]
+    n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
+    return [
+        min(first_modes * 2**n_done_doublings, max_modes)
+        for n_done_doublings in range(n_doublings + 1)
+    ]
 
 
 def solve_to_tolerance(
@@ -398,11 +401,11 @@ def solve_beside(
     neighbour: PeriodicSolution | None,
     tolerance: float | None = None,
     *,
-    error: bool = True,
+    with_errors: bool = True,
 ) -> PeriodicSolution:
     """Return a small structure's solution, sought from a neighbouring solution.
 
-    Without a tolerance, ``error`` decides whether errors are estimated. With a tolerance, the
+    Without a tolerance, ``with_errors`` decides whether errors are estimated. With a tolerance, the
     solution is the orbit next to the neighbour. It has no fewer harmonics than the problem, and as
     many as bring the truncation error below the tolerance.
 
@@ -415,7 +418,7 @@ def solve_beside(
     """
     if tolerance is None:
         balanced_solution = Solver(problem).solve(neighbour)
-        return balanced_solution if error else balanced_solution.reported(UNESTIMATED_REPORT)
+        return balanced_solution if with_errors else balanced_solution.reported(UNESTIMATED_REPORT)
     solution = _solve_structure(Solver(problem), tolerance, neighbour)
     if not (truncation_error := solution.report.truncation) <= tolerance:
         error_text = (
@@ -426,12 +429,12 @@ def solve_beside(
     return solution
 
 
-def _error_goal(tolerance: float, reduction: float) -> float:
+def _error_goal(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for harmonics and samples.
 
     It is the tolerance less the modal truncation error, at most half of the tolerance.
     """
-    remaining_error = tolerance - reduction
+    remaining_error = tolerance - reduction_error
     return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0
 
 
@@ -539,7 +542,7 @@ def _search_orbit_from_solutions(
     """
     problem, solutions = solver.problem, list[PeriodicSolution]()
 
-    def guesses() -> Iterator[np.ndarray]:
+    def state_guesses() -> Iterator[np.ndarray]:
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
@@ -556,7 +559,7 @@ def _search_orbit_from_solutions(
                 yield solution.assessment.states_over_period
 
     search = search_orbit(
-        flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
+        flow, problem.omega, state_guesses(), problem.subharmonic, prefer_stable=initial is None
     )
     return solutions, search
 
@@ -605,7 +608,7 @@ def solution_of_orbit(
     coefficients = orbit.coefficients(problem.response_harmonics(SearchOptions.harmonics[-1]))
     more_modes: MoreModes | None = None
 
-    def wave_with(harmonics: int) -> PeriodicSolution:
+    def solution_with(harmonics: int) -> PeriodicSolution:
         nonlocal coefficients
         if 2 * harmonics + 1 > len(coefficients.gap):
             coefficients = orbit.coefficients(harmonics)
@@ -613,7 +616,7 @@ def solution_of_orbit(
             problem.with_harmonics(harmonics), orbit, coefficients, more_modes
         )
 
-    more_modes = wave_with(
+    more_modes = solution_with(
         problem.response_harmonics(SearchOptions.harmonics[0])
     ).assessment.more_modes
     if more_modes and initial and initial.structure is problem.structure:
@@ -624,20 +627,20 @@ def solution_of_orbit(
             if initial_more_modes
             else None,
         )
-    reduction_error, load_error = _modal_truncation_errors(problem, wave_with, more_modes)
+    reduction_error, load_error = _modal_truncation_errors(problem, solution_with, more_modes)
     error_goal = _error_goal(tolerance, reduction_error)
-    n_insufficient_harmonics, solution = 0, wave_with(problem.harmonics)
+    n_insufficient_harmonics, solution = 0, solution_with(problem.harmonics)
     while not solution.assessment.distance <= error_goal and solution.harmonics < max_harmonics:
         n_insufficient_harmonics = solution.harmonics
-        solution = wave_with(min(2 * solution.harmonics, max_harmonics))
+        solution = solution_with(min(2 * solution.harmonics, max_harmonics))
     if n_insufficient_harmonics:
         harmonics = bisect_left(
             range(solution.harmonics),
             True,
             n_insufficient_harmonics + 1,
-            key=lambda count: wave_with(count).assessment.distance <= error_goal,
+            key=lambda count: solution_with(count).assessment.distance <= error_goal,
         )
-        solution = wave_with(harmonics)
+        solution = solution_with(harmonics)
     gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.errors()
     gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
@@ -667,26 +670,26 @@ def truncated_orbit_solution(
 
 
 def _modal_truncation_errors(
-    problem: Problem, wave_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
+    problem: Problem, solution_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
     They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
-    computes them, from ``wave_with``, the orbit's motion with a given number of harmonics.
+    computes them, from ``solution_with``, the orbit's motion with a given number of harmonics.
 
     Returns
     -------
     gap, displacement : float
         Relative errors; the displacement is the one at the load.
     """
-    structure = problem.structure
-    if not isinstance(structure, ReducedStructure) or structure.reference is None:
+    reduced_structure = problem.structure
+    if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
     if more_modes is None or more_modes.orbit is None:
         n_harmonics = problem.response_harmonics(SearchOptions.harmonics[-1])
         balance_solver = Solver(problem.with_harmonics(n_harmonics))
         balanced_solution = balance_solver.search_and_solution(
-            wave_with(n_harmonics), with_whole_budget=False, more_modes=more_modes
+            solution_with(n_harmonics), with_whole_budget=False, more_modes=more_modes
         )[1]
         if balanced_solution.converged:
             return balanced_solution.report.reduction, balanced_solution.report.displacement
@@ -716,12 +719,12 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     With sampled contact forces, more harmonics also mean more samples.
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
-    is_unknown = (
+    is_error_unknown = (
         truncation_and_sampling >= UNKNOWN_ERROR
         and solution.harmonics >= SearchOptions.harmonics[-1] * solution.subharmonic
     )
     meets_goal = truncation_and_sampling <= _error_goal(tolerance, solution.report.reduction)
-    return meets_goal or is_unknown or solution.harmonics >= MAX_HARMONICS
+    return meets_goal or is_error_unknown or solution.harmonics >= MAX_HARMONICS
 
 
 # --- friction on solids ---------------------------------------------------------------------------

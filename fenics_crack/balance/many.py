@@ -230,14 +230,14 @@ def _yield_cases_with_neighbours(
     offsets : (k, d)
         Scaled parameters of the neighbours, less those of the case.
     """
-    load_size = np.where(orbit_table.load == 0.0, 1.0, np.abs(orbit_table.load))
+    load_magnitudes = np.where(orbit_table.load == 0.0, 1.0, np.abs(orbit_table.load))
     parameter_rows = [
         orbit_table.omega,
         orbit_table.damping,
         np.sign(orbit_table.load),
-        orbit_table.clearance / load_size,
+        orbit_table.clearance / load_magnitudes,
     ]
-    parameter_rows.append(np.abs(flow.clearance).max() / load_size)
+    parameter_rows.append(np.abs(flow.clearance).max() / load_magnitudes)
     scaled_parameters = np.nan_to_num(np.array(parameter_rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     parameter_ranges, median_parameters = (
         np.ptp(scaled_parameters, axis=0),
@@ -343,7 +343,7 @@ def _table_entries_of_orbit(
     )
     gap_error = displacement_gaps_forces[1] - wave.over_period(n_instants)[1]
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
-    truncation = (
+    truncation_error = (
         0.0
         if is_still(orbit_samples)
         else relative_to_motion(
@@ -361,7 +361,7 @@ def _table_entries_of_orbit(
         "opening": max(0.0, _interpolated_largest_sample(-orbit_samples.gap)),
         "closed_share": contact_track.share(contact_track.sets > 0),
         "multiplier": multiplier,
-        "truncation": truncation,
+        "truncation": truncation_error,
         "states": orbit.state,
         "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
     }

@@ -48,7 +48,7 @@ Errors = tuple[float, float]
 """Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN_ERROR`."""
 
 
-def reference_of(wave: Wave) -> ReducedStructure | None:
+def reference_structure_of(wave: Wave) -> ReducedStructure | None:
     """Return the reference of a solution's reduced structure, or None.
 
     The reference has more damping if the truncated modes have none.
@@ -56,7 +56,7 @@ def reference_of(wave: Wave) -> ReducedStructure | None:
     reduced_structure = wave.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return None
-    extra_damping = reduced_structure.share * _neglected_dissipation(wave)
+    extra_damping = reduced_structure.share * _neglected_dissipation_ratio(wave)
     return (
         reduced_structure.reference.varied(damping=1.0 + extra_damping)
         if extra_damping
@@ -64,7 +64,7 @@ def reference_of(wave: Wave) -> ReducedStructure | None:
     )
 
 
-def _neglected_dissipation(wave: Wave) -> float:
+def _neglected_dissipation_ratio(wave: Wave) -> float:
     """Return truncated modes' dissipation by Rayleigh damping, relative to kept modes.
 
     It is 0 with another damping, and for a structure with mass in all coordinates.

@@ -44,7 +44,12 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     respond,
 )
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
+from fenics_crack.balance.contact_system import (
+    ContactPoint,
+    ContactSystem,
+    Wave,
+    default_projection_weight,
+)
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import (
     MAX_SAMPLES,
@@ -304,7 +309,9 @@ class Problem:
             is_rigid(contact_law) and self.has_projected_constraint and contact_law.weight is None
         ):
             return self
-        return replace(self, contact=replace(contact_law, weight=default_weight(compliance)))
+        return replace(
+            self, contact=replace(contact_law, weight=default_projection_weight(compliance))
+        )
 
     def system(self, compliance: Compliance) -> ContactSystem:
         """Return the condensed equations."""
@@ -626,7 +633,7 @@ class Search:
                 coarser_compliance = resized_compliance(system.compliance, n_harmonics)
                 system = self.problem.with_harmonics(n_harmonics).system(coarser_compliance)
             guess = (
-                system.linear
+                system.linear_gap
                 if simpler_point is None
                 else system.slow_gap(simpler_point.gap, simpler_point.force)
             )
@@ -677,7 +684,7 @@ class Search:
             frictionless_search.system.integrals.force(frictionless_point.unknown)
         )
         self._simpler_point = system_with_friction.linearise(
-            system_with_friction.linear
+            system_with_friction.linear_gap
             - respond(system_with_friction.dynamic_part, frictionless_force)
         )
         if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
@@ -732,7 +739,7 @@ class Search:
             system = system.system_along_friction()
         else:
             system = system.system_along_softness()
-            start_point = self._take_full_steps(system, system.linear, parameter=0.0)
+            start_point = self._take_full_steps(system, system.linear_gap, parameter=0.0)
         if start_point is None:
             return
         max_steps = 1 + max(0, int(budget_fraction * (self._max_iterations - self.iterations)))

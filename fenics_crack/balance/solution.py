@@ -202,9 +202,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )
 
         def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return with_displacement(*self.at_phase(TURN * fractions))
+            return motion_gap_and_force(*self.at_phase(TURN * fractions))
 
-        def with_displacement(
+        def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             motion = basis @ motion_coefficients
@@ -214,7 +214,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
         n_instants = instants or len(self.instants())
         fractions = np.arange(n_instants) / n_instants
-        motion, gap, force = with_displacement(*self.over_period(n_instants))
+        motion, gap, force = motion_gap_and_force(*self.over_period(n_instants))
         yield Record(
             self.omega, self.subharmonic, self.period * fractions, motion_coefficients,
             motion, gap, force, structure=self.structure,

@@ -259,7 +259,7 @@ class _BalanceOfVariedStructure(BalanceEquations):
         )
         linear_gap_rate = -(self.end - self.start) * residual_by_value
         return start_system.compile(
-            start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate
+            start_system.linear_gap, start_system.dynamic_part, linear_gap_rate=linear_gap_rate
         )
 
 
@@ -318,7 +318,9 @@ class BalanceAlongStiffness(BalanceEquations):
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(
-            start_system.linear, start_system.dynamic_part, growth=self.value_rate(1.0)
+            start_system.linear_gap,
+            start_system.dynamic_part,
+            log_stiffness_rate=self.value_rate(1.0),
         )
 
 

@@ -121,14 +121,14 @@ class PhasePoint(Linearisation):
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
         contact_residual = self.contact_point.residual.copy()
-        contact_residual[0] += (1.0 - self._inverse_load) * self.contact_point.system.linear[0]
+        contact_residual[0] += (1.0 - self._inverse_load) * self.contact_point.system.linear_gap[0]
         return np.append(contact_residual / self._size, self.power.real / self.power.imag)
 
     @cached_property
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         derivative = np.zeros_like(self.unknown)
         derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_load_rate * self.contact_point.system.linear[0] / self._size
+            -self._inverse_load_rate * self.contact_point.system.linear_gap[0] / self._size
         )
         return derivative
 

@@ -268,7 +268,7 @@ class Cases:
         check_memory(structure, table.harmonics)
         problem = Problem(structure, omega, law, table.harmonics, table.samples)
         near, self._near = self._near, None
-        self._near = solve_beside(problem, near, table.tolerance, error=table.error)
+        self._near = solve_beside(problem, near, table.tolerance, with_errors=table.error)
         return self._near
 
     def _take(self, case: Scene) -> None:

@@ -32,7 +32,7 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.contact_system import default_weight
+from fenics_crack.balance.contact_system import default_projection_weight
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linear
 from fenics_crack.balance.more_modes import UNKNOWN_ERROR
@@ -356,7 +356,7 @@ class SweepResult(Tabular):
         }
         parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
         if problem.has_projected_constraint:
-            parts["weight"] = default_weight(problem.compliance())
+            parts["weight"] = default_projection_weight(problem.compliance())
         return solution_from(parts, structure, law)
 
     def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:

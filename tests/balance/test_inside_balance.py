@@ -312,7 +312,7 @@ def test_choice_of_integrals() -> None:
     assert isinstance(contact_integrals(penalty, 5), ExactIntegrals)
     chosen = contact_integrals(penalty, 5, 64)
     assert isinstance(chosen, SampledIntegrals) and chosen.samples == 64
-    chosen = contact_integrals(smoothed, 5, periods=3)
+    chosen = contact_integrals(smoothed, 5, n_load_periods=3)
     assert isinstance(chosen, SampledIntegrals) and chosen.samples == 3 * 1024
     assert default_samples(5) == default_samples(32) == 1024
     assert default_samples(33) == 2048

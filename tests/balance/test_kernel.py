@@ -892,7 +892,7 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
     family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
     system = family.system(family.start)
     assert system.integrals.has_coupled_pairs and system.matrix_free != formed
-    start = solve_at(Plain(family), system.linear, 0.0, tolerance=1e-12)
+    start = solve_at(Plain(family), system.linear_gap, 0.0, tolerance=1e-12)
     close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
     options = PathOptions(0.01, max_step=0.2, min_step=1e-10)
     ways = [
