@@ -335,8 +335,10 @@ class Assessment:
         )
         if self.nearest_orbit is None:
             change_text = f"the truncated harmonics change it by {error_text}"
-            last_failure_reason = self._failure_reasons[-1:] or ["no exact orbit was found near it"]
-            return f"{change_text}, and {last_failure_reason[0]}"
+            last_failure_reasons = self._failure_reasons[-1:] or [
+                "no exact orbit was found near it"
+            ]
+            return f"{change_text}, and {last_failure_reasons[0]}"
         stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
         orbit_text = (
             f"the nearest exact orbit, which is {stability_text}, is {percent(self.distance)} away"

@@ -511,7 +511,7 @@ class FactoredCompliance:
             [dynamic_stiffness.compliance() for dynamic_stiffness in self._stiffness_by_harmonic],
             dtype=complex,
         )
-        linear_gap = structure.gap_of(self.solve_blocks(load))
+        linear_gap = structure.gap_of(self.solve_all_harmonics(load))
         # Every rank continues independently: its numbers must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((compliance_matrices, linear_gap))
         self.gap_shape = self.linear_gap.shape
@@ -543,9 +543,9 @@ class FactoredCompliance:
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        return self.solve_blocks(self.load - self.structure.apply_b(contact_force))
+        return self.solve_all_harmonics(self.load - self.structure.apply_b(contact_force))
 
-    def solve_blocks(self, dof_force_rows: np.ndarray) -> np.ndarray:
+    def solve_all_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
         """Return the displacement under forces f, both coefficients (2H+1, n_local)."""
         complex_displacements = [
             dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]

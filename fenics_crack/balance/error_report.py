@@ -191,7 +191,7 @@ def estimate_errors(
     )
     can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
     more_modes = assessment.more_modes if can_use_orbits else None
-    min_harmonics = problem.response_harmonics(MIN_HARMONICS_FOR_MODAL_CHANGE)
+    min_harmonics_for_modes = problem.response_harmonics(MIN_HARMONICS_FOR_MODAL_CHANGE)
     if (
         can_use_orbits
         and truncation_error >= UNKNOWN_ERROR
@@ -201,7 +201,7 @@ def estimate_errors(
             UNKNOWN_ERROR,
             UNKNOWN_ERROR,
         )  # without an orbit the effect of more modes is unknown, too
-    elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics):
+    elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics_for_modes):
         modal_errors = more_modes.errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
     else:
         modal_errors = _reduction_errors(point, wave, problem)

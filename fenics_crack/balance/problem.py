@@ -622,9 +622,9 @@ class Search:
         starts the first. A number without a solution is skipped. Many harmonics try an exact orbit
         first.
         """
-        orbit_first_above = self._orbit_first_above_harmonics
+        orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
-            if orbit_first_above < n_harmonics <= 2 * orbit_first_above:
+            if orbit_first_above_harmonics < n_harmonics <= 2 * orbit_first_above_harmonics:
                 yield from self._guesses_from_orbit()
             system = self.system
             iterations_before = self.iterations
