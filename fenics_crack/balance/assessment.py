@@ -346,9 +346,9 @@ class Assessment:
         return f"{orbit_text} where {error_text} was predicted: it may be another motion"
 
 
-def stated_error(prediction: float) -> float:
+def stated_error(predicted_error: float) -> float:
     """Return the error stated for a prediction without an orbit, 3 p / (1 + 2 p)."""
-    return 3.0 * prediction / (1.0 + 2.0 * min(prediction, 1.0))
+    return 3.0 * predicted_error / (1.0 + 2.0 * min(predicted_error, 1.0))
 
 
 def with_twice_the_harmonics(wave: Wave) -> Wave | None:

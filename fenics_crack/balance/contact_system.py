@@ -597,7 +597,7 @@ class CompiledEquations(Equations):
     ----------
     residual_compliance : (n_pairs, n_pairs) [m/N] or None
         Static compliance R_inf in series with contact.
-    springs : (n_pairs,) [m/N]
+    pair_spring_compliances : (n_pairs,) [m/N]
         Compliance 1/k of each pair's contact spring.
     linear_gap : (2H+1, n_pairs) [m]
         Gap g_lin without contact at p = 0, without the modes' part if modes are given.
@@ -621,7 +621,7 @@ class CompiledEquations(Equations):
     def __init__(
         self,
         residual_compliance: np.ndarray | None,
-        springs: np.ndarray,
+        pair_spring_compliances: np.ndarray,
         linear_gap: np.ndarray,
         compliance_or_modes: np.ndarray | Mapping[str, Any],
         *,
@@ -655,7 +655,7 @@ class CompiledEquations(Equations):
             "contact_pairs", structure=structure_struct, n_basis_gaps=n_basis_gaps,
             growth=log_stiffness_rate, softness=start_series_compliance,
             residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
-            spring_compliances=require_shape(springs, n_pairs),
+            spring_compliances=require_shape(pair_spring_compliances, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,
             basis=None if reachable_gap_basis is None

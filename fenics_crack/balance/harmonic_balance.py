@@ -509,7 +509,7 @@ def _solve_structure(
         problem = problem.with_harmonics(initial.harmonics)
     solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
     harmonics_text = ", ".join(
-        str(count * problem.subharmonic) for count in SearchOptions.harmonics
+        str(load_harmonics * problem.subharmonic) for load_harmonics in SearchOptions.harmonics
     )
     status = f"no exact orbit found from H = {harmonics_text}; {search.reason}; {solution.status}"
     return replace(solution, status=status)
