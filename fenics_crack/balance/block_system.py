@@ -105,11 +105,11 @@ class BlockSystem(Snes):
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
         if problem.residual_compliance is not None:
             static_response = all_modes(structure).static_displacement(problem.cutoff)
-            displacement_rows = linear_coo.tocsr()[: linear_displacement.size] * (
+            linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
             self._slow_gap_map -= (
-                sparse.kron(sparse.identity(n_rows), static_response.T) @ displacement_rows
+                sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
             )
             self._gap_at_zero_unknown += self._load @ static_response
         gap_entry_numbers = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
