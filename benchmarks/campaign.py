@@ -162,7 +162,7 @@ def _starts(
     if (
         own is None
         and found.assessment.flow is not None
-        and (known := found.assessment.orbit) is not None
+        and (known := found.assessment.nearest_orbit) is not None
     ):
         yield lambda: state_of(known, flow)
     for periods in (3, 10):
@@ -278,7 +278,7 @@ def judge(
         return row
     if estimate(found) > LARGE and verdict not in ("stable", "unstable"):
         row.judgement = TOO_LARGE
-        row.remark = "" if found.assessment.flow is None else found.assessment.reason
+        row.remark = "" if found.assessment.flow is None else found.assessment.rejection_reason
         return row
     orbit, row.true = exact_orbit(case, found)
     row.pred = float("nan") if orbit is None else _pred(case, found)

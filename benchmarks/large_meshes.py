@@ -70,7 +70,7 @@ def with_patches(
         assert whole.pair_areas is not None
         law = fc.UnilateralPenalty(per_area * whole.pair_areas)
     found = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
-    stated, reason = found.report, found.assessment.reason
+    stated, reason = found.report, found.assessment.rejection_reason
     taken = time.process_time() - clock
     print(f"{whole.n_dofs} dofs, {whole.n_pairs} pairs, {modes} modes: H = {found.harmonics}")
     print(f"prepared in {prepared:.1f} s, {memory:.2f} GiB; all {taken:.1f} s, {_memory():.2f} GiB")

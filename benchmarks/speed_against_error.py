@@ -39,7 +39,7 @@ from typing import Any
 import common
 
 import fenics_crack as fc
-from fenics_crack.balance.harmonic_balance import wave_of
+from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.motion.flow import exact_flow_or_none
@@ -240,7 +240,7 @@ def reference(demo: str, mesh: bool, friction: bool, modes: tuple[int, ...]) -> 
 def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbit:
     """Return the orbit of a study with more modes that is next to another orbit."""
     problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
-    wave = wave_of(problem, orbit, orbit.coefficients(5))
+    wave = truncated_orbit_solution(problem, orbit, orbit.coefficients(5))
     more_modes = MoreModes(exact_flow_or_none(study.structure, study.contact), wave, orbit)
     assert more_modes.orbit is not None
     return more_modes.orbit

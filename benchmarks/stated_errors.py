@@ -67,7 +67,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import error_against_reference
+from fenics_crack.balance.error_report import report_against_reference
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.basics.causes import MESH_CAUSES
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
@@ -758,7 +758,7 @@ def by_modes(
     mode = numbers_of(run, run.result).mode
     number_pairs = numbers_of(run, few, mode).values, numbers_of(more, many, mode).values
     yield from compare_with_true(errors, *number_pairs)
-    true_of, stated_of = error_against_reference(few, many), run.result.report
+    true_of, stated_of = report_against_reference(few, many), run.result.report
     share = run.structure.share if isinstance(run.structure, ReducedStructure) else 1.0
     for quantity, part in (("gap", "reduction"), ("at the load", "displacement")):
         true, stated = share * getattr(true_of, part), getattr(stated_of, part)
@@ -864,7 +864,7 @@ def with_four_times(
     if "modes" not in errors.parts:
         return f"no part by modes, {'; '.join(errors.unknown.values()) or solution.status}"
     assert isinstance(structure, ReducedStructure) and run.contact is not None
-    orbit, mode = solution.assessment.orbit, numbers_of(run, solution).mode
+    orbit, mode = solution.assessment.nearest_orbit, numbers_of(run, solution).mode
     assert orbit is not None
     orbits = [orbit]
     for times in (2, 4):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import grid_waves
+from fenics_crack.balance.contact_integrals import quarter_period_waves
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.numerics.fourier import from_complex
 
@@ -57,7 +57,7 @@ def _of_one(gap: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray
         room = count + 1
         theta, closing = np.empty(room), np.empty(room)
         count = kernel.switching_instants(
-            len(gap) // 2, 1, pointer(gap), pointer(grid_waves(len(gap) // 2)), room,
+            len(gap) // 2, 1, pointer(gap), pointer(quarter_period_waves(len(gap) // 2)), room,
             pointer(theta), pointer(closing), pointer(closed),
         )  # fmt: skip
     if count < 0:

@@ -283,12 +283,14 @@ def unconfirmed(arguments: common.Arguments) -> None:
             solution = fc.solve_harmonic_balance(
                 case.structure, case.omega, case.law, harmonics=harmonics, throw=False
             )
-            assessment = Assessment(solution.assessment.wave, refinements=0)
+            assessment = Assessment(solution.assessment.wave, n_harmonic_doublings=0)
             orbit = nearest_orbit(solution, assessment) if solution.converged else None
             if orbit is None or (true_error := distance(assessment.wave, orbit)) < 1e-6:
                 continue
             assert assessment.flow is not None
-            motion = find_irregular_motion(assessment.flow, case.omega, assessment.states[0])
+            motion = find_irregular_motion(
+                assessment.flow, case.omega, assessment.states_over_period[0]
+            )
             predicted_error = assessment.predicted_error
             (rows if true_error <= MAX_DISTANCE else distant_rows).append((
                 f"{case.family} {case.number}", harmonics, predicted_error,
@@ -312,13 +314,13 @@ def unconfirmed(arguments: common.Arguments) -> None:
 def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> PeriodicOrbit | None:
     """The nearest exact orbit of many starts."""
     flow, wave, orbits, finer_solution = assessment.flow, assessment.wave, [], solution
-    if flow is None or assessment.prediction is None:
+    if flow is None or assessment.orbit_prediction is None:
         return None
-    for place in range(0, len(assessment.states), 4):
-        part = place / len(assessment.states) * wave.period
+    for place in range(0, len(assessment.states_over_period), 4):
+        part = place / len(assessment.states_over_period) * wave.period
         try:
             start = flow.advance(
-                assessment.states[place], wave.omega, wave.period - part, start=part
+                assessment.states_over_period[place], wave.omega, wave.period - part, start=part
             )
         except fc.ConvergenceError:
             continue
@@ -330,7 +332,9 @@ def nearest_orbit(solution: fc.PeriodicSolution, assessment: Assessment) -> Peri
         )  # fmt: skip
         if not finer_solution.converged:
             break
-        orbits.append(Assessment(finer_solution.assessment.wave, refinements=0).orbit)
+        orbits.append(
+            Assessment(finer_solution.assessment.wave, n_harmonic_doublings=0).nearest_orbit
+        )
     exact_orbits = [orbit for orbit in orbits if orbit is not None]
     return min(exact_orbits, key=lambda orbit: distance(wave, orbit), default=None)
 

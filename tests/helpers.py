@@ -168,20 +168,20 @@ def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
     """The block system of a problem with samples on one rank; its residual, and its Jacobian
     without the coordinates of damped modes, of all displacements (2H+1, n) [N], [N/m]."""
     compliance = problem.compliance()
-    linear = compliance.displacement(np.zeros(compliance.shape))
+    linear = compliance.displacement(np.zeros(compliance.gap_shape))
     compliance.destroy()
     with BlockSystem(problem, linear) as block:
         at, value = block.matrix.createVecs()
         size, stiffness = linear.size, block.force_unit / block.length_unit
 
         def residual(displacement: np.ndarray) -> np.ndarray:
-            at.array_w[:] = block.vector_of(displacement)
+            at.array_w[:] = block.scaled_unknowns_of(displacement)
             block.evaluate(at, value)
             assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * at.norm())
             return block.force_unit * value.array_r[:size].reshape(linear.shape)
 
         def jacobian(displacement: np.ndarray) -> np.ndarray:
-            at.array_w[:] = block.vector_of(displacement)
+            at.array_w[:] = block.scaled_unknowns_of(displacement)
             block.linearise(at)
             whole = csr(block.matrix).toarray()
             modal = np.linalg.solve(whole[size:, size:], whole[size:, :size])
@@ -378,7 +378,7 @@ def duffing() -> fc.Structure:
 
 def newton_roots(system: Any, starts: int = 400) -> list[np.ndarray]:
     """The distinct solutions that Newton's method finds from random starts of many sizes."""
-    size = np.linalg.norm(system.linear)
+    size = np.linalg.norm(system.linear_gap)
     rng, found = np.random.default_rng(0), list[np.ndarray]()
     for _ in range(starts):
         gap = rng.normal(size=system.shape)

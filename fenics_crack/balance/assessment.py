@@ -25,11 +25,11 @@ import numpy as np
 
 from fenics_crack.balance.contact_system import Wave
 from fenics_crack.balance.more_modes import (
-    UNKNOWN,
+    UNKNOWN_ERROR,
     MoreModes,
     is_still,
-    motion_at_load,
-    reference_of,
+    motion_along_load,
+    reference_structure_of,
 )
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.tables import percent
@@ -63,7 +63,7 @@ MAX_DISTANCE = 0.5
 Of ten such orbits between 0.1 and 0.5 away, and within three predictions, nine belonged to the
 solution with many harmonics. All had the same verdict.
 """
-REFINEMENTS = 2
+MAX_HARMONIC_DOUBLINGS = 2
 """Number of times that the harmonics are doubled to find an orbit."""
 
 
@@ -77,13 +77,13 @@ class Assessment:
     wave : Wave
     exact_orbit : PeriodicOrbit, optional
         Orbit whose Fourier coefficients the solution has.
-    source : PeriodicOrbit, optional
+    source_orbit : PeriodicOrbit, optional
         Orbit from whose coefficients the solution was found.
     more_modes : MoreModes, optional
         Motion of ``exact_orbit`` with more modes, if known.
     flow : ContactFlow, optional
         Exact flow, if known.
-    refinements : int
+    n_harmonic_doublings : int
         Number of times that the harmonics may be doubled to find an orbit.
     """
 
@@ -91,21 +91,25 @@ class Assessment:
         self,
         wave: Wave,
         exact_orbit: PeriodicOrbit | None = None,
-        source: PeriodicOrbit | None = None,
+        source_orbit: PeriodicOrbit | None = None,
         *,
         more_modes: MoreModes | None = None,
         flow: ContactFlow | None = None,
-        refinements: int = REFINEMENTS,
+        n_harmonic_doublings: int = MAX_HARMONIC_DOUBLINGS,
     ) -> None:
-        self.wave, self.exact_orbit, self._source = wave, exact_orbit, source
-        self._more_modes, self._flow, self._refinements = more_modes, flow, refinements
+        self.wave, self.exact_orbit, self._source_orbit = wave, exact_orbit, source_orbit
+        self._more_modes, self._flow, self._n_harmonic_doublings = (
+            more_modes,
+            flow,
+            n_harmonic_doublings,
+        )
         self._failure_reasons: list[str] = []
 
     def is_of(self, wave: Wave) -> bool:
         """Return True if this assessment holds for a solution."""
         attribute_pairs = [
-            (getattr(self.wave, attribute.name), getattr(wave, attribute.name))
-            for attribute in fields(Wave)
+            (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
+            for wave_field in fields(Wave)
         ]
         return all(
             own_attribute is other_attribute
@@ -123,46 +127,48 @@ class Assessment:
         return exact_flow_or_none(self.wave.structure, self.wave.contact)
 
     @property
-    def affordable(self) -> bool:
+    def can_search_orbit(self) -> bool:
         """True if there is a flow, and a search for orbits does not take long."""
         flow, wave = self.flow, self.wave
         return flow is not None and is_affordable(flow, wave.omega, wave.subharmonic)
 
     @property
-    def too_slow(self) -> bool:
+    def is_load_too_slow(self) -> bool:
         """True if the load is too slow for time integration of exact motions with few modes."""
         flow, wave = self.flow, self.wave
         return flow is not None and is_too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
-    def states(self) -> np.ndarray:
-        """Return states of the solution at equal parts of its period: (32, 2 n_modes)."""
+    def states_over_period(self) -> np.ndarray:
+        """Return states of the solution at equal parts of its period: (32, flow.size)."""
         assert self.flow is not None
         wave, flow = self.wave, self.flow
-        states = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
+        period_states = wave_states(flow, wave.displacement_coefficients, wave.base_omega)
         if flow.friction_law:
-            time = wave.period / len(states) * np.arange(len(states))
-            states[:, 2 * flow.n_modes :] = wave.sticking_places(time)
-        return states
+            time = wave.period / len(period_states) * np.arange(len(period_states))
+            period_states[:, 2 * flow.n_modes :] = wave.sticking_places(time)
+        return period_states
 
     @cached_property
-    def prediction(self) -> Prediction | None:
+    def orbit_prediction(self) -> Prediction | None:
         """Return one step of Newton's method for the whole solution.
 
         It is None if the motion cannot be followed.
         """
         flow, wave = self.flow, self.wave
         return (
-            None if flow is None else predict_orbit(flow, wave.omega, self.states, wave.subharmonic)
+            None
+            if flow is None
+            else predict_orbit(flow, wave.omega, self.states_over_period, wave.subharmonic)
         )
 
     @property
     def predicted_error(self) -> float:
         """Return the predicted relative error of the gaps over the period; inf if unknown."""
-        return np.inf if self.prediction is None else self.prediction.relative_gap_error
+        return np.inf if self.orbit_prediction is None else self.orbit_prediction.relative_gap_error
 
     @property
-    def orbit(self) -> PeriodicOrbit | None:
+    def nearest_orbit(self) -> PeriodicOrbit | None:
         """Return the nearest orbit, or None.
 
         It is the orbit from which the solution was found, or the end of Newton's method.
@@ -179,48 +185,70 @@ class Assessment:
         """Return the nearest orbit, and True if it is accepted as the solution's exact form."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True
-        orbit = self._source or self._nearest_orbit()
+        orbit = self._source_orbit or self._search_nearest_orbit()
         max_distance = MAX_DISTANCE if self.wave.structure.light_lips else MAX_ERROR
-        if orbit is None and (refinement := self._refined_assessment()) and refinement.is_accepted:
-            orbit = refinement.orbit
-        elif self._source is None:  # predictions are within a factor of 3 of the distance
+        if (
+            orbit is None
+            and (finer_assessment := self._assessment_with_twice_harmonics())
+            and finer_assessment.is_accepted
+        ):
+            orbit = finer_assessment.nearest_orbit
+        elif self._source_orbit is None:  # predictions are within a factor of 3 of the distance
             max_distance = min(max_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE))
         return orbit, orbit is not None and distance(self.wave, orbit) <= max_distance
 
-    def _nearest_orbit(self) -> PeriodicOrbit | None:
+    def _search_nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an orbit by Newton's method from the solution; None without success."""
-        if self.prediction is None or self.too_slow:
+        if self.orbit_prediction is None or self.is_load_too_slow:
             return None
         assert self.flow is not None
-        states = [self.states[0]]
+        start_states = [self.states_over_period[0]]
         if self.predicted_error <= MAX_ERROR:
-            states.insert(0, self.prediction.states[0])
-        periods, inverse = self.wave.subharmonic, self.prediction.solve_i_minus_m
-        search = partial(
+            start_states.insert(0, self.orbit_prediction.states[0])
+        n_load_periods, inverse_function = (
+            self.wave.subharmonic,
+            self.orbit_prediction.solve_i_minus_m,
+        )
+        search_from_state = partial(
             find_orbit, self.flow, self.wave.omega, failure_reasons=self._failure_reasons
         )
-        orbits = (search(state, subharmonic=periods, solve_i_minus_m=inverse) for state in states)
-        return next(filter(None, orbits), None)
+        orbits_or_none = (
+            search_from_state(state, subharmonic=n_load_periods, solve_i_minus_m=inverse_function)
+            for state in start_states
+        )
+        return next(filter(None, orbits_or_none), None)
 
-    def _refined_assessment(self) -> Assessment | None:
+    def _assessment_with_twice_harmonics(self) -> Assessment | None:
         """Return the assessment of the solution with twice the harmonics, or None."""
-        flow, n_left = self.flow, self._refinements - 1
-        if flow is None or n_left < 0 or not (flow.structure.light_lips and self.affordable):
+        flow, n_doublings_left = self.flow, self._n_harmonic_doublings - 1
+        if (
+            flow is None
+            or n_doublings_left < 0
+            or not (flow.structure.light_lips and self.can_search_orbit)
+        ):
             return None
-        wave = with_twice_the_harmonics(self.wave)
-        return None if wave is None else Assessment(wave, flow=flow, refinements=n_left)
+        finer_wave = with_twice_the_harmonics(self.wave)
+        return (
+            None
+            if finer_wave is None
+            else Assessment(finer_wave, flow=flow, n_harmonic_doublings=n_doublings_left)
+        )
 
     @cached_property
-    def irregular_motion(self) -> Attractor | None:
+    def irregular_attractor(self) -> Attractor | None:
         """Return the exact motion that begins with the solution, if it is irregular.
 
         It is None for a regular motion, and if an orbit is found.
         """
-        if self.orbit is not None or self.prediction is None or not self.affordable:
+        if (
+            self.nearest_orbit is not None
+            or self.orbit_prediction is None
+            or not self.can_search_orbit
+        ):
             return None
         assert self.flow is not None
         return find_irregular_motion(
-            self.flow, self.wave.omega, self.states[0], self.wave.subharmonic
+            self.flow, self.wave.omega, self.states_over_period[0], self.wave.subharmonic
         )
 
     @cached_property
@@ -229,32 +257,44 @@ class Assessment:
 
         It is relative to the moving part of B^T u; nan without an orbit.
         """
-        return np.nan if self.orbit is None else distance(self.wave, self.orbit)
+        return np.nan if self.nearest_orbit is None else distance(self.wave, self.nearest_orbit)
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Return relative errors of the gap, and of the displacement at the load.
 
         With ``search`` they are the distances to the nearest orbit. Without an orbit they are
         :func:`stated_error` of the predictions. Without ``search`` they are the predictions. At
-        most :data:`UNKNOWN`.
+        most :data:`UNKNOWN_ERROR`.
         """
         wave = self.wave
-        if self.exact_orbit is not None or (search and self.orbit is not None):
-            assert self.orbit is not None
-            samples = self.orbit.sampled
-            change = samples.displacement - wave.coordinates(samples.time)
-            errors = self.distance, _change_at_load(wave, change, samples.displacement)
-        elif (step := self.prediction) is None:
-            errors = UNKNOWN, UNKNOWN
+        if self.exact_orbit is not None or (search and self.nearest_orbit is not None):
+            assert self.nearest_orbit is not None
+            orbit_samples = self.nearest_orbit.sampled
+            displacement_change = orbit_samples.displacement - wave.coordinates(orbit_samples.time)
+            gap_and_load_errors = (
+                self.distance,
+                _relative_change_at_load(wave, displacement_change, orbit_samples.displacement),
+            )
+        elif (prediction := self.orbit_prediction) is None:
+            gap_and_load_errors = UNKNOWN_ERROR, UNKNOWN_ERROR
         else:
             assert self.flow is not None
-            change = (step.states - self.states)[
+            displacement_change = (prediction.states - self.states_over_period)[
                 :, : self.flow.n_modes
             ] @ self.flow.modal_model.shapes.T
-            time = np.arange(len(change)) * wave.period / len(change)
-            errors = step.relative_gap_error, _change_at_load(wave, change, wave.coordinates(time))
-            errors = (stated_error(errors[0]), stated_error(errors[1])) if search else errors
-        return min(errors[0], UNKNOWN), min(errors[1], UNKNOWN)
+            time = np.arange(len(displacement_change)) * wave.period / len(displacement_change)
+            gap_and_load_errors = (
+                prediction.relative_gap_error,
+                _relative_change_at_load(wave, displacement_change, wave.coordinates(time)),
+            )
+            gap_and_load_errors = (
+                (stated_error(gap_and_load_errors[0]), stated_error(gap_and_load_errors[1]))
+                if search
+                else gap_and_load_errors
+            )
+        return min(gap_and_load_errors[0], UNKNOWN_ERROR), min(
+            gap_and_load_errors[1], UNKNOWN_ERROR
+        )
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
@@ -265,49 +305,53 @@ class Assessment:
         """
         if self._more_modes is not None:
             return self._more_modes
-        wave, reference = self.wave, reference_of(self.wave)
-        if self.flow is None or reference is None or not is_small(reference):
+        wave, reference_structure = self.wave, reference_structure_of(self.wave)
+        if self.flow is None or reference_structure is None or not is_small(reference_structure):
             return None
         assert wave.contact is not None
-        flow = exact_flow_or_none(reference, wave.contact)
+        flow = exact_flow_or_none(reference_structure, wave.contact)
         is_searchable = flow is not None and is_affordable(
             flow, wave.omega, wave.subharmonic, MAX_SEARCH_PERIODS
         )
-        if flow is None or not is_searchable or self.orbit is None:
+        if flow is None or not is_searchable or self.nearest_orbit is None:
             return None
-        return MoreModes(flow, wave, self.orbit)
+        return MoreModes(flow, wave, self.nearest_orbit)
 
     @property
-    def reason(self) -> str:
+    def rejection_reason(self) -> str:
         """Return why no orbit is accepted for the solution; "" if one is."""
         if self.is_accepted:
             return ""
-        if self.too_slow:
+        if self.is_load_too_slow:
             assert self.flow is not None
             n_cycles = self.flow.rate_bound * self.wave.period / (2.0 * np.pi)
-            cycles = f"{n_cycles / 1e3:.0f} thousand cycles in a period"
-            cause = f"the load is so slow that the highest modes have {cycles}"
-            return f"{cause}, too many for exact time integration; keep fewer modes"
+            cycles_text = f"{n_cycles / 1e3:.0f} thousand cycles in a period"
+            cause_text = f"the load is so slow that the highest modes have {cycles_text}"
+            return f"{cause_text}, too many for exact time integration; keep fewer modes"
         if self.flow is None:
             return "there is no exact flow for its law or structure"
-        if self.prediction is None:
+        if self.orbit_prediction is None:
             return "the crack opens and closes too often; less so with crack faces without mass"
-        predicted_error = self.predicted_error
-        size = percent(predicted_error) if predicted_error < UNKNOWN else "100 % or more"
-        if self.orbit is None:
-            change = f"the truncated harmonics change it by {size}"
-            failure_reasons = self._failure_reasons[-1:] or ["no exact orbit was found near it"]
-            return f"{change}, and {failure_reasons[0]}"
-        stability = "stable" if self.orbit.is_stable else "unstable"
-        orbit_in_words = (
-            f"the nearest exact orbit, which is {stability}, is {percent(self.distance)} away"
+        predicted_gap_error = self.predicted_error
+        error_text = (
+            percent(predicted_gap_error) if predicted_gap_error < UNKNOWN_ERROR else "100 % or more"
         )
-        return f"{orbit_in_words} where {size} was predicted: it may be another motion"
+        if self.nearest_orbit is None:
+            change_text = f"the truncated harmonics change it by {error_text}"
+            last_failure_reasons = self._failure_reasons[-1:] or [
+                "no exact orbit was found near it"
+            ]
+            return f"{change_text}, and {last_failure_reasons[0]}"
+        stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
+        orbit_text = (
+            f"the nearest exact orbit, which is {stability_text}, is {percent(self.distance)} away"
+        )
+        return f"{orbit_text} where {error_text} was predicted: it may be another motion"
 
 
-def stated_error(prediction: float) -> float:
+def stated_error(predicted_error: float) -> float:
     """Return the error stated for a prediction without an orbit, 3 p / (1 + 2 p)."""
-    return 3.0 * prediction / (1.0 + 2.0 * min(prediction, 1.0))
+    return 3.0 * predicted_error / (1.0 + 2.0 * min(predicted_error, 1.0))
 
 
 def with_twice_the_harmonics(wave: Wave) -> Wave | None:
@@ -323,14 +367,17 @@ def with_twice_the_harmonics(wave: Wave) -> Wave | None:
     return problem.wave(system.linearise(point.unknown)) if search.has_converged else None
 
 
-def _change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
+def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
     """Return the relative size of a displacement's change at the load (collective).
 
     ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants; the reference is the
     motion's size at the load.
     """
     return relative_to_motion(
-        *(motion_at_load(wave.structure, displacement) for displacement in (change, motion))
+        *(
+            motion_along_load(wave.structure, displacement_samples)
+            for displacement_samples in (change, motion)
+        )
     )
 
 
@@ -339,8 +386,10 @@ def distance(wave: Wave, orbit: PeriodicOrbit) -> float:
 
     It is relative to the moving part of B^T u; 0 if that is rounding.
     """
-    samples = orbit.sampled
-    if is_still(samples):
+    orbit_samples = orbit.sampled
+    if is_still(orbit_samples):
         return 0.0
-    gap_motion = samples.gaps + wave.structure_with_row_pairs.clearance
-    return relative_to_motion(samples.gaps - wave.over_period(len(gap_motion))[1], gap_motion)
+    gap_plus_clearance = orbit_samples.gaps + wave.structure_with_row_pairs.clearance
+    return relative_to_motion(
+        orbit_samples.gaps - wave.over_period(len(gap_plus_clearance))[1], gap_plus_clearance
+    )

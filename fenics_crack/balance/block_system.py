@@ -35,7 +35,7 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.contact_system import MAX_COMPLIANCE_RATIO, ContactPoint, Wave
+from fenics_crack.balance.contact_system import DYNAMIC_TO_SOFT_PAIR_COMPLIANCE, ContactPoint, Wave
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
@@ -56,7 +56,7 @@ MUMPS_WORKSPACE_PERCENT = 200
 
 On several ranks the pivots of some J need more than those of others, and more than the default.
 """
-REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
+BLOCK_SEARCH_REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
 
 
 class BlockSystem(Snes):
@@ -68,76 +68,81 @@ class BlockSystem(Snes):
     ----------
     problem : Problem
         Problem of a structure with PETSc matrices.
-    linear : (2H+1, n_local) [m]
+    linear_displacement : (2H+1, n_local) [m]
         Solution without contact.
     history : list, optional
         As ``residual_norms`` of :class:`Snes`.
     """
 
     def __init__(
-        self, problem: Problem, linear: np.ndarray, history: list[float] | None = None
+        self, problem: Problem, linear_displacement: np.ndarray, history: list[float] | None = None
     ) -> None:
         structure = self.structure = problem.structure
         self.integrals: Any = problem.integrals()
-        self._shape, self._load = linear.shape, problem.load
-        squares = np.array([np.sum(coefficients**2) for coefficients in (linear, self._load)])
-        length, load = np.sqrt(structure.sum_over_ranks(squares))
-        self.length_unit = float(length) or 1.0
+        self._shape, self._load = linear_displacement.shape, problem.load
+        square_sums = np.array([np.sum(rows**2) for rows in (linear_displacement, self._load)])
+        displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(square_sums))
+        self.length_unit = float(displacement_norm) or 1.0
         """Unit of the unknowns [m]."""
-        self.force_unit = float(load) or float(np.max(problem.contact.stiffness))
+        self.force_unit = float(load_norm) or float(np.max(problem.contact.stiffness))
         """Unit of the residual [N]."""
-        self._first_dofs = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
-        self._modes = np.zeros((structure.n_local, 0)), np.zeros(0)
-        modes = damped_modes(structure)
-        if modes is not None:  # scaled: their coordinates are as large as the unknowns
-            square = structure.sum_over_ranks(np.sum(modes.mass_shapes**2, axis=0)).max()
-            self._modes = modes.mass_shapes / math.sqrt(square), square * modes.modal_damping
-        linear_part = self._linear_part(problem.base_omega)
-        n_pairs, n_rows = structure.n_pairs, len(linear)
+        self._first_dof_by_rank = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
+        self._scaled_shapes_and_rates = np.zeros((structure.n_local, 0)), np.zeros(0)
+        given_modes = damped_modes(structure)
+        if given_modes is not None:  # scaled: their coordinates are as large as the unknowns
+            max_square = structure.sum_over_ranks(np.sum(given_modes.mass_shapes**2, axis=0)).max()
+            self._scaled_shapes_and_rates = (
+                given_modes.mass_shapes / math.sqrt(max_square),
+                max_square * given_modes.modal_damping,
+            )
+        linear_coo = self._linear_part(problem.base_omega)
+        n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
         self._force_map = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
-        self._slow_gap_map = self._reorder_columns(
-            sparse.kron(sparse.identity(n_rows), global_gap.T), linear_part.shape[1]
+        self._slow_gap_map = self._group_columns_by_rank(
+            sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
-        self._constant_gap = structure.gap_of(np.zeros(linear.shape))
-        if problem.residual is not None:
+        self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
+        if problem.residual_compliance is not None:
             static_response = all_modes(structure).static_pair_responses(problem.cutoff)
-            force_rows = linear_part.tocsr()[: linear.size] * (self.force_unit / self.length_unit)
-            self._slow_gap_map -= (
-                sparse.kron(sparse.identity(n_rows), static_response.T) @ force_rows
+            linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
+                self.force_unit / self.length_unit
             )
-            self._constant_gap += self._load @ static_response
-        entry_numbers = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
-        self._gap_tangent_indices = (
-            np.repeat(entry_numbers, n_rows, axis=1).ravel(),
-            np.tile(entry_numbers, n_rows).ravel(),
+            self._slow_gap_map -= (
+                sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
+            )
+            self._gap_at_zero_unknown += self._load @ static_response
+        gap_entry_numbers = np.arange(n_rows * n_pairs).reshape(n_rows, n_pairs).T
+        self._tangent_entry_indices = (
+            np.repeat(gap_entry_numbers, n_rows, axis=1).ravel(),
+            np.tile(gap_entry_numbers, n_rows).ravel(),
         )
         if self.integrals.has_coupled_pairs:  # every force depends on every gap
-            self._gap_tangent_indices = tuple(np.indices((n_rows * n_pairs,) * 2).reshape(2, -1))
-        pattern = sparse.csr_matrix(
-            (np.ones(len(self._gap_tangent_indices[0])), self._gap_tangent_indices),
+            self._tangent_entry_indices = tuple(np.indices((n_rows * n_pairs,) * 2).reshape(2, -1))
+        tangent_pattern = sparse.csr_matrix(
+            (np.ones(len(self._tangent_entry_indices[0])), self._tangent_entry_indices),
             (n_rows * n_pairs,) * 2,
         )
         # Absolute values do not cancel: no entry is missed.
-        contact_pattern = (abs(self._force_map) @ pattern @ abs(self._slow_gap_map)).tocoo()
-        entries = np.append(linear_part.data, 0.0 * contact_pattern.data)
-        indices = (
-            np.append(linear_part.row, contact_pattern.row),
-            np.append(linear_part.col, contact_pattern.col),
+        contact_pattern = (abs(self._force_map) @ tangent_pattern @ abs(self._slow_gap_map)).tocoo()
+        entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
+        entry_indices = (
+            np.append(linear_coo.row, contact_pattern.row),
+            np.append(linear_coo.col, contact_pattern.col),
         )
-        matrix = distribute_rows(
-            sparse.coo_matrix((entries, indices), linear_part.shape), structure.comm
+        jacobian = distribute_rows(
+            sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
-        self._linear_matrix = matrix.duplicate(copy=True)
-        self._local_slow_gap_map = self._slow_gap_map[:, slice(*matrix.getOwnershipRange())]
-        self.rounding = residual_rounding(10.0 * matrix.norm() / math.sqrt(linear_part.shape[1]))
+        self._linear_matrix = jacobian.duplicate(copy=True)
+        self._local_slow_gap_map = self._slow_gap_map[:, slice(*jacobian.getOwnershipRange())]
+        self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
-        super().__init__(matrix, history)
-        factors = self._snes.getKSP().getPC()
-        if factors.getType() == "lu" and factors.getFactorSolverType() == "mumps":
-            factors.setOperators(matrix)
-            factors.setFactorSetUpSolverType()
-            factors.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
+        super().__init__(jacobian, history)
+        preconditioner = self._snes.getKSP().getPC()
+        if preconditioner.getType() == "lu" and preconditioner.getFactorSolverType() == "mumps":
+            preconditioner.setOperators(jacobian)
+            preconditioner.setFactorSetUpSolverType()
+            preconditioner.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
     def _linear_part(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the Jacobian's linear part A.
@@ -146,45 +151,71 @@ class BlockSystem(Snes):
         """
         structure, n_rows = self.structure, self._shape[0]
         mass, stiffness = (
-            local_rows(operator) for operator in (structure.mass, structure.stiffness)
+            local_rows(petsc_matrix) for petsc_matrix in (structure.mass, structure.stiffness)
         )
-        omega = base_omega * ((np.arange(n_rows) + 1) // 2)
+        row_omegas = base_omega * ((np.arange(n_rows) + 1) // 2)
         # The time derivative turns sines into cosines, and cosines into sines.
         time_derivative = np.zeros((n_rows, n_rows))
-        time_derivative[1::2, 2::2] = np.diag(omega[1::2])
-        time_derivative[2::2, 1::2] = -np.diag(omega[2::2])
-        matrix = sparse.kron(np.eye(n_rows), stiffness) - sparse.kron(np.diag(omega**2), mass)
-        if structure.damping_matrix is not None:
-            matrix += sparse.kron(time_derivative, local_rows(structure.damping_matrix))
-        unit, size, (shapes, rate) = (
-            self.length_unit / self.force_unit,
-            matrix.shape[1],
-            self._modes,
+        time_derivative[1::2, 2::2] = np.diag(row_omegas[1::2])
+        time_derivative[2::2, 1::2] = -np.diag(row_omegas[2::2])
+        dynamic_stiffness_rows = sparse.kron(np.eye(n_rows), stiffness) - sparse.kron(
+            np.diag(row_omegas**2), mass
         )
-        damping_columns = sparse.kron(time_derivative[:, 1:], unit * rate * shapes)
-        parts = sparse.hstack([self._reorder_columns(unit * matrix, size), damping_columns])
-        all_shapes = structure.comm.gather(shapes, structure.comm.size - 1)
-        if all_shapes is not None:
-            projection = sparse.kron(np.eye(n_rows)[1:], -np.concatenate(all_shapes).T)
+        if structure.damping_matrix is not None:
+            dynamic_stiffness_rows += sparse.kron(
+                time_derivative, local_rows(structure.damping_matrix)
+            )
+        length_per_force_unit, n_displacement_unknowns, (scaled_shapes, scaled_rates) = (
+            self.length_unit / self.force_unit,
+            dynamic_stiffness_rows.shape[1],
+            self._scaled_shapes_and_rates,
+        )
+        damping_columns = sparse.kron(
+            time_derivative[:, 1:], length_per_force_unit * scaled_rates * scaled_shapes
+        )
+        linear_rows = sparse.hstack(
+            [
+                self._group_columns_by_rank(
+                    length_per_force_unit * dynamic_stiffness_rows, n_displacement_unknowns
+                ),
+                damping_columns,
+            ]
+        )
+        shapes_by_rank = structure.comm.gather(scaled_shapes, structure.comm.size - 1)
+        if shapes_by_rank is not None:
+            modal_projection_rows = sparse.kron(
+                np.eye(n_rows)[1:], -np.concatenate(shapes_by_rank).T
+            )
             modal_rows = [
-                self._reorder_columns(projection, size),
+                self._group_columns_by_rank(modal_projection_rows, n_displacement_unknowns),
                 sparse.identity(damping_columns.shape[1]),
             ]
-            parts = sparse.vstack([parts, sparse.hstack(modal_rows)])
-        return parts.tocoo()
+            linear_rows = sparse.vstack([linear_rows, sparse.hstack(modal_rows)])
+        return linear_rows.tocoo()
 
-    def _reorder_columns(self, matrix: sparse.spmatrix, size: int) -> sparse.csr_matrix:
+    def _group_columns_by_rank(
+        self, matrix: sparse.spmatrix, n_new_columns: int
+    ) -> sparse.csr_matrix:
         """Reorder columns by harmonic and dof to columns rank by rank.
 
         ``size`` is the number of columns of the result.
         """
-        entries, n_rows, first_dofs = matrix.tocoo(), self._shape[0], self._first_dofs
-        row, dof = np.divmod(entries.col, first_dofs[-1])
-        rank = np.searchsorted(first_dofs, dof, "right") - 1
-        columns = (
-            n_rows * first_dofs[rank] + row * np.diff(first_dofs)[rank] + dof - first_dofs[rank]
+        coo_matrix, n_rows, first_dof_by_rank = (
+            matrix.tocoo(),
+            self._shape[0],
+            self._first_dof_by_rank,
         )
-        return sparse.csr_matrix((entries.data, (entries.row, columns)), (entries.shape[0], size))
+        coefficient_rows, global_dofs = np.divmod(coo_matrix.col, first_dof_by_rank[-1])
+        owner_ranks = np.searchsorted(first_dof_by_rank, global_dofs, "right") - 1
+        new_columns = (
+            n_rows * first_dof_by_rank[owner_ranks]
+            + coefficient_rows * np.diff(first_dof_by_rank)[owner_ranks]
+            + global_dofs
+            - first_dof_by_rank[owner_ranks]
+        )
+        return sparse.csr_matrix(
+            (coo_matrix.data, (coo_matrix.row, new_columns)), (coo_matrix.shape[0], n_new_columns)
+        )
 
     def _contact_part(self, tangent: np.ndarray) -> sparse.csr_matrix:
         """Return this rank's rows of the Jacobian's contact part, B T ds/du.
@@ -192,40 +223,42 @@ class BlockSystem(Snes):
         B takes contact forces to the dofs, s is the slow gap, and T = ``tangent`` is the forces'
         derivative by s.
         """
-        n_gap_rows = self._force_map.shape[1]
-        gap_tangent = sparse.csr_matrix(
-            (tangent.ravel(), self._gap_tangent_indices), (n_gap_rows, n_gap_rows)
+        n_gap_coefficients = self._force_map.shape[1]
+        sparse_tangent = sparse.csr_matrix(
+            (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
-        return sparse.csr_matrix(self._force_map @ gap_tangent @ self._slow_gap_map)
+        return sparse.csr_matrix(self._force_map @ sparse_tangent @ self._slow_gap_map)
 
     def _choose_solver(self, solver: Any) -> None:
         solver.getPC().setType("lu")
         if PETSc.Sys.hasExternalPackage("mumps"):
             solver.getPC().setFactorSolverType("mumps")
 
-    def displacement(self, unknown: Any) -> np.ndarray:
+    def displacement(self, unknown_vector: Any) -> np.ndarray:
         """Return the displacement u of a PETSc vector of unknowns: (2H+1, n_local) [m]."""
         n_entries = int(np.prod(self._shape))
-        return self.length_unit * unknown.array_r[:n_entries].reshape(self._shape)
+        return self.length_unit * unknown_vector.array_r[:n_entries].reshape(self._shape)
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
-        relative_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
-        return self._constant_gap + self.length_unit * relative_gap.reshape(
-            self._constant_gap.shape
+        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_map @ unknown)
+        return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
+            self._gap_at_zero_unknown.shape
         )
 
-    def vector_of(self, displacement: np.ndarray) -> np.ndarray:
+    def scaled_unknowns_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
         relative_displacement, comm = displacement / self.length_unit, self.structure.comm
-        modal_part = self.structure.sum_over_ranks(relative_displacement[1:] @ self._modes[0])
+        modal_part = self.structure.sum_over_ranks(
+            relative_displacement[1:] @ self._scaled_shapes_and_rates[0]
+        )
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
     def evaluate(self, unknown: Any, target: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown.array_r))
         self._linear_matrix.mult(unknown, target)
-        contact_and_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
-        target.array_w[: len(contact_and_load)] += contact_and_load
+        contact_less_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
+        target.array_w[: len(contact_less_load)] += contact_less_load
 
     def linearise(self, unknown: Any) -> None:
         forces = self.integrals.linearise(self.slow_gap(unknown.array_r))
@@ -239,7 +272,7 @@ class BlockSystem(Snes):
         self.matrix.assemble()
 
     @property
-    def reason(self) -> str:
+    def petsc_reason_name(self) -> str:
         """Return PETSc's name for the reason why the last steps ended."""
         codes = vars(PETSc.SNES.ConvergedReason).items()
         return next(name for name, code in codes if code == self._snes.getConvergedReason())
@@ -265,7 +298,7 @@ class BlockSystem(Snes):
         """
         self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
         has_converged, n_iterations = self.solve_in_place(
-            self.vector_of(displacement), tolerance, MAX_ITERATIONS
+            self.scaled_unknowns_of(displacement), tolerance, MAX_ITERATIONS
         )
         if (
             has_converged and stiffness_factor == 1.0
@@ -291,54 +324,71 @@ class BlockSolver(Solver):
 
     def __post_init__(self) -> None:
         problem, structure = self.problem, self.problem.structure
-        refusals = {
-            "with UnilateralConstraint of crack faces with mass": problem.is_projected,
-            "with friction": problem.friction,
+        is_refused_by_condition = {
+            "with UnilateralConstraint of crack faces with mass": problem.has_projected_constraint,
+            "with friction": problem.has_friction,
             "of a bladed disk that is not reduced": structure.n_sectors > 1,
         }
-        for condition in (condition for condition, is_refused in refusals.items() if is_refused):
-            raise InputError("form", "block", f"'condensed' {condition}")
+        for condition_text in (
+            condition_text
+            for condition_text, is_refused in is_refused_by_condition.items()
+            if is_refused
+        ):
+            raise InputError("form", "block", f"'condensed' {condition_text}")
         damping = structure.original.damping
         n_unknowns = structure.n_dofs * (2 * problem.harmonics + 1)
-        n_modes = count_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
+        n_damping_modes = count_damped_modes(structure) if isinstance(damping, ModalDamping) else 0
         is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
         # Of the factors and the matrix, and of rows and columns of the modes.
-        n_bytes = 4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_modes
+        n_bytes = (
+            4.0 * factor_memory(n_unknowns, solid=is_solid) + 200.0 * n_unknowns * n_damping_modes
+        )
         if n_bytes > 0.8 * machine_memory():
             requirement = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
             raise InputError("harmonics", problem.harmonics, requirement)
 
-    def find(
-        self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
+    def search_point_and_wave(
+        self, compliance: Compliance, initial: PeriodicSolution | None, budget_fraction: float = 1.0
     ) -> tuple[Search, ContactPoint, Wave]:
-        problem, system = self.problem, self.problem.system(compliance)
-        search = Search(system, problem, self.residual_tolerance, share, remedy=REMEDY)
-        linear = compliance.displacement(np.zeros(system.shape))
-        # The softest contact changes the gaps by at most MAX_COMPLIANCE_RATIO of the load's effect.
-        min_factor = (
-            MAX_COMPLIANCE_RATIO
-            * system.integrals.unit
-            / np.abs(system.dynamic_part).sum(axis=2).max()
+        problem, contact_system = self.problem, self.problem.system(compliance)
+        search = Search(
+            contact_system,
+            problem,
+            self.residual_tolerance,
+            budget_fraction,
+            remedy=BLOCK_SEARCH_REMEDY,
         )
-        starts = [(linear, min(min_factor, 1.0))]
+        linear_displacement = compliance.displacement(np.zeros(contact_system.shape))
+        # The softest contact changes the gaps by at most this fraction of the load's effect.
+        min_factor = (
+            DYNAMIC_TO_SOFT_PAIR_COMPLIANCE
+            * contact_system.integrals.mean_pair_compliance
+            / np.abs(contact_system.dynamic_part).sum(axis=2).max()
+        )
+        displacements_and_factors = [(linear_displacement, min(min_factor, 1.0))]
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
-            force = resize_harmonics(
+            initial_force = resize_harmonics(
                 stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
-            starts.insert(0, (compliance.displacement(force), 1.0))
+            displacements_and_factors.insert(0, (compliance.displacement(initial_force), 1.0))
         begin("block system")
-        with BlockSystem(problem, linear, search.history) as block:
+        with BlockSystem(problem, linear_displacement, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
-            while starts and not search.has_converged:
+            while displacements_and_factors and not search.has_converged:
                 iterations_before = search.iterations
-                displacement, reached_factor = _raise_stiffness(block, search, *starts.pop(0))
-                search.has_converged = reached_factor == 1.0
-                end = f" up to {reached_factor:.2g} of the contact stiffness, then {block.reason}"
-                search.record_attempt(
-                    f"block system{'' if search.has_converged else end}", iterations_before
+                displacement, reached_factor = _raise_stiffness(
+                    block, search, *displacements_and_factors.pop(0)
                 )
-            point = system.linearise(block.slow_gap(block.vector_of(displacement)))
+                search.has_converged = reached_factor == 1.0
+                end_text = (
+                    f" up to {reached_factor:.2g} of the contact stiffness, "
+                    f"then {block.petsc_reason_name}"
+                )
+                search.append_attempt_text(
+                    f"block system{'' if search.has_converged else end_text}", iterations_before
+                )
+            point = contact_system.linearise(block.slow_gap(block.scaled_unknowns_of(displacement)))
         return search, point, problem.wave_of(displacement, point.gap, point.force)
 
 
@@ -357,26 +407,26 @@ def _raise_stiffness(
     reached_factor : float
         Its factor of the contact stiffness; 1 for the law.
     """
-    reached_factor, ratio, slope = 0.0, MAX_STIFFNESS_RATIO, np.zeros_like(displacement)
-    while reached_factor < 1.0 and ratio >= MIN_STIFFNESS_RATIO:
+    reached_factor, stiffness_ratio, slope = 0.0, MAX_STIFFNESS_RATIO, np.zeros_like(displacement)
+    while reached_factor < 1.0 and stiffness_ratio >= MIN_STIFFNESS_RATIO:
         tolerance = (
             search.tolerance if stiffness_factor == 1.0 else max(COARSE_TOLERANCE, search.tolerance)
         )
         log_step = math.log(stiffness_factor / reached_factor) if reached_factor else 0.0
-        next_displacement, has_converged, n_iterations = block.take_full_steps(
+        solved_displacement, has_converged, n_iterations = block.take_full_steps(
             displacement + log_step * slope, stiffness_factor, tolerance
         )
         search.iterations += n_iterations
         if has_converged:
-            slope = (next_displacement - displacement) / log_step if log_step else slope
-            displacement = next_displacement
+            slope = (solved_displacement - displacement) / log_step if log_step else slope
+            displacement = solved_displacement
             reached_factor = stiffness_factor
-            ratio = min(ratio**2, MAX_STIFFNESS_RATIO)
+            stiffness_ratio = min(stiffness_ratio**2, MAX_STIFFNESS_RATIO)
         else:
-            ratio = math.sqrt(ratio) if reached_factor else 0.0
-        stiffness_factor = min(ratio * reached_factor, 1.0)
+            stiffness_ratio = math.sqrt(stiffness_ratio) if reached_factor else 0.0
+        stiffness_factor = min(stiffness_ratio * reached_factor, 1.0)
     return displacement, reached_factor
 
 
-FORMS: dict[str, type[Solver]] = {"condensed": Solver, "block": BlockSolver}
+SOLVER_BY_FORM: dict[str, type[Solver]] = {"condensed": Solver, "block": BlockSolver}
 """Solver for each form of harmonic balance."""

@@ -75,13 +75,22 @@ class DynamicStiffness:
     def __init__(self, structure: Structure, omega: float) -> None:
         check_number("omega", omega, 0.0)
         self.structure = structure
-        self._matrix, self._damping, self._modes = structure.stiffness, None, None
+        self._undamped_dynamic_stiffness, self._damping_matrix, self._damped_modes = (
+            structure.stiffness,
+            None,
+            None,
+        )
         if omega > 0.0:
-            self._matrix = weighted_sum(structure.stiffness, -(omega**2), structure.mass)
-            self._damping, self._modes = structure.damping_matrix, damped_modes(structure)
-        system_matrix, border = self._matrix, None
-        if self._damping is not None:
-            coupling, negative_coupling = self._damping.copy(), self._damping.copy()
+            self._undamped_dynamic_stiffness = weighted_sum(
+                structure.stiffness, -(omega**2), structure.mass
+            )
+            self._damping_matrix, self._damped_modes = (
+                structure.damping_matrix,
+                damped_modes(structure),
+            )
+        system_matrix, border_columns = self._undamped_dynamic_stiffness, None
+        if self._damping_matrix is not None:
+            coupling, negative_coupling = self._damping_matrix.copy(), self._damping_matrix.copy()
             coupling.scale(omega)
             negative_coupling.scale(-omega)
             system_matrix = PETSc.Mat().createNest(
@@ -89,41 +98,56 @@ class DynamicStiffness:
                 comm=system_matrix.comm,
             )
             system_matrix = system_matrix.convert("aij", PETSc.Mat())
-        elif self._modes is not None:
-            squares = self._modes.omega**2
-            stiffness = squares - omega**2
-            is_near = np.abs(stiffness) < DEFLATION_BAND * squares
-            if np.any(self._modes.omega[is_near & (self._modes.modal_damping == 0.0)] == omega):
+        elif self._damped_modes is not None:
+            natural_omegas_squared = self._damped_modes.omega**2
+            modal_stiffness = natural_omegas_squared - omega**2
+            is_near = np.abs(modal_stiffness) < DEFLATION_BAND * natural_omegas_squared
+            if np.any(
+                self._damped_modes.omega[is_near & (self._damped_modes.modal_damping == 0.0)]
+                == omega
+            ):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
-            factored_part = np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=~is_near)
-            self._correction = (
-                1.0 / (stiffness + 1j * omega * self._modes.modal_damping) - factored_part
+            factored_receptance = np.divide(
+                1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
+            )
+            self._receptance_correction = (
+                1.0 / (modal_stiffness + 1j * omega * self._damped_modes.modal_damping)
+                - factored_receptance
             )
             if is_near.any():
-                border = sparse.csr_matrix(self._modes.mass_shapes[:, is_near])
-        self._factor = Factor(system_matrix, symmetric=self._damping is None, border=border)
-        if self._factor.n_null_pivots:
+                border_columns = sparse.csr_matrix(self._damped_modes.mass_shapes[:, is_near])
+        self._factorisation = Factor(
+            system_matrix, symmetric=self._damping_matrix is None, border=border_columns
+        )
+        if self._factorisation.n_null_pivots:
             self.destroy()
-            cause = "it can move as a rigid body" if omega == 0.0 else "an undamped resonance"
+            cause_text = "it can move as a rigid body" if omega == 0.0 else "an undamped resonance"
             raise ConvergenceError(
-                f"dynamic stiffness at {omega:g} rad/s: the structure is singular ({cause})"
+                f"dynamic stiffness at {omega:g} rad/s: the structure is singular ({cause_text})"
             )
 
-    def solve(self, force: np.ndarray) -> np.ndarray:
+    def solve(self, dof_forces: np.ndarray) -> np.ndarray:
         """Return Z^-1 f, displacements by real or complex forces f (m, n_local) (collective)."""
         n_local = self.structure.n_local
-        if self._damping is not None:
-            real_rows = np.concatenate([np.real(force), -np.imag(force)], axis=1)
-            solution = self._factor.solve(real_rows)
-            return solution[:, :n_local] - 1j * solution[:, n_local:]
-        rows = np.concatenate([force.real, force.imag]) if np.iscomplexobj(force) else force
-        solution = self._factor.solve(rows)
-        if np.iscomplexobj(force):
-            solution = solution[: len(force)] + 1j * solution[len(force) :]
-        if self._modes is None:
-            return solution
-        modal_force = self.structure.sum_over_ranks(force @ self._modes.shapes)
-        return solution + (modal_force * self._correction) @ self._modes.shapes.T
+        if self._damping_matrix is not None:
+            force_in_real_form = np.concatenate([np.real(dof_forces), -np.imag(dof_forces)], axis=1)
+            solution_rows = self._factorisation.solve(force_in_real_form)
+            return solution_rows[:, :n_local] - 1j * solution_rows[:, n_local:]
+        real_force_rows = (
+            np.concatenate([dof_forces.real, dof_forces.imag])
+            if np.iscomplexobj(dof_forces)
+            else dof_forces
+        )
+        solution_rows = self._factorisation.solve(real_force_rows)
+        if np.iscomplexobj(dof_forces):
+            solution_rows = solution_rows[: len(dof_forces)] + 1j * solution_rows[len(dof_forces) :]
+        if self._damped_modes is None:
+            return solution_rows
+        modal_force = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
+        return (
+            solution_rows
+            + (modal_force * self._receptance_correction) @ self._damped_modes.shapes.T
+        )
 
     def compliance(self) -> np.ndarray:
         """Return the gaps' compliance R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N].
@@ -134,9 +158,9 @@ class DynamicStiffness:
 
     def destroy(self) -> None:
         """Free the matrices and factors (collective)."""
-        self._factor.destroy()
-        if self._matrix is not self.structure.stiffness:
-            self._matrix.destroy()
+        self._factorisation.destroy()
+        if self._undamped_dynamic_stiffness is not self.structure.stiffness:
+            self._undamped_dynamic_stiffness.destroy()
 
     def __enter__(self) -> DynamicStiffness:
         return self
@@ -157,10 +181,10 @@ def dynamic_compliance(
     ConvergenceError
         The structure is in an undamped resonance, or can move as a rigid body.
     """
-    load = load_coefficients(structure, harmonics, subharmonic)
+    load_rows = load_coefficients(structure, harmonics, subharmonic)
     if is_small(structure) and not all_modes(structure).is_ill_conditioned:
-        return ModalCompliance(structure, base_omega, load)
-    return FactoredCompliance(structure, base_omega, load)
+        return ModalCompliance(structure, base_omega, load_rows)
+    return FactoredCompliance(structure, base_omega, load_rows)
 
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
@@ -176,49 +200,52 @@ class ModalCompliance:
 
     Attributes
     ----------
-    shape : tuple of int
+    gap_shape : tuple of int
         (2H+1, n_pairs)
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
         R_k for each harmonic k, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
         Gap without contact forces, less the clearance.
-    gap_basis : (n_pairs, n) or None
+    reachable_gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make; None if these are all gaps.
     gap_without_modes : (2H+1, n_pairs) [m]
         Part of the linear gap by coordinates without mass, less the clearance.
     """
 
-    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
+    def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-        self._clearance = structure.clearance
-        self._modes = all_modes(structure)
-        self.gap_basis = (
-            structure.compute_once(_gap_basis)
-            if len(self._modes.pairs) < structure.n_pairs
+        self._pair_clearances = structure.clearance
+        self._all_modes = all_modes(structure)
+        self.reachable_gap_basis = (
+            structure.compute_once(_reachable_gap_basis)
+            if len(self._all_modes.pairs) < structure.n_pairs
             else None
         )
-        self._order = np.arange(len(load) // 2 + 1.0)
-        self._unit_load = to_complex(load @ self._modes.shapes)
-        self.shape: tuple[int, ...] = len(load), structure.n_pairs
-        self._unit_static, self._static_gap = None, np.zeros(self.shape)
-        if self._modes.massless_flexibility is not None:
-            self._unit_static = load @ self._modes.massless_flexibility
-            self._static_gap = structure.apply_bt(self._unit_static)
+        self._harmonic_orders = np.arange(len(load_rows) // 2 + 1.0)
+        self._modal_load_per_load = to_complex(load_rows @ self._all_modes.shapes)
+        self.gap_shape: tuple[int, ...] = len(load_rows), structure.n_pairs
+        self._massless_displacement_per_load, self._massless_gap_per_load = (
+            None,
+            np.zeros(self.gap_shape),
+        )
+        if self._all_modes.massless_flexibility is not None:
+            self._massless_displacement_per_load = load_rows @ self._all_modes.massless_flexibility
+            self._massless_gap_per_load = structure.apply_bt(self._massless_displacement_per_load)
         self._set_parameters(base_omega, 1.0, 1.0, 0.0)
 
     def _set_parameters(
-        self, base_omega: float, load: float, damping: float, clearance: float
+        self, base_omega: float, load_factor: float, damping_factor: float, added_clearance: float
     ) -> None:
-        self._base_omega, self._damping = base_omega, damping
-        has_load = self._unit_load != 0.0
-        self._receptance = self._modes.modal_receptances(
-            base_omega * self._order, damping, has_load
+        self._base_omega, self._damping_factor = base_omega, damping_factor
+        is_mode_loaded = self._modal_load_per_load != 0.0
+        self._receptance = self._all_modes.modal_receptances(
+            base_omega * self._harmonic_orders, damping_factor, is_mode_loaded
         )
-        self._modal_load = load * self._unit_load
-        self._load = load
-        self.gap_without_modes = load * self._static_gap
-        self.gap_without_modes[0] -= self._clearance + clearance
+        self._modal_load = load_factor * self._modal_load_per_load
+        self._load_factor = load_factor
+        self.gap_without_modes = load_factor * self._massless_gap_per_load
+        self.gap_without_modes[0] -= self._pair_clearances + added_clearance
 
     @cached_property
     def matrices(self) -> np.ndarray:
@@ -238,87 +265,117 @@ class ModalCompliance:
         """
         compliance = object.__new__(type(self))  # faster than copy
         vars(compliance).update(vars(self))
-        for name in ("matrices", "linear_gap"):
-            vars(compliance).pop(name, None)
+        for cached_attribute_name in ("matrices", "linear_gap"):
+            vars(compliance).pop(cached_attribute_name, None)
         compliance._set_parameters(base_omega, load, damping, clearance)
         return compliance
 
     def compliance_above(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
-        order = np.arange(len(self.matrices), max_harmonic + 1)
-        has_load: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
-        receptance = self._modes.modal_receptances(
-            self._base_omega * order, self._damping, has_load
+        harmonic_orders = np.arange(len(self.matrices), max_harmonic + 1)
+        is_mode_loaded: np.ndarray = np.zeros(
+            (len(harmonic_orders), len(self._all_modes.squares)), dtype=bool
         )
-        return self._pair_compliance(receptance)
+        modal_receptance = self._all_modes.modal_receptances(
+            self._base_omega * harmonic_orders, self._damping_factor, is_mode_loaded
+        )
+        return self._pair_compliance(modal_receptance)
 
-    def _pair_compliance(self, receptance: np.ndarray) -> np.ndarray:
+    def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
         """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
-        compliance = self._modes.seen_by_pairs(receptance)
-        return compliance if self._modes.residual is None else compliance + self._modes.residual
+        compliance = self._all_modes.seen_by_pairs(modal_receptance)
+        return (
+            compliance
+            if self._all_modes.residual is None
+            else compliance + self._all_modes.residual
+        )
 
-    def displacement(self, force: np.ndarray) -> np.ndarray:
+    def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        displacement = from_complex(-self._modal_response(force) @ self._modes.shapes.T)
+        displacement = from_complex(
+            -self._negative_modal_displacement(contact_force) @ self._all_modes.shapes.T
+        )
         return (
             displacement
-            if self._unit_static is None
-            else displacement + self._static_displacement(force)
+            if self._massless_displacement_per_load is None
+            else displacement + self._massless_displacement(contact_force)
         )
 
-    def displacements(self, base_omega: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def displacements(self, base_omega: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under contact forces and load at many base frequencies.
 
         Parameters
         ----------
         base_omega : (n,) [rad/s]
-        force : (2H+1, n, n_pairs) [N]
+        contact_force : (2H+1, n, n_pairs) [N]
             Contact forces at each frequency.
 
         Returns
         -------
         (2H+1, n, n_local) [m]
         """
-        modes, omega = self._modes, np.multiply.outer(self._order, base_omega)
-        has_load = np.repeat(self._unit_load != 0.0, len(base_omega), axis=0)
-        receptance = modes.modal_receptances(omega.ravel(), self._damping, has_load)
-        drive = self._modal_load[:, None] - to_complex(force) @ modes.pairs.T
-        response = modes.respond(receptance.reshape(*omega.shape, *receptance.shape[1:]), drive)
-        displacement = from_complex(response @ modes.shapes.T)
-        if self._unit_static is None:
+        modes, harmonic_omegas = (
+            self._all_modes,
+            np.multiply.outer(self._harmonic_orders, base_omega),
+        )
+        is_mode_loaded = np.repeat(self._modal_load_per_load != 0.0, len(base_omega), axis=0)
+        modal_receptance = modes.modal_receptances(
+            harmonic_omegas.ravel(), self._damping_factor, is_mode_loaded
+        )
+        modal_force = self._modal_load[:, None] - to_complex(contact_force) @ modes.pairs.T
+        modal_displacement = modes.respond(
+            modal_receptance.reshape(*harmonic_omegas.shape, *modal_receptance.shape[1:]),
+            modal_force,
+        )
+        displacement = from_complex(modal_displacement @ modes.shapes.T)
+        if self._massless_displacement_per_load is None:
             return displacement
         assert modes.massless_pair_responses is not None
         return (
             displacement
-            + self._load * self._unit_static[:, None]
-            - force @ modes.massless_pair_responses.T
+            + self._load_factor * self._massless_displacement_per_load[:, None]
+            - contact_force @ modes.massless_pair_responses.T
         )
 
-    def selected_displacement(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return rows (m, n_local) times the displacement under contact forces: (2H+1, m)."""
-        displacement = from_complex(-self._modal_response(force) @ (rows @ self._modes.shapes).T)
+    def selected_displacement(
+        self, selection_rows: np.ndarray, contact_force: np.ndarray
+    ) -> np.ndarray:
+        """Return selected displacements under contact forces: (2H+1, m).
+
+        Returns ``selection_rows`` (m, n_local) times the displacement.
+        """
+        displacement = from_complex(
+            -self._negative_modal_displacement(contact_force)
+            @ (selection_rows @ self._all_modes.shapes).T
+        )
         return (
             displacement
-            if self._unit_static is None
-            else displacement + self._static_displacement(force) @ rows.T
+            if self._massless_displacement_per_load is None
+            else displacement + self._massless_displacement(contact_force) @ selection_rows.T
         )
 
-    def _static_displacement(self, force: np.ndarray) -> np.ndarray:
+    def _massless_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
-        assert self._modes.massless_pair_responses is not None and self._unit_static is not None
-        return self._load * self._unit_static - force @ self._modes.massless_pair_responses.T
+        assert (
+            self._all_modes.massless_pair_responses is not None
+            and self._massless_displacement_per_load is not None
+        )
+        return (
+            self._load_factor * self._massless_displacement_per_load
+            - contact_force @ self._all_modes.massless_pair_responses.T
+        )
 
-    def modal_part(
+    def modal_fields_for_kernel(
         self,
         omega: tuple[float, float],
         damping: tuple[float, float],
-        residual: np.ndarray | None = None,
+        residual_compliance: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
         """Return fields of the C struct ``structure_at_pairs``: the modes in R_k - R_inf.
 
         The base frequency w and the damping factor d change along a path. Each is given by its
-        value at p = 0 and its rate. ``residual`` is R_inf. With h_kj = 1 / (s_j - (k w)^2 + i k w d
-        c_j),
+        value at p = 0 and its rate. ``residual_compliance`` is R_inf. With h_kj = 1 / (s_j - (k
+        w)^2 + i k w d c_j),
 
             R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load.
 
@@ -330,12 +387,16 @@ class ModalCompliance:
             (H+1, n_modes) complex; ``static_compliance`` (n_pairs, n_pairs) or None; ``modes``,
             their number; ``omega``, ``damping``, w and d at p = 0, and ``..._rate``, their rates.
         """
-        modes = self._modes
+        modes = self._all_modes
         if modes.damping.ndim == 2:
             return None
-        (n_modes, n_pairs), static_part = modes.pairs.shape, modes.residual
-        if residual is not None:
-            static_part = -residual if static_part is None else static_part - residual
+        (n_modes, n_pairs), static_compliance = modes.pairs.shape, modes.residual
+        if residual_compliance is not None:
+            static_compliance = (
+                -residual_compliance
+                if static_compliance is None
+                else static_compliance - residual_compliance
+            )
         return {
             "modes": n_modes,
             "omega": omega[0],
@@ -344,58 +405,83 @@ class ModalCompliance:
             "damping_rate": damping[1],
             "squares": require_shape(modes.squares, n_modes),
             "modal_damping": require_shape(modes.damping, n_modes),
-            "shapes": require_shape(modes.pairs, n_modes, self.shape[1]),
+            "shapes": require_shape(modes.pairs, n_modes, self.gap_shape[1]),
             "load": require_shape(
-                self._load * self._unit_load, len(self._order), n_modes, kind=complex
+                self._load_factor * self._modal_load_per_load,
+                len(self._harmonic_orders),
+                n_modes,
+                kind=complex,
             ),
             "static_compliance": None
-            if static_part is None
-            else require_shape(static_part, n_pairs, n_pairs),
+            if static_compliance is None
+            else require_shape(static_compliance, n_pairs, n_pairs),
         }
 
-    def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
+    def residual_derivative(self, parameter_name: str, contact_force: np.ndarray) -> np.ndarray:
         """Return the derivative of R lambda - g_lin by a parameter: (2H+1, n_pairs).
 
-        The contact forces lambda are fixed. ``name`` is a parameter of :meth:`with_parameters`;
-        "omega" is the base frequency w. With the modal impedance Z_k = omega_j^2 - (k w)^2 + i k w
-        d c, the damping factor d and H = Z^-1,
+        The contact forces lambda are fixed, so this is the residual's derivative.
+        ``parameter_name`` is a parameter of :meth:`with_parameters`; "omega" is the base frequency
+        w. With the modal impedance Z_k = omega_j^2 - (k w)^2 + i k w d c, the damping factor d and
+        H = Z^-1,
 
             dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
         """
-        order = self._order[:, None]
-        if name == "clearance":
-            derivative = np.zeros_like(force)
-            derivative[0] = 1.0
-            return derivative
-        if name == "load":
-            return -self._gap_response(self._unit_load) - self._static_gap
-        if name == "damping":
-            damping_force = 1j * self._modes.damping_force(self._modal_response(force))
-            return -self._gap_response(self._base_omega * order * damping_force)
-        return from_complex(self._modal_response_by_omega(force) @ self._modes.pairs)
+        harmonic_orders = self._harmonic_orders[:, None]
+        if parameter_name == "clearance":
+            clearance_derivative = np.zeros_like(contact_force)
+            clearance_derivative[0] = 1.0
+            return clearance_derivative
+        if parameter_name == "load":
+            return -self._gap_response(self._modal_load_per_load) - self._massless_gap_per_load
+        if parameter_name == "damping":
+            damping_force_per_omega = 1j * self._all_modes.damping_force(
+                self._negative_modal_displacement(contact_force)
+            )
+            return -self._gap_response(self._base_omega * harmonic_orders * damping_force_per_omega)
+        return from_complex(
+            self._negative_modal_displacement_by_omega(contact_force) @ self._all_modes.pairs
+        )
 
-    def selected_displacement_by_omega(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def selected_displacement_by_omega(
+        self, selection_rows: np.ndarray, contact_force: np.ndarray
+    ) -> np.ndarray:
         """Return the derivative of :meth:`selected_displacement` by the base frequency.
 
         The contact forces are fixed: (2H+1, m).
         """
-        return from_complex(-self._modal_response_by_omega(force) @ (rows @ self._modes.shapes).T)
+        return from_complex(
+            -self._negative_modal_displacement_by_omega(contact_force)
+            @ (selection_rows @ self._all_modes.shapes).T
+        )
 
-    def _modal_response_by_omega(self, force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement_by_omega(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the derivative of modal displacements by the base frequency: (H+1, n_modes)."""
-        order, response = self._order[:, None], self._modal_response(force)
-        damping_force = 1j * self._damping * self._modes.damping_force(response)
-        drive = order * (damping_force - 2.0 * self._base_omega * order * response)
-        return -self._modes.respond(self._receptance, drive)
+        harmonic_orders, negative_modal_displacement = (
+            self._harmonic_orders[:, None],
+            self._negative_modal_displacement(contact_force),
+        )
+        damping_force_per_omega = (
+            1j * self._damping_factor * self._all_modes.damping_force(negative_modal_displacement)
+        )
+        impedance_force_by_omega = harmonic_orders * (
+            damping_force_per_omega
+            - 2.0 * self._base_omega * harmonic_orders * negative_modal_displacement
+        )
+        return -self._all_modes.respond(self._receptance, impedance_force_by_omega)
 
-    def _gap_response(self, drive: np.ndarray) -> np.ndarray:
+    def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
         """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
-        return from_complex(self._modes.respond(self._receptance, drive) @ self._modes.pairs)
+        return from_complex(
+            self._all_modes.respond(self._receptance, modal_force) @ self._all_modes.pairs
+        )
 
-    def _modal_response(self, force: np.ndarray) -> np.ndarray:
+    def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return modal displacements under contact forces less load: (H+1, n_modes) complex."""
-        drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
-        return self._modes.respond(self._receptance, drive)
+        modal_force_less_load = (
+            to_complex(contact_force) @ self._all_modes.pairs.T - self._modal_load
+        )
+        return self._all_modes.respond(self._receptance, modal_force_less_load)
 
     def destroy(self) -> None:
         """Do nothing: no factors are held."""
@@ -413,17 +499,22 @@ class FactoredCompliance:
         Fourier coefficients of the load.
     """
 
-    gap_basis: np.ndarray | None = None
+    reachable_gap_basis: np.ndarray | None = None
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load
-        self._base_omega, orders = base_omega, range(len(load) // 2 + 1)
-        self._blocks = [DynamicStiffness(structure, k * base_omega) for k in orders]
-        matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
-        linear_gap = structure.gap_of(self.solve_blocks(load))
+        self._base_omega, harmonic_orders = base_omega, range(len(load) // 2 + 1)
+        self._stiffness_by_harmonic = [
+            DynamicStiffness(structure, k * base_omega) for k in harmonic_orders
+        ]
+        compliance_matrices = np.array(
+            [dynamic_stiffness.compliance() for dynamic_stiffness in self._stiffness_by_harmonic],
+            dtype=complex,
+        )
+        linear_gap = structure.gap_of(self.solve_all_harmonics(load))
         # Every rank continues independently: its numbers must not differ even by rounding.
-        self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
-        self.shape = self.linear_gap.shape
+        self.matrices, self.linear_gap = structure.comm.bcast((compliance_matrices, linear_gap))
+        self.gap_shape = self.linear_gap.shape
         if not (np.all(np.isfinite(self.matrices)) and np.all(np.isfinite(self.linear_gap))):
             self.destroy()
             raise ConvergenceError("dynamic compliance: the structure is singular")
@@ -433,29 +524,41 @@ class FactoredCompliance:
 
         The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
         """
-        omega, modal_damping, pair_shapes = self.structure.compute_once(_lowest_modes)
-        modal_damping = self.structure.damping_factor * modal_damping
-        static_rest = self.matrices[0].real - (pair_shapes.T / omega**2) @ pair_shapes
-        frequency = self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
-        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * modal_damping)
-        return static_rest + np.matmul(pair_shapes.T * receptance[:, None, :], pair_shapes)
+        natural_omegas, modal_damping_rates, pair_shapes = self.structure.compute_once(
+            _omegas_dampings_gap_shapes
+        )
+        modal_damping_rates = self.structure.damping_factor * modal_damping_rates
+        static_compliance_rest = (
+            self.matrices[0].real - (pair_shapes.T / natural_omegas**2) @ pair_shapes
+        )
+        harmonic_omegas = (
+            self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
+        )
+        modal_receptance = 1.0 / (
+            natural_omegas**2 - harmonic_omegas**2 + 1j * harmonic_omegas * modal_damping_rates
+        )
+        return static_compliance_rest + np.matmul(
+            pair_shapes.T * modal_receptance[:, None, :], pair_shapes
+        )
 
-    def displacement(self, force: np.ndarray) -> np.ndarray:
+    def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        return self.solve_blocks(self.load - self.structure.apply_b(force))
+        return self.solve_all_harmonics(self.load - self.structure.apply_b(contact_force))
 
-    def solve_blocks(self, force: np.ndarray) -> np.ndarray:
+    def solve_all_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
         """Return the displacement under forces f, both coefficients (2H+1, n_local)."""
-        rows = [
-            block.solve(row.real[None] if k == 0 else row[None])[0]
-            for k, (block, row) in enumerate(zip(self._blocks, to_complex(force), strict=True))
+        complex_displacements = [
+            dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]
+            for k, (dynamic_stiffness, complex_force) in enumerate(
+                zip(self._stiffness_by_harmonic, to_complex(dof_force_rows), strict=True)
+            )
         ]
-        return from_complex(np.array(rows, dtype=complex))
+        return from_complex(np.array(complex_displacements, dtype=complex))
 
     def destroy(self) -> None:
         """Free the factors (collective)."""
-        for block in self._blocks:
-            block.destroy()
+        for dynamic_stiffness in self._stiffness_by_harmonic:
+            dynamic_stiffness.destroy()
         collect_garbage(self.structure.comm)
 
 
@@ -470,21 +573,23 @@ def resized_compliance(compliance: Compliance, harmonics: int) -> Compliance:
     the number of harmonics.
     """
     new_compliance = copy(compliance)
-    matrices = compliance.matrices[: harmonics + 1]
-    if len(matrices) <= harmonics:
-        matrices = np.concatenate([matrices, compliance.compliance_above(harmonics)])
-    new_compliance.matrices = matrices
+    resized_matrices = compliance.matrices[: harmonics + 1]
+    if len(resized_matrices) <= harmonics:
+        resized_matrices = np.concatenate(
+            [resized_matrices, compliance.compliance_above(harmonics)]
+        )
+    new_compliance.matrices = resized_matrices
     new_compliance.linear_gap = resize_harmonics(compliance.linear_gap, harmonics)
-    new_compliance.shape = new_compliance.linear_gap.shape
+    new_compliance.gap_shape = new_compliance.linear_gap.shape
     return new_compliance
 
 
-def _gap_basis(structure: Structure) -> np.ndarray:
+def _reachable_gap_basis(structure: Structure) -> np.ndarray:
     """Return an orthonormal basis of the gaps B^T Phi that modes make: (n_pairs, n)."""
     return scipy.linalg.orth(all_modes(structure).pairs.T)
 
 
-def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return at least 20 modes with damping, without modes lost in rounding.
 
     Returns
@@ -495,16 +600,16 @@ def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndar
     shapes : (n, n_pairs)
         Gaps B^T phi of the mass-normalised modes.
     """
-    stored_modes, n_modes = damped_modes(structure), min(20, structure.n_dofs)
+    modes_of_damping, n_modes = damped_modes(structure), min(20, structure.n_dofs)
     modes = (
-        stored_modes
-        if stored_modes and len(stored_modes.omega) >= n_modes
+        modes_of_damping
+        if modes_of_damping and len(modes_of_damping.omega) >= n_modes
         else solve_modes(structure, n_modes)
     )
-    modal_damping = np.diag(projected_damping(structure, modes.shapes))
+    modal_damping_rates = np.diag(projected_damping(structure, modes.shapes))
     is_elastic = modes.omega > 0.0  # the lowest may be lost in rounding
     return (
         modes.omega[is_elastic],
-        modal_damping[is_elastic],
+        modal_damping_rates[is_elastic],
         structure.apply_bt(modes.shapes.T)[is_elastic],
     )

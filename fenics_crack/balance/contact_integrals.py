@@ -66,18 +66,20 @@ class ContactForces(ABC):
     force: np.ndarray
 
     @abstractmethod
-    def apply(self, change: np.ndarray) -> np.ndarray:
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
         """Return the forces' change T ds by a gap's change ds, both (2H+1, n_pairs)."""
 
     @abstractmethod
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
+    def identity_plus(
+        self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the dense Jacobian I + R T of s + R b(s), with T = db/ds.
 
         Parameters
         ----------
-        matrices : (H+1, n, n) complex [m/N]
+        compliance_matrices : (H+1, n, n) complex [m/N]
             R_k, compliance of the pairs at harmonic k.
-        basis : (n_pairs, n), optional
+        gap_basis : (n_pairs, n), optional
             Orthonormal basis U of gaps. The matrix is then I + R U^T T U, with R in this basis.
 
         Returns
@@ -90,7 +92,7 @@ class ContactForces(ABC):
     def by_softness(self) -> np.ndarray:
         """Return the derivative of the forces b by the softness: (2H+1, n_pairs) [N].
 
-        The softness is a compliance in series with all pairs, over the problem's unit of it.
+        The softness is a compliance in series with all pairs, relative to the mean compliance.
         """
 
     @abstractmethod
@@ -108,22 +110,22 @@ class ContactIntegrals(ABC):
         Law for all pairs.
     harmonics : int
         H, the highest harmonic.
-    residual : (n_pairs, n_pairs) [m/N] or None
+    residual_compliance : (n_pairs, n_pairs) [m/N] or None
         R_inf, the compliance in series with contact: s = g + R_inf lambda; None: s = g.
-    softness : float
-        Further compliance in series with every pair, in units of ``unit``.
+    relative_softness : float
+        Further compliance in series with every pair, in units of ``mean_pair_compliance``.
     """
 
     law: ContactLaw
     harmonics: int
-    residual: np.ndarray | None = field(default=None, kw_only=True)
-    softness: float = field(default=0.0, kw_only=True)
+    residual_compliance: np.ndarray | None = field(default=None, kw_only=True)
+    relative_softness: float = field(default=0.0, kw_only=True)
 
     has_coupled_pairs: ClassVar[bool] = False
     """True if the force on a pair depends on the gaps of others."""
 
     @property
-    def exact(self) -> bool:
+    def is_exact(self) -> bool:
         """True if the integrals are exact, without samples in time."""
         return False
 
@@ -143,52 +145,56 @@ class ContactIntegrals(ABC):
         """
         return (
             self.spring_compliance
-            if self.residual is None
-            else np.diag(self.residual) + self.spring_compliance
+            if self.residual_compliance is None
+            else np.diag(self.residual_compliance) + self.spring_compliance
         )
 
     @cached_property
-    def unit(self) -> float:
+    def mean_pair_compliance(self) -> float:
         """Return the pairs' mean compliance, the mean diagonal of R_inf + I/k [m/N]."""
         return float(np.mean(self.compliance_diagonal))
 
     @abstractmethod
-    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
+    def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         """Return the contact forces for slow gaps at n instants, both (n, n_pairs) [m], [N]."""
 
     @abstractmethod
-    def linearise(self, gap: np.ndarray) -> ContactForces:
+    def linearise(self, gap_coefficients: np.ndarray) -> ContactForces:
         """Return the forces' coefficients and derivatives for a gap (2H+1, n_pairs) [m]."""
 
-    def force(self, gap: np.ndarray) -> np.ndarray:
+    def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
         """Return the forces' coefficients for a gap (2H+1, n_pairs) [m]: same shape [N]."""
-        return self.linearise(gap).force
+        return self.linearise(gap_coefficients).force
 
     def with_harmonics(self, harmonics: int) -> Self:
         """Return integrals with another number of harmonics, and enough samples for them."""
         return replace(self, harmonics=harmonics)
 
-    def refine(self) -> ContactIntegrals | None:
+    def exact_or_finer(self) -> ContactIntegrals | None:
         """Return exact integrals, or integrals with more samples; None if exact already."""
         return None
 
-    def with_softness(self, softness: float) -> Self:
+    def with_softness(self, relative_softness: float) -> Self:
         """Return integrals with another compliance in series with every pair."""
-        return self if softness == self.softness else replace(self, softness=softness)
+        return (
+            self
+            if relative_softness == self.relative_softness
+            else replace(self, relative_softness=relative_softness)
+        )
 
 
 def contact_integrals(
-    law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
+    law: ContactLaw, harmonics: int, samples: int | None = None, n_load_periods: int = 1
 ) -> PairIntegrals:
     """Return integrals for uncoupled pairs.
 
     The integrals are exact if the law is piecewise linear and no samples are requested. Otherwise
     ``samples`` is the number of instants in the period; default: :func:`default_samples` for each
-    of the load's ``periods`` in it.
+    of the load's ``n_load_periods`` in it.
     """
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
-    return SampledIntegrals(law, harmonics, samples or periods * default_samples(harmonics))
+    return SampledIntegrals(law, harmonics, samples or n_load_periods * default_samples(harmonics))
 
 
 def default_samples(harmonics: int) -> int:
@@ -210,30 +216,31 @@ class SampledIntegrals(ContactIntegrals):
     samples: int
     """N, number of instants in the period."""
 
-    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
-        return self.law.force(gap)
+    def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
+        return self.law.force(gap_samples)
 
-    def linearise(self, gap: np.ndarray) -> PairForces:
-        gap_samples, law = sample_period(gap, self.samples), self.law
-        if self.softness:
-            law = law.scaled(1.0 / (1.0 + self.softness))
+    def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
+        gap_samples, law = sample_period(gap_coefficients, self.samples), self.law
+        if self.relative_softness:
+            law = law.scaled(1.0 / (1.0 + self.relative_softness))
         # Means of exp(i m theta), m < 2 H + 1; with few instants high orders alias to low ones.
-        order = np.arange(2 * self.harmonics + 1) % self.samples
-        slope_means = np.fft.fft(law.tangent(gap_samples), axis=0)[order] / self.samples
-        tangents = [
-            tangent_from_means(means[:, None, None])[:, 0] for means in from_complex(slope_means).T
+        fft_indices = np.arange(2 * self.harmonics + 1) % self.samples
+        slope_means = np.fft.fft(law.tangent(gap_samples), axis=0)[fft_indices] / self.samples
+        pair_tangents = [
+            tangent_from_means(pair_slope_means[:, None, None])[:, 0]
+            for pair_slope_means in from_complex(slope_means).T
         ]
         force = fourier_coefficients(law.force(gap_samples), self.harmonics)
-        return PairForces(force, np.array(tangents), -force / (1.0 + self.softness))
+        return PairForces(force, np.array(pair_tangents), -force / (1.0 + self.relative_softness))
 
-    def refine(self) -> ContactIntegrals:
+    def exact_or_finer(self) -> ContactIntegrals:
         if is_piecewise_linear(self.law):
             return ExactIntegrals(self.law, self.harmonics)
         return replace(self, samples=max(4 * self.samples, default_samples(self.harmonics)))
 
     def with_harmonics(self, harmonics: int) -> Self:
-        samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
-        return replace(self, harmonics=harmonics, samples=samples)
+        n_samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
+        return replace(self, harmonics=harmonics, samples=n_samples)
 
 
 @dataclass(frozen=True)
@@ -249,30 +256,32 @@ class ExactIntegrals(ContactIntegrals):
     """
 
     @property
-    def exact(self) -> bool:
+    def is_exact(self) -> bool:
         return True
 
     @property
     def closed_stiffness(self) -> np.ndarray:
         """Return the slope d lambda / ds of a closed pair's force: (n_pairs,), or one [N/m]."""
-        return np.asarray(1.0 / (self.compliance_diagonal + self.softness * self.unit))
+        return np.asarray(
+            1.0 / (self.compliance_diagonal + self.relative_softness * self.mean_pair_compliance)
+        )
 
-    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
-        return np.asarray(self.closed_stiffness * np.maximum(gap, 0.0))
+    def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
+        return np.asarray(self.closed_stiffness * np.maximum(gap_samples, 0.0))
 
-    def linearise(self, gap: np.ndarray) -> PairForces:
-        n_rows, n_pairs = gap.shape
-        gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
+    def linearise(self, gap_coefficients: np.ndarray) -> PairForces:
+        n_rows, n_pairs = gap_coefficients.shape
+        gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
         stiffness = np.full(n_pairs, self.closed_stiffness)
         force, tangent = np.empty((n_rows, n_pairs)), np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
-            self.harmonics, n_pairs, pointer(gap), pointer(stiffness),
-            pointer(grid_waves(self.harmonics)), pointer(np.empty(2 * n_pairs * n_rows)),
+            self.harmonics, n_pairs, pointer(gap_coefficients), pointer(stiffness),
+            pointer(quarter_period_waves(self.harmonics)), pointer(np.empty(2 * n_pairs * n_rows)),
             pointer(force), pointer(tangent),
         )  # fmt: skip
         if is_out_of_memory:
             raise MemoryError("contact integrals")
-        return PairForces(force, tangent, -self.unit * stiffness * force)
+        return PairForces(force, tangent, -self.mean_pair_compliance * stiffness * force)
 
 
 PairIntegrals = ExactIntegrals | SampledIntegrals
@@ -287,17 +296,21 @@ class PairForces(ContactForces):
         Derivative of a pair's force by its gap.
     """
 
-    def __init__(self, force: np.ndarray, tangent: np.ndarray, by_softness: np.ndarray) -> None:
-        self.force, self.tangent, self._by_softness = force, tangent, by_softness
+    def __init__(
+        self, force: np.ndarray, tangent: np.ndarray, softness_derivative: np.ndarray
+    ) -> None:
+        self.force, self.tangent, self._softness_derivative = force, tangent, softness_derivative
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        return np.matmul(self.tangent, change.T[:, :, None])[:, :, 0].T
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        return np.matmul(self.tangent, gap_change.T[:, :, None])[:, :, 0].T
 
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        assert basis is None
-        jacobian = respond_to_columns(matrices, self.tangent)
-        jacobian.flat[:: len(jacobian) + 1] += 1.0
-        return jacobian
+    def identity_plus(
+        self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
+    ) -> np.ndarray:
+        assert gap_basis is None
+        jacobian_matrix = respond_to_columns(compliance_matrices, self.tangent)
+        jacobian_matrix.flat[:: len(jacobian_matrix) + 1] += 1.0
+        return jacobian_matrix
 
     def by_log_stiffness(self) -> np.ndarray:
         """Return the forces' derivative by ln k.
@@ -307,25 +320,29 @@ class PairForces(ContactForces):
         return self.force
 
     def by_softness(self) -> np.ndarray:
-        return self._by_softness
+        return self._softness_derivative
 
 
-def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
+def respond(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """Multiply contact forces (2H+1, n_pairs) [N] by the compliance R_k of each harmonic.
 
-    ``matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
+    ``compliance_matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
     """
     n_rows, n_pairs = force.shape
-    matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
+    compliance_matrices = require_shape(
+        compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
+    )
     force, response = (
         require_shape(force, 2 * (n_rows // 2) + 1, n_pairs),
         np.empty((n_rows, n_pairs)),
     )
-    kernel.respond(n_rows // 2, n_pairs, pointer(matrices), pointer(force), pointer(response))
+    kernel.respond(
+        n_rows // 2, n_pairs, pointer(compliance_matrices), pointer(force), pointer(response)
+    )
     return response
 
 
-def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+def respond_to_columns(compliance_matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """Return the compliance times the forces' derivative, R T, as a dense matrix.
 
     On coefficients (a, b) of a force a - i b, R_k is the real matrix [[Re R_k, Im R_k], [-Im R_k,
@@ -333,7 +350,7 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    matrices : (H+1, n_pairs, n_pairs) complex
+    compliance_matrices : (H+1, n_pairs, n_pairs) complex
         Compliance R_k at harmonic k.
     tangent : (n_pairs, 2H+1, n)
         T of each pair: derivative of a force's coefficients by n unknowns.
@@ -344,31 +361,33 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
         Rows are ordered (coefficient, pair), columns (unknown, pair).
     """
     n_pairs, n_rows, n_columns = tangent.shape
-    matrices = require_shape(matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex)
+    compliance_matrices = require_shape(
+        compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
+    )
     tangent = require_shape(tangent, n_pairs, 2 * (n_rows // 2) + 1, n_columns)
     product = np.empty((n_rows * n_pairs, n_columns * n_pairs))
-    arrays = map(pointer, (matrices, tangent, product))
-    kernel.respond_to_columns(n_rows // 2, n_pairs, n_columns, *arrays)
+    array_pointers = map(pointer, (compliance_matrices, tangent, product))
+    kernel.respond_to_columns(n_rows // 2, n_pairs, n_columns, *array_pointers)
     return product
 
 
 @lru_cache(maxsize=64)
-def grid_waves(harmonics: int) -> np.ndarray:
+def quarter_period_waves(harmonics: int) -> np.ndarray:
     """Return cos k theta and sin k theta on a quarter period.
 
     The kernel searches for sign changes of gaps on this grid: (H, 2, n_instants), k = 1 to H.
     """
-    waves = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
-    kernel.switching_waves(harmonics, pointer(waves))
-    return waves
+    cosines_and_sines = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
+    kernel.switching_waves(harmonics, pointer(cosines_and_sines))
+    return cosines_and_sines
 
 
-def tangent_from_means(means: np.ndarray) -> np.ndarray:
+def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
     """Return the derivative of forces by gaps from means of the contact stiffness.
 
     Parameters
     ----------
-    means : (4H+1, n, n)
+    stiffness_means : (4H+1, n, n)
         Means over the period of the stiffness of n pairs: c_0, c_1, s_1, ..., with factors
         cos(m theta) and sin(m theta).
 
@@ -378,12 +397,17 @@ def tangent_from_means(means: np.ndarray) -> np.ndarray:
         For each coefficient of a pair's force: by the gaps' coefficients, ordered (coefficient,
         pair).
     """
-    harmonics, n_pairs = len(means) // 4, means.shape[1]
-    means, n_rows = require_shape(means, 4 * harmonics + 1, n_pairs, n_pairs), 2 * harmonics + 1
+    harmonics, n_pairs = len(stiffness_means) // 4, stiffness_means.shape[1]
+    stiffness_means, n_rows = (
+        require_shape(stiffness_means, 4 * harmonics + 1, n_pairs, n_pairs),
+        2 * harmonics + 1,
+    )
     tangent = np.empty((n_rows, n_pairs, n_rows * n_pairs))
     for k in range(harmonics + 1):
-        row = max(0, 2 * k - 1)
-        kernel.tangent_of_harmonic(harmonics, n_pairs, k, pointer(means), pointer(tangent[row:]))
+        first_row_index = max(0, 2 * k - 1)
+        kernel.tangent_of_harmonic(
+            harmonics, n_pairs, k, pointer(stiffness_means), pointer(tangent[first_row_index:])
+        )
     return tangent
 
 
@@ -398,24 +422,26 @@ class CoupledIntegrals(ContactIntegrals):
     ----------
     samples : int or None
         Instants per period; None: exact integrals.
-    shared_sets : ActiveSetSolver or None
-        Active sets of other integrals with the same law and R_inf, with their inverses.
+    shared_set_solver : ActiveSetSolver or None
+        Solver of other integrals with the same law and R_inf, with the inverses of its sets.
     """
 
     samples: int | None = None
-    shared_sets: ActiveSetSolver | None = field(default=None, repr=False, compare=False)
+    shared_set_solver: ActiveSetSolver | None = field(default=None, repr=False, compare=False)
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
-    def active_sets(self) -> ActiveSetSolver:
-        """Return the sets of closed pairs for R_inf + I/k and the softness."""
-        if self.shared_sets is not None:
-            return self.shared_sets
-        assert self.residual is not None
-        softness = self.softness * self.unit + (
+    def active_set_solver(self) -> ActiveSetSolver:
+        """Return the solver by sets of closed pairs, for R_inf + I/k and the softness."""
+        if self.shared_set_solver is not None:
+            return self.shared_set_solver
+        assert self.residual_compliance is not None
+        series_compliance = self.relative_softness * self.mean_pair_compliance + (
             self.spring_compliance if self.is_piecewise else 0.0
         )
-        return ActiveSetSolver(self.residual + softness * np.eye(len(self.residual)))
+        return ActiveSetSolver(
+            self.residual_compliance + series_compliance * np.eye(len(self.residual_compliance))
+        )
 
     @property
     def is_piecewise(self) -> bool:
@@ -423,34 +449,40 @@ class CoupledIntegrals(ContactIntegrals):
         return is_unilateral(self.law)
 
     @property
-    def exact(self) -> bool:
+    def is_exact(self) -> bool:
         """True if the integrals are exact."""
         return self.is_piecewise and self.samples is None
 
     def with_harmonics(self, harmonics: int) -> Self:
-        samples = self.samples and max(self.samples, default_samples(harmonics))
-        return replace(self, harmonics=harmonics, samples=samples, shared_sets=self.active_sets)
+        n_samples = self.samples and max(self.samples, default_samples(harmonics))
+        return replace(
+            self, harmonics=harmonics, samples=n_samples, shared_set_solver=self.active_set_solver
+        )
 
-    def refine(self) -> Self | None:
-        if self.exact:
+    def exact_or_finer(self) -> Self | None:
+        if self.is_exact:
             return None
-        samples = 4 * (self.samples or default_samples(self.harmonics))
-        return replace(self, samples=None if self.is_piecewise else samples)
+        n_samples = 4 * (self.samples or default_samples(self.harmonics))
+        return replace(self, samples=None if self.is_piecewise else n_samples)
 
-    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
+    def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         if self.is_piecewise:
-            return self.active_sets.solve(gap)[0]
-        return smooth_forces_and_slopes(self.law, self.active_sets.compliance, gap)[0]
+            return self.active_set_solver.solve(gap_samples)[0]
+        return smooth_forces_and_slopes(self.law, self.active_set_solver.compliance, gap_samples)[0]
 
-    def linearise(self, gap: np.ndarray) -> CoupledForces:
-        return _ExactForces(self, gap) if self.exact else _SampledForces(self, gap)
+    def linearise(self, gap_coefficients: np.ndarray) -> CoupledForces:
+        return (
+            _ExactForces(self, gap_coefficients)
+            if self.is_exact
+            else _SampledForces(self, gap_coefficients)
+        )
 
 
 class CoupledForces(ContactForces):
     """Coefficients of contact forces that follow from the gaps of all pairs."""
 
     @abstractmethod
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         """Return the derivative T of forces by gaps.
 
         With a basis U (n_pairs, n) of gaps, return U^T T U.
@@ -461,17 +493,23 @@ class CoupledForces(ContactForces):
             For each coefficient of a pair's force: by the gaps', ordered (coefficient, pair).
         """
 
-    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
-        tangent = self.tangent(basis)
-        cosine_rows, sine_rows = tangent[1::2], tangent[2::2]
-        real_part, imaginary_part = matrices[1:].real, matrices[1:].imag
-        jacobian = np.empty_like(tangent)
-        jacobian[0] = matrices[0].real @ tangent[0]
-        jacobian[1::2] = np.matmul(real_part, cosine_rows) + np.matmul(imaginary_part, sine_rows)
-        jacobian[2::2] = np.matmul(real_part, sine_rows) - np.matmul(imaginary_part, cosine_rows)
-        matrix = jacobian.reshape(tangent.shape[2], -1)
-        matrix.flat[:: len(matrix) + 1] += 1.0
-        return matrix
+    def identity_plus(
+        self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
+    ) -> np.ndarray:
+        tangent = self.tangent(gap_basis)
+        cosine_tangent_rows, sine_tangent_rows = tangent[1::2], tangent[2::2]
+        real_part, imaginary_part = compliance_matrices[1:].real, compliance_matrices[1:].imag
+        compliance_times_tangent = np.empty_like(tangent)
+        compliance_times_tangent[0] = compliance_matrices[0].real @ tangent[0]
+        compliance_times_tangent[1::2] = np.matmul(real_part, cosine_tangent_rows) + np.matmul(
+            imaginary_part, sine_tangent_rows
+        )
+        compliance_times_tangent[2::2] = np.matmul(real_part, sine_tangent_rows) - np.matmul(
+            imaginary_part, cosine_tangent_rows
+        )
+        jacobian_matrix = compliance_times_tangent.reshape(tangent.shape[2], -1)
+        jacobian_matrix.flat[:: len(jacobian_matrix) + 1] += 1.0
+        return jacobian_matrix
 
 
 class _KernelEvaluator:
@@ -481,8 +519,8 @@ class _KernelEvaluator:
     """
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:
-        new_object = kernel.new_coupled_forces(harmonics, n_pairs)
-        self.handle = attach_destructor(new_object, kernel.free_coupled_forces)
+        object_pointer = kernel.new_coupled_forces(harmonics, n_pairs)
+        self.handle = attach_destructor(object_pointer, kernel.free_coupled_forces)
         self.evaluated_forces: CoupledForces | None = None
 
 
@@ -492,24 +530,26 @@ _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
 class _ExactForces(CoupledForces):
     """Exact forces by the kernel, whose C object may serve several gaps in turn."""
 
-    def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
+    def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
-        n_pairs = len(integrals.active_sets.compliance)
-        self._gap = require_shape(gap, 2 * self.harmonics + 1, n_pairs)
-        self.force = np.empty_like(self._gap)
-        self._evaluate_in_kernel()
+        n_pairs = len(integrals.active_set_solver.compliance)
+        self._gap_coefficients = require_shape(gap_coefficients, 2 * self.harmonics + 1, n_pairs)
+        self.force = np.empty_like(self._gap_coefficients)
+        self._evaluated_kernel_handle()
 
-    def _evaluate_in_kernel(self) -> Any:
+    def _evaluated_kernel_handle(self) -> Any:
         """Return the C object, evaluated at the gap of these forces.
 
         Raises ConvergenceError if an instant has no forces.
         """
-        kernel_evaluator = _kernel_evaluator_for(self.harmonics, self._gap.shape[1])
-        active_sets = self._integrals.active_sets
+        kernel_evaluator = _kernel_evaluator_for(self.harmonics, self._gap_coefficients.shape[1])
+        active_set_solver = self._integrals.active_set_solver
         if kernel_evaluator.evaluated_forces is not self:
             kernel_evaluator.evaluated_forces = None
-            arrays = map(pointer, (active_sets.compliance, self._gap, self.force))
-            outcome = kernel.find_forces(kernel_evaluator.handle, *arrays)
+            array_pointers = map(
+                pointer, (active_set_solver.compliance, self._gap_coefficients, self.force)
+            )
+            outcome = kernel.find_forces(kernel_evaluator.handle, *array_pointers)
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
             if outcome != kernel.FOUND:
@@ -517,37 +557,51 @@ class _ExactForces(CoupledForces):
             kernel_evaluator.evaluated_forces = self
         return kernel_evaluator.handle
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        change, force_change = require_shape(change, *self._gap.shape), np.empty(self._gap.shape)
-        kernel.forces_by_gap(self._evaluate_in_kernel(), pointer(change), pointer(force_change))
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        gap_change, force_change = (
+            require_shape(gap_change, *self._gap_coefficients.shape),
+            np.empty(self._gap_coefficients.shape),
+        )
+        kernel.forces_by_gap(
+            self._evaluated_kernel_handle(), pointer(gap_change), pointer(force_change)
+        )
         return force_change
 
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        n_pairs = self._gap.shape[1]
-        n_columns = n_pairs if basis is None else basis.shape[1]
-        means = np.empty((4 * self.harmonics + 1, n_columns, n_columns))
-        basis_pointer = NULL if basis is None else pointer(require_shape(basis, n_pairs, n_columns))
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
+        n_pairs = self._gap_coefficients.shape[1]
+        n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
+        stiffness_means = np.empty((4 * self.harmonics + 1, n_columns, n_columns))
+        basis_pointer = (
+            NULL if gap_basis is None else pointer(require_shape(gap_basis, n_pairs, n_columns))
+        )
         if kernel.means_of_stiffness(
-            self._evaluate_in_kernel(), basis_pointer, n_columns, pointer(means)
+            self._evaluated_kernel_handle(), basis_pointer, n_columns, pointer(stiffness_means)
         ):
             raise MemoryError("contact forces")
-        return tangent_from_means(means)
+        return tangent_from_means(stiffness_means)
 
-    def _by_diagonal_compliance(self, rate: np.ndarray) -> np.ndarray:
+    def _by_diagonal_compliance(self, diagonal_rate: np.ndarray) -> np.ndarray:
         """Return the forces' derivative (2H+1, n_pairs) by the series compliance.
 
-        The diagonal of D = R_inf + I/k plus the softness grows at a rate (n_pairs,).
+        The diagonal of D = R_inf + I/k plus the softness grows at ``diagonal_rate`` (n_pairs,).
         """
-        derivative, rate = np.empty(self._gap.shape), require_shape(rate, self._gap.shape[1])
-        kernel.forces_by_compliance(self._evaluate_in_kernel(), pointer(rate), pointer(derivative))
+        derivative, diagonal_rate = (
+            np.empty(self._gap_coefficients.shape),
+            require_shape(diagonal_rate, self._gap_coefficients.shape[1]),
+        )
+        kernel.forces_by_compliance(
+            self._evaluated_kernel_handle(), pointer(diagonal_rate), pointer(derivative)
+        )
         return derivative
 
     def by_softness(self) -> np.ndarray:
-        return self._by_diagonal_compliance(np.full(self._gap.shape[1], self._integrals.unit))
+        return self._by_diagonal_compliance(
+            np.full(self._gap_coefficients.shape[1], self._integrals.mean_pair_compliance)
+        )
 
     def by_log_stiffness(self) -> np.ndarray:
         return self._by_diagonal_compliance(
-            np.broadcast_to(-self._integrals.spring_compliance, self._gap.shape[1])
+            np.broadcast_to(-self._integrals.spring_compliance, self._gap_coefficients.shape[1])
         )
 
 
@@ -560,49 +614,65 @@ class _SampledForces(CoupledForces):
     inverse of D on the closed pairs.
     """
 
-    def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
+    def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
-        active_sets = integrals.active_sets
-        gap_samples = sample_period(gap, integrals.samples or default_samples(integrals.harmonics))
+        active_set_solver = integrals.active_set_solver
+        gap_samples = sample_period(
+            gap_coefficients, integrals.samples or default_samples(integrals.harmonics)
+        )
         if integrals.is_piecewise:
-            self._force_samples, closed_sets = active_sets.solve(gap_samples)
-            self._slope_samples = active_sets.invert_sets(closed_sets)
+            self._force_samples, is_closed = active_set_solver.solve(gap_samples)
+            self._stiffness_matrix_samples = active_set_solver.invert_sets(is_closed)
         else:
-            self._force_samples, self._slope_samples = smooth_forces_and_slopes(
-                integrals.law, active_sets.compliance, gap_samples
+            self._force_samples, self._stiffness_matrix_samples = smooth_forces_and_slopes(
+                integrals.law, active_set_solver.compliance, gap_samples
             )
-        self._slope_coefficients = fourier_coefficients(self._slope_samples, 2 * self.harmonics)
-        self._band_limited_slope = sample_period(
-            self._slope_coefficients, count_instants(self.harmonics)
+        self._stiffness_matrix_coefficients = fourier_coefficients(
+            self._stiffness_matrix_samples, 2 * self.harmonics
+        )
+        self._band_limited_stiffness_samples = sample_period(
+            self._stiffness_matrix_coefficients, count_instants(self.harmonics)
         )
         self.force = fourier_coefficients(self._force_samples, self.harmonics)
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        gap_changes = sample_period(change, len(self._band_limited_slope))
-        force_changes = np.empty_like(gap_changes)
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        gap_change_samples = sample_period(gap_change, len(self._band_limited_stiffness_samples))
+        force_change_samples = np.empty_like(gap_change_samples)
         kernel.multiply_each(
-            *gap_changes.shape,
-            *map(pointer, (self._band_limited_slope, gap_changes, force_changes)),
+            *gap_change_samples.shape,
+            *map(
+                pointer,
+                (self._band_limited_stiffness_samples, gap_change_samples, force_change_samples),
+            ),
         )
-        return fourier_coefficients(force_changes, self.harmonics)
+        return fourier_coefficients(force_change_samples, self.harmonics)
 
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        means = np.concatenate([self._slope_coefficients[:1], 0.5 * self._slope_coefficients[1:]])
-        return tangent_from_means(means if basis is None else basis.T @ means @ basis)
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
+        stiffness_means = np.concatenate(
+            [self._stiffness_matrix_coefficients[:1], 0.5 * self._stiffness_matrix_coefficients[1:]]
+        )
+        return tangent_from_means(
+            stiffness_means if gap_basis is None else gap_basis.T @ stiffness_means @ gap_basis
+        )
 
-    def _force_change(self, change: np.ndarray) -> np.ndarray:
+    def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
         """Return the forces' change (2H+1, n_pairs) for gaps' changes (samples, n_pairs)."""
         return fourier_coefficients(
-            np.einsum("npq,nq->np", self._slope_samples, change), self.harmonics
+            np.einsum("npq,nq->np", self._stiffness_matrix_samples, gap_change_samples),
+            self.harmonics,
         )
 
     def by_softness(self) -> np.ndarray:
-        return self._force_change(-self._integrals.unit * self._force_samples)
+        return self._force_coefficient_change(
+            -self._integrals.mean_pair_compliance * self._force_samples
+        )
 
     def by_log_stiffness(self) -> np.ndarray:
         if self._integrals.is_piecewise:
-            return self._force_change(self._force_samples * self._integrals.spring_compliance)
+            return self._force_coefficient_change(
+                self._force_samples * self._integrals.spring_compliance
+            )
         # d lambda = (I + h' D)^-1 lambda = lambda - S D lambda.
-        return self.force - self._force_change(
-            self._force_samples @ self._integrals.active_sets.compliance
+        return self.force - self._force_coefficient_change(
+            self._force_samples @ self._integrals.active_set_solver.compliance
         )

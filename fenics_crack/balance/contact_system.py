@@ -76,31 +76,31 @@ from fenics_crack.numerics.fourier import (
 )
 from fenics_crack.numerics.newton import gmres
 
-MATRIX_FREE = 350
+MAX_UNKNOWNS_WITH_JACOBIAN = 350
 """Unknowns per step above which the Jacobian of coupled pairs is not formed.
 
 Measured with H = 8 to 40 and 18 pairs: both ways take equally long at 300 to 350 unknowns.
 """
 
-MAX_COMPLIANCE_RATIO = 0.05
+DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
 """Ratio of the dynamic compliance to the pairs' own, at the softest contact.
 
 Below this ratio the solution is unique and close to the linear one.
 """
 
-ByParameter = Callable[["ContactPoint"], np.ndarray]
+ParameterDerivative = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
-def default_weight(compliance: Compliance) -> float:
+def default_projection_weight(compliance: Compliance) -> float:
     """Return the default weight eps of a projected constraint [N/m].
 
     It is the inverse of the largest row sum of the static compliance |R_0|.
     """
-    max_compliance = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
-    if not max_compliance > 0.0:
+    max_row_sum = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not max_row_sum > 0.0:
         raise InputError("structure", "static compliance 0", "one whose pairs can move")
-    return 1.0 / max_compliance
+    return 1.0 / max_row_sum
 
 
 class ContactSystem:
@@ -110,74 +110,95 @@ class ContactSystem:
     forces, R_k the dynamic and R_inf the static compliance, b the forces' coefficients.
 
     The parameter p leads from soft contact to the law itself, at p = 1. The compliance in series
-    with every pair is ``softness`` |1 - p|^3, in units of ``integrals.unit``.
+    with every pair is ``start_softness`` |1 - p|^3, in units of ``integrals.mean_pair_compliance``.
     """
 
     def __init__(
-        self, compliance: Compliance, integrals: ContactIntegrals, softness: float = 0.0
+        self, compliance: Compliance, integrals: ContactIntegrals, start_softness: float = 0.0
     ) -> None:
-        self.compliance, self.integrals, self._softness = compliance, integrals, softness
-        self.shape = compliance.shape
+        self.compliance, self.integrals, self._start_softness = (
+            compliance,
+            integrals,
+            start_softness,
+        )
+        self.shape = compliance.gap_shape
         self.size = int(np.prod(self.shape))
-        self.residual = integrals.residual
+        self.residual_compliance = integrals.residual_compliance
         """R_inf [m/N]; None: zero."""
         n_rows, n_pairs = self.shape
-        self.gap_basis = compliance.gap_basis if integrals.has_coupled_pairs else None
+        self.reachable_gap_basis = (
+            compliance.reachable_gap_basis if integrals.has_coupled_pairs else None
+        )
         """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
-        n_step_unknowns = n_rows * (n_pairs if self.gap_basis is None else self.gap_basis.shape[1])
-        self.matrix_free = integrals.has_coupled_pairs and n_step_unknowns > MATRIX_FREE
-        self.n_cost_unknowns = min(n_step_unknowns, MATRIX_FREE)
+        n_step_unknowns = n_rows * (
+            n_pairs if self.reachable_gap_basis is None else self.reachable_gap_basis.shape[1]
+        )
+        self.matrix_free = (
+            integrals.has_coupled_pairs and n_step_unknowns > MAX_UNKNOWNS_WITH_JACOBIAN
+        )
+        self.n_cost_unknowns = min(n_step_unknowns, MAX_UNKNOWNS_WITH_JACOBIAN)
         """Unknowns by which the time of a step grows."""
 
     @cached_property
-    def linear(self) -> np.ndarray:
+    def linear_gap(self) -> np.ndarray:
         """Return g_lin, the gap without contact forces: (2H+1, n_pairs) [m]."""
         return self.compliance.linear_gap
 
     @cached_property
     def dynamic_part(self) -> np.ndarray:
         """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
-        matrices = self.compliance.matrices
-        return matrices if self.residual is None else matrices - self.residual
+        compliance_matrices = self.compliance.matrices
+        return (
+            compliance_matrices
+            if self.residual_compliance is None
+            else compliance_matrices - self.residual_compliance
+        )
 
     @cached_property
     def compiled_equations(self) -> CompiledEquations | None:
         """Return the equations in the kernel, or None without exact integrals."""
-        if not self.integrals.exact:
+        if not self.integrals.is_exact:
             return None
-        softness = self._softness * self.integrals.unit
-        return self.compile(self.linear, self.dynamic_part, softness=softness)
+        series_compliance = self._start_softness * self.integrals.mean_pair_compliance
+        return self.compile(
+            self.linear_gap, self.dynamic_part, start_series_compliance=series_compliance
+        )
 
     def compile(
-        self, linear: np.ndarray, compliance: np.ndarray | Mapping[str, Any], **path_rates: Any
+        self,
+        linear_gap: np.ndarray,
+        compliance_or_modes: np.ndarray | Mapping[str, Any],
+        **path_rates: Any,
     ) -> CompiledEquations:
         """Return the kernel's equations for these pairs.
 
         Parameters
         ----------
-        linear : (2H+1, n_pairs) [m]
-            g_lin, without the modes' part if ``compliance`` has modes.
-        compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
-            R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_part`).
+        linear_gap : (2H+1, n_pairs) [m]
+            g_lin, without the modes' part if modes are given.
+        compliance_or_modes : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
+            R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_fields_for_kernel`).
         **path_rates
-            Changes along p: ``linear_rate``, ``growth``, ``softness`` of
-            :class:`CompiledEquations`.
+            Changes along p: ``linear_gap_rate``, ``log_stiffness_rate``,
+            ``start_series_compliance`` of :class:`CompiledEquations`.
         """
         return CompiledEquations(
-            self.residual, self._springs(self.integrals.law), linear, compliance,
-            has_coupled_pairs=self.integrals.has_coupled_pairs, gap_basis=self.gap_basis,
+            self.residual_compliance, self._gap_spring_compliances(self.integrals.law),
+            linear_gap, compliance_or_modes,
+            has_coupled_pairs=self.integrals.has_coupled_pairs,
+            reachable_gap_basis=self.reachable_gap_basis,
             forms_jacobian=not self.matrix_free, **path_rates,
         )  # fmt: skip
 
-    def _springs(self, law: ContactLaw) -> np.ndarray:
+    def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
         """Return the compliance 1/k of each gap's contact spring: (n_rows,) [m/N]."""
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
     def dynamic_part_in_basis(self) -> np.ndarray:
         """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
-        assert self.gap_basis is not None
-        return self.gap_basis.T @ self.dynamic_part @ self.gap_basis
+        assert self.reachable_gap_basis is not None
+        return self.reachable_gap_basis.T @ self.dynamic_part @ self.reachable_gap_basis
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
         """Return the slow gap s = g + R_inf lambda with the system's harmonics.
@@ -194,58 +215,71 @@ class ContactSystem:
         (2H+1, n_rows) [m]
         """
         gap, force = (
-            resize_harmonics(stretch_period(coefficients, n_periods), self.integrals.harmonics)
-            for coefficients in (gap, force)
+            resize_harmonics(stretch_period(gap_or_force, n_periods), self.integrals.harmonics)
+            for gap_or_force in (gap, force)
         )
-        return gap if self.residual is None else gap + force @ self.residual
+        return gap if self.residual_compliance is None else gap + force @ self.residual_compliance
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Return the gap s - R_inf lambda from slow gap and force (n, n_rows).
 
         Rows are Fourier coefficients, or instants.
         """
-        return unknown if self.residual is None else unknown - force @ self.residual
+        return (
+            unknown
+            if self.residual_compliance is None
+            else unknown - force @ self.residual_compliance
+        )
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return residual F and Jacobian at a slow gap s (2H+1, n_rows) [m].
 
         ``parameter`` 1 is the law itself, 0 very soft contact.
         """
-        distance = 1.0 - parameter
-        compliance_rate = -3.0 * self._softness * distance * abs(distance)
+        distance_to_law = 1.0 - parameter
+        softness_rate = -3.0 * self._start_softness * distance_to_law * abs(distance_to_law)
         return ContactPoint(
-            self, unknown, self.integrals.with_softness(self._softness * abs(distance) ** 3),
-            lambda point: respond(self.dynamic_part, compliance_rate * point.forces.by_softness()),
-        )  # fmt: skip
+            self,
+            unknown,
+            self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
+            lambda point: respond(
+                self.dynamic_part, softness_rate * point.linearised_forces.by_softness()
+            ),
+        )
 
-    def with_derivative(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
+    def with_derivative(
+        self, unknown: np.ndarray, parameter_derivative: ParameterDerivative
+    ) -> ContactPoint:
         """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
 
         ``unknown`` has the coefficients of the slow gap s, the gap less its quasi-static part."""
-        return ContactPoint(self, unknown, self.integrals, by_parameter)
+        return ContactPoint(self, unknown, self.integrals, parameter_derivative)
 
-    def steepest_force(self, law: ContactLaw) -> float:
+    def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest stiffness d lambda / ds for a law [N/m].
 
         It is the inverse of the smallest eigenvalue of R_inf + I/k.
         """
-        springs = self._springs(law)
-        min_compliance = float(springs.min())
-        if self.residual is not None:
-            min_compliance = max(
-                min_compliance, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0])
+        spring_compliance = self._gap_spring_compliances(law)
+        min_series_compliance = float(spring_compliance.min())
+        if self.residual_compliance is not None:
+            min_series_compliance = max(
+                min_series_compliance,
+                float(np.linalg.eigvalsh(self.residual_compliance + np.diag(spring_compliance))[0]),
             )
-        return 1.0 / max(min_compliance, 1e-300)
+        return 1.0 / max(min_series_compliance, 1e-300)
 
-    def along_friction(self) -> FrictionPath:
+    def system_along_friction(self) -> SystemAlongFriction:
         """Return these equations with a factor of the friction coefficient as parameter p."""
-        return FrictionPath(self.compliance, self.integrals)
+        return SystemAlongFriction(self.compliance, self.integrals)
 
-    def along_softness(self) -> ContactSystem:
+    def system_along_softness(self) -> ContactSystem:
         """Return these equations with p from very soft contact, 0, to the law, 1."""
-        max_compliance = float(np.abs(self.dynamic_part).sum(axis=2).max())
-        softness = max_compliance / (MAX_COMPLIANCE_RATIO * self.integrals.unit)
-        return ContactSystem(self.compliance, self.integrals, softness)
+        max_row_sum = float(np.abs(self.dynamic_part).sum(axis=2).max())
+        start_softness = max_row_sum / (
+            DYNAMIC_TO_SOFT_PAIR_COMPLIANCE * self.integrals.mean_pair_compliance
+        )
+        return ContactSystem(self.compliance, self.integrals, start_softness)
 
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
@@ -256,14 +290,14 @@ class ContactSystem:
         return ContactSystem(compliance, self.integrals.with_harmonics(harmonics))
 
 
-class FrictionPath(ContactSystem):
+class SystemAlongFriction(ContactSystem):
     """:class:`ContactSystem` from contact without friction, at p = 0, to full friction."""
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
         """Return residual and Jacobian with ``parameter`` times the friction coefficient."""
         assert isinstance(self.integrals, FrictionIntegrals)
         integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
-        return ContactPoint(self, unknown, integrals, by_friction)
+        return ContactPoint(self, unknown, integrals, residual_by_friction_scale)
 
 
 class ContactPoint(DenseLinearisation):
@@ -274,11 +308,11 @@ class ContactPoint(DenseLinearisation):
         system: ContactSystem,
         unknown: np.ndarray,
         integrals: ContactIntegrals,
-        by_parameter: ByParameter,
+        parameter_derivative: ParameterDerivative,
     ) -> None:
-        self.system, self.unknown, self._derivative = system, unknown, by_parameter
-        self.forces = integrals.linearise(unknown)
-        self.force = self.forces.force
+        self.system, self.unknown, self._derivative_function = system, unknown, parameter_derivative
+        self.linearised_forces = integrals.linearise(unknown)
+        self.force = self.linearised_forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
         self.gap = system.gap(unknown, self.force)
         """Coefficients of the gap g: (2H+1, n_pairs) [m]."""
@@ -287,32 +321,38 @@ class ContactPoint(DenseLinearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         """Return the residual F(s) of the equations: (2H+1, n_pairs) [m]."""
         system = self.system
-        return self.unknown - system.linear + respond(system.dynamic_part, self.force)
+        return self.unknown - system.linear_gap + respond(system.dynamic_part, self.force)
 
     @cached_property
     def jacobian(self) -> np.ndarray:
         """Return J = I + (R - R_inf) T, where T is db/ds."""
-        return self.forces.identity_plus(self.system.dynamic_part)
+        return self.linearised_forces.identity_plus(self.system.dynamic_part)
 
     def matrix_to_factorise(self) -> np.ndarray:
         system = self.system
-        if system.gap_basis is not None:
-            return self.forces.identity_plus(system.dynamic_part_in_basis, system.gap_basis)
+        if system.reachable_gap_basis is not None:
+            return self.linearised_forces.identity_plus(
+                system.dynamic_part_in_basis, system.reachable_gap_basis
+            )
         return self.jacobian
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        return change + respond(self.system.dynamic_part, self.forces.apply(change))
+        return change + respond(self.system.dynamic_part, self.linearised_forces.apply(change))
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         system = self.system
         if system.matrix_free:
             return gmres(self.apply, right_side, kernel.SOLUTION_TOLERANCE)
         factors = self._factors
-        if system.gap_basis is not None:
-            response = (
-                respond(system.dynamic_part, self.forces.apply(right_side)) @ system.gap_basis
+        if system.reachable_gap_basis is not None:
+            response_in_basis = (
+                respond(system.dynamic_part, self.linearised_forces.apply(right_side))
+                @ system.reachable_gap_basis
             )
-            return right_side - solve_factored(factors, response) @ system.gap_basis.T
+            return (
+                right_side
+                - solve_factored(factors, response_in_basis) @ system.reachable_gap_basis.T
+            )
         return solve_factored(factors, right_side)
 
     @property
@@ -322,16 +362,16 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self._derivative(self)
+        return self._derivative_function(self)
 
-    def gap_change(self, change: np.ndarray) -> np.ndarray:
+    def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
-        return self.system.gap(change, self.forces.apply(change))
+        return self.system.gap(slow_gap_change, self.linearised_forces.apply(slow_gap_change))
 
-    def gap_change_by_force(self, change: np.ndarray) -> np.ndarray:
+    def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
-        unknown_change = self.solve(-respond(self.system.dynamic_part, change))
-        return self.system.gap(self.gap_change(unknown_change), change)
+        unknown_change = self.solve(-respond(self.system.dynamic_part, force_change))
+        return self.system.gap(self.gap_change(unknown_change), force_change)
 
 
 # --- the motion -----------------------------------------------------------------------------------
@@ -372,7 +412,7 @@ class Wave:
         return float(2.0 * np.pi / self.base_omega)
 
     @cached_property
-    def residual(self) -> np.ndarray | None:
+    def residual_compliance(self) -> np.ndarray | None:
         """R_inf, the residual flexibility: (n_rows, n_rows) [m/N], or None.
 
         It is the gaps' quasi-static response to contact forces. Rows are the pairs' normal gaps;
@@ -390,20 +430,27 @@ class Wave:
     @property
     def gap_rows(self) -> np.ndarray:
         """Coefficients of normal gaps, then of tangential ones: (2H+1, n_rows) [m]."""
-        return _join_rows(self.gap_coefficients, self.tangential_gap_coefficients)
+        return _join_columns(self.gap_coefficients, self.tangential_gap_coefficients)
 
     @property
     def force_rows(self) -> np.ndarray:
         """Coefficients of normal forces, then of friction forces: (2H+1, n_rows) [N]."""
-        return _join_rows(self.force_coefficients, self.tangential_force_coefficients)
+        return _join_columns(self.force_coefficients, self.tangential_force_coefficients)
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
         """Integrals of contact forces with a residual flexibility, or with friction."""
         assert self.contact is not None
-        residual_or_none, n_rows = self.residual, self.structure_with_row_pairs.n_pairs
-        residual = np.zeros((n_rows, n_rows)) if residual_or_none is None else residual_or_none
-        return coupled_integrals(self.contact, self.harmonics, residual)
+        residual_compliance_or_none, n_gaps = (
+            self.residual_compliance,
+            self.structure_with_row_pairs.n_pairs,
+        )
+        residual_compliance = (
+            np.zeros((n_gaps, n_gaps))
+            if residual_compliance_or_none is None
+            else residual_compliance_or_none
+        )
+        return coupled_integrals(self.contact, self.harmonics, residual_compliance)
 
     @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
@@ -411,9 +458,9 @@ class Wave:
 
         s, the slow gap, is the gap g without its quasi-static response to forces lambda.
         """
-        if self.residual is None:
+        if self.residual_compliance is None:
             return self.gap_rows
-        return self.gap_rows + self.force_rows @ self.residual
+        return self.gap_rows + self.force_rows @ self.residual_compliance
 
     def at_phase(self, phase: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at phases (n,) of the response.
@@ -424,7 +471,9 @@ class Wave:
             1, cos, sin, ..., the factors of coefficients.
         gap, force : (n, n_rows) [m], [N]
         """
-        return self._gaps_and_forces_at(fourier_basis_for(self.gap_coefficients, phase), phase)
+        return self._basis_gaps_and_forces_at(
+            fourier_basis_for(self.gap_coefficients, phase), phase
+        )
 
     def over_period(self, n_instants: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at n equally spaced instants.
@@ -432,29 +481,39 @@ class Wave:
         Shapes are those of :meth:`at_phase`.
         """
         phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        return self._gaps_and_forces_at(
+        return self._basis_gaps_and_forces_at(
             fourier_basis_over_period(self.harmonics, n_instants), phase
         )
 
-    def _gaps_and_forces_at(
+    def _basis_gaps_and_forces_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the basis, gaps [m] and contact forces [N] (n, n_rows) at its phases."""
-        contact = self.contact
-        slow_gap = basis @ self.slow_gap_coefficients
-        if contact is None:
-            return basis, slow_gap, np.zeros_like(slow_gap)
-        if friction_of(contact) is not None:
+        contact_law = self.contact
+        slow_gap_at_phases = basis @ self.slow_gap_coefficients
+        if contact_law is None:
+            return basis, slow_gap_at_phases, np.zeros_like(slow_gap_at_phases)
+        if friction_of(contact_law) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
-            force = self._integrals.forces_and_places_at(self.slow_gap_coefficients, phase)[0]
-        elif self.residual is not None:
-            force = self._integrals.forces_in_time(slow_gap)
-        elif not is_rigid(contact):
-            force = contact.force(slow_gap)
+            force_at_phases = self._integrals.forces_and_places_at(
+                self.slow_gap_coefficients, phase
+            )[0]
+        elif self.residual_compliance is not None:
+            force_at_phases = self._integrals.forces_at_gap_samples(slow_gap_at_phases)
+        elif not is_rigid(contact_law):
+            force_at_phases = contact_law.force(slow_gap_at_phases)
         else:
-            assert contact.weight is not None
-            force = np.maximum(0.0, contact.weight * slow_gap + basis @ self.force_coefficients)
-        return basis, slow_gap if self.residual is None else slow_gap - force @ self.residual, force
+            assert contact_law.weight is not None
+            force_at_phases = np.maximum(
+                0.0, contact_law.weight * slow_gap_at_phases + basis @ self.force_coefficients
+            )
+        return (
+            basis,
+            slow_gap_at_phases
+            if self.residual_compliance is None
+            else slow_gap_at_phases - force_at_phases @ self.residual_compliance,
+            force_at_phases,
+        )
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each."""
@@ -466,7 +525,7 @@ class Wave:
 
         With a residual flexibility R_inf, g = s(t) - R_inf lambda(s(t)) has kinks in time.
         """
-        if self.residual is None:
+        if self.residual_compliance is None:
             return evaluate(self.gap_coefficients, self.base_omega, time)
         return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
@@ -506,20 +565,26 @@ class Wave:
 
     def coordinates(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m]."""
-        basis, _, force = self.at_phase(self.base_omega * np.atleast_1d(time))
-        displacement = basis @ self.displacement_coefficients
+        basis, _, force_at_times = self.at_phase(self.base_omega * np.atleast_1d(time))
+        displacement_at_times = basis @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
-            static_response = all_modes(self.structure_with_row_pairs).static_pair_responses(
-                self.static_above
-            )
-            displacement -= (force - basis @ self.force_rows) @ static_response.T
-        return displacement
+            static_displacement_per_force = all_modes(
+                self.structure_with_row_pairs
+            ).static_pair_responses(self.static_above)
+            displacement_at_times -= (
+                force_at_times - basis @ self.force_rows
+            ) @ static_displacement_per_force.T
+        return displacement_at_times
 
 
-def _join_rows(normal: np.ndarray, tangential: np.ndarray | None) -> np.ndarray:
+def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:
     """Return normal and tangential columns side by side."""
-    return normal if tangential is None else np.hstack([normal, tangential])
+    return (
+        normal_columns
+        if tangential_columns is None
+        else np.hstack([normal_columns, tangential_columns])
+    )
 
 
 # --- in the kernel --------------------------------------------------------------------------------
@@ -530,75 +595,82 @@ class CompiledEquations(Equations):
 
     Parameters
     ----------
-    residual : (n_pairs, n_pairs) [m/N] or None
+    residual_compliance : (n_pairs, n_pairs) [m/N] or None
         Static compliance R_inf in series with contact.
-    springs : (n_pairs,) [m/N]
+    pair_spring_compliances : (n_pairs,) [m/N]
         Compliance 1/k of each pair's contact spring.
-    linear : (2H+1, n_pairs) [m]
-        Gap g_lin without contact at p = 0, without the modes' part if ``compliance`` has modes.
-    compliance : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
+    linear_gap : (2H+1, n_pairs) [m]
+        Gap g_lin without contact at p = 0, without the modes' part if modes are given.
+    compliance_or_modes : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
         Dynamic less static compliance R_k - R_inf at p = 0, or its modes
-        (:meth:`ModalCompliance.modal_part`).
+        (:meth:`ModalCompliance.modal_fields_for_kernel`).
     has_coupled_pairs : bool
         True if R_inf has more than a diagonal.
-    basis : (n_pairs, n) or None
+    reachable_gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make, if modes are fewer than coupled pairs.
     forms_jacobian : bool
         False: solutions take products with J, and its sign is nan.
-    linear_rate : (2H+1, n_pairs) [m], optional
+    linear_gap_rate : (2H+1, n_pairs) [m], optional
         Change of g_lin per unit of p.
-    growth : float
+    log_stiffness_rate : float
         Change of ln k per unit of p.
-    softness : float [m/N]
+    start_series_compliance : float [m/N]
         Compliance in series with each pair at p = 0; it falls like |1 - p|^3.
     """
 
     def __init__(
         self,
-        residual: np.ndarray | None,
-        springs: np.ndarray,
-        linear: np.ndarray,
-        compliance: np.ndarray | Mapping[str, Any],
+        residual_compliance: np.ndarray | None,
+        pair_spring_compliances: np.ndarray,
+        linear_gap: np.ndarray,
+        compliance_or_modes: np.ndarray | Mapping[str, Any],
         *,
         has_coupled_pairs: bool = False,
-        gap_basis: np.ndarray | None = None,
+        reachable_gap_basis: np.ndarray | None = None,
         forms_jacobian: bool = True,
-        linear_rate: np.ndarray | None = None,
-        growth: float = 0.0,
-        softness: float = 0.0,
+        linear_gap_rate: np.ndarray | None = None,
+        log_stiffness_rate: float = 0.0,
+        start_series_compliance: float = 0.0,
     ) -> None:
-        self.shape = linear.shape
+        self.shape = linear_gap.shape
         harmonics, n_pairs = self.shape[0] // 2, self.shape[1]
-        if isinstance(compliance, np.ndarray):
-            matrices = require_shape(compliance, harmonics + 1, n_pairs, n_pairs, kind=complex)
-            compliance = {"compliance": matrices}
-        n_columns = n_pairs if gap_basis is None else gap_basis.shape[1]
-        static_compliance = np.zeros((n_pairs, n_pairs)) if residual is None else residual
-        full_linear_rate = np.zeros_like(linear) if linear_rate is None else linear_rate
-        structure = Struct(
+        if isinstance(compliance_or_modes, np.ndarray):
+            dynamic_compliance_matrices = require_shape(
+                compliance_or_modes, harmonics + 1, n_pairs, n_pairs, kind=complex
+            )
+            compliance_or_modes = {"compliance": dynamic_compliance_matrices}
+        n_basis_gaps = n_pairs if reachable_gap_basis is None else reachable_gap_basis.shape[1]
+        static_compliance = (
+            np.zeros((n_pairs, n_pairs)) if residual_compliance is None else residual_compliance
+        )
+        linear_gap_rate_or_zeros = (
+            np.zeros_like(linear_gap) if linear_gap_rate is None else linear_gap_rate
+        )
+        structure_struct = Struct(
             "structure_at_pairs", harmonics=harmonics, pairs=n_pairs,
-            linear=require_shape(linear, *self.shape),
-            linear_rate=require_shape(full_linear_rate, *self.shape), **compliance,
+            linear=require_shape(linear_gap, *self.shape),
+            linear_rate=require_shape(linear_gap_rate_or_zeros, *self.shape), **compliance_or_modes,
         )  # fmt: skip
-        self._kernel_input = Struct(
-            "contact_pairs", structure=structure, n_basis_gaps=n_columns,
-            growth=growth, softness=softness,
+        self._kernel_struct = Struct(
+            "contact_pairs", structure=structure_struct, n_basis_gaps=n_basis_gaps,
+            growth=log_stiffness_rate, softness=start_series_compliance,
             residual_compliance=require_shape(static_compliance, n_pairs, n_pairs),
-            spring_compliances=require_shape(springs, n_pairs),
+            spring_compliances=require_shape(pair_spring_compliances, n_pairs),
             has_coupled_pairs=has_coupled_pairs,
             forms_jacobian=forms_jacobian,
-            basis=None if gap_basis is None else require_shape(gap_basis, n_pairs, n_columns),
+            basis=None if reachable_gap_basis is None
+            else require_shape(reachable_gap_basis, n_pairs, n_basis_gaps),
         )  # fmt: skip
-        self._point = attach_destructor(
-            kernel.new_contact_point(self._kernel_input.address), kernel.free_contact_point
+        self._point_handle = attach_destructor(
+            kernel.new_contact_point(self._kernel_struct.address), kernel.free_contact_point
         )
-        self.function_table = kernel.equations_of_contact(self._point)
+        self.function_table = kernel.equations_of_contact(self._point_handle)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """Return residual F and Jacobian at a slow gap s = ``unknown`` and a parameter p."""
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
-    def evaluate_at(self, point: CompiledPoint) -> Any:
+    def function_table_at(self, point: CompiledPoint) -> Any:
         """Return the C function table, with the equations evaluated at a point.
 
         The table is a pointer that functions of the kernel take. ConvergenceError: no contact
@@ -622,13 +694,13 @@ class CompiledEquations(Equations):
         self._last_linearisation_reference = ref(point)
         return point
 
-    def largest_compliance(self, parameter: float) -> float:
+    def max_dynamic_row_sum(self, parameter: float) -> float:
         """Return the largest row sum of abs(R_k - R_inf) at a parameter p [m/N]."""
         self._last_linearisation_reference = None
-        compliance = float(kernel.largest_dynamic_row_sum(self._point, parameter))
-        if not math.isfinite(compliance):
+        max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
+        if not math.isfinite(max_row_sum):
             self.check_outcome(kernel.SINGULAR_STRUCTURE)
-        return compliance
+        return max_row_sum
 
 
 class CompiledPoint(Linearisation):
@@ -642,34 +714,34 @@ class CompiledPoint(Linearisation):
 
     @property
     def residual(self) -> np.ndarray:
-        residual = np.empty_like(self.unknown)
-        functions = self.system.evaluate_at(self)
-        functions.residual(functions, pointer(residual))
-        return residual
+        residual_coefficients = np.empty_like(self.unknown)
+        function_table = self.system.function_table_at(self)
+        function_table.residual(function_table, pointer(residual_coefficients))
+        return residual_coefficients
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         solution = np.array(right_side, dtype=float, order="C")
         if solution.size != self.unknown.size:
             raise ValueError(f"{solution.size} numbers instead of {self.unknown.size}")
-        functions = self.system.evaluate_at(self)
-        functions.solve_tolerance = kernel.SOLUTION_TOLERANCE
-        functions.solve(functions, pointer(solution))
+        function_table = self.system.function_table_at(self)
+        function_table.solve_tolerance = kernel.SOLUTION_TOLERANCE
+        function_table.solve(function_table, pointer(solution))
         return solution
 
     @property
     def by_parameter(self) -> np.ndarray:
-        derivative = np.empty_like(self.unknown)
-        functions = self.system.evaluate_at(self)
-        functions.by_parameter(functions, pointer(derivative))
-        return derivative
+        residual_derivative = np.empty_like(self.unknown)
+        function_table = self.system.function_table_at(self)
+        function_table.by_parameter(function_table, pointer(residual_derivative))
+        return residual_derivative
 
     @property
     def sign(self) -> float:
-        functions = self.system.evaluate_at(self)
-        return float(functions.sign(functions))
+        function_table = self.system.function_table_at(self)
+        return float(function_table.sign(function_table))
 
 
-def by_friction(point: ContactPoint) -> np.ndarray:
+def residual_by_friction_scale(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor of the friction coefficient."""
-    assert isinstance(point.forces, FrictionForces)
-    return respond(point.system.dynamic_part, point.forces.by_friction_scale())
+    assert isinstance(point.linearised_forces, FrictionForces)
+    return respond(point.system.dynamic_part, point.linearised_forces.by_friction_scale())

@@ -30,11 +30,11 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave
 from fenics_crack.balance.more_modes import (
-    UNKNOWN,
+    UNKNOWN_ERROR,
     Errors,
     modal_truncation_errors,
-    motion_at_load,
-    reference_of,
+    motion_along_load,
+    reference_structure_of,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
@@ -50,7 +50,7 @@ from fenics_crack.numerics.newton import motion_square, solve_by_full_or_damped_
 
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
-ENOUGH_HARMONICS = SearchOptions.guess_harmonic_counts[-1]
+MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.guess_harmonic_counts[-1]
 """Harmonics of the load's frequency at which two solutions show the change due to modes.
 
 On 14 plates next to a resonance it is 0.3 to 3 times that of orbits; with 20 harmonics from a
@@ -105,7 +105,7 @@ class ErrorReport(Described):
     @property
     def unknown(self) -> bool:
         """True if the total could not be estimated."""
-        return self.total >= UNKNOWN
+        return self.total >= UNKNOWN_ERROR
 
     @property
     def estimated(self) -> bool:
@@ -118,14 +118,14 @@ class ErrorReport(Described):
 
         Of equal parts the first is named.
         """
-        return max(ERROR_PARTS, key=lambda name: getattr(self, name))
+        return max(ERROR_PARTS, key=lambda part_name: getattr(self, part_name))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the errors by their names, and the total."""
         return {
-            name: error
-            for name, error in (asdict(self) | {"total": self.total}).items()
-            if name != "confirmed"
+            part_name: part_error
+            for part_name, part_error in (asdict(self) | {"total": self.total}).items()
+            if part_name != "confirmed"
         }
 
     def _units(self) -> dict[str, str]:
@@ -133,9 +133,9 @@ class ErrorReport(Described):
 
     def _title(self) -> str:
         return ", ".join(
-            f"{name} {error:.2g}"
-            + (" (unknown)" if error >= UNKNOWN and name != "penetration" else "")
-            for name, error in self.to_dict().items()
+            f"{part_name} {part_error:.2g}"
+            + (" (unknown)" if part_error >= UNKNOWN_ERROR and part_name != "penetration" else "")
+            for part_name, part_error in self.to_dict().items()
         ) + ("" if self.confirmed else f" ({NOT_CONFIRMED})")
 
 
@@ -162,90 +162,123 @@ def estimate_errors(
     search, has_converged : bool
     """
     structure, wave = problem.structure, assessment.wave
-    expanded_gap = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
+    gap_of_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
 
-    def relative(change: np.ndarray) -> float:
+    def relative_gap_size(change: np.ndarray) -> float:
         return relative_size(change, point, problem.structure_with_row_pairs.clearance)
 
-    residual, penetration = relative(point.residual), relative(_penetration(point, problem))
+    relative_residual, relative_penetration = (
+        relative_gap_size(point.residual),
+        relative_gap_size(_rms_penetration(point, problem)),
+    )
     if not has_converged:
-        return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
-    finer_integrals, sampling = point.system.integrals.refine(), 0.0
+        return ErrorReport(
+            relative_residual, UNKNOWN_ERROR, 0.0, 0.0, relative_penetration, UNKNOWN_ERROR
+        )
+    finer_integrals, sampling_error = point.system.integrals.exact_or_finer(), 0.0
     if finer_integrals is not None:
-        sampling = relative(
+        sampling_error = relative_gap_size(
             point.gap_change_by_force(finer_integrals.force(point.unknown) - point.force)
         )
-    if assessment.affordable:  # includes the sampling error
-        error, load_error = assessment.errors(search=search)
+    if assessment.can_search_orbit:  # includes the sampling error
+        harmonics_error, load_error = assessment.errors(search=search)
     else:
-        error, load_error = _truncation_errors(point, wave)
-    truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
-    can_use_orbits = assessment.affordable and search and structure.light_lips
+        harmonics_error, load_error = _truncation_errors(point, wave)
+    truncation_error = (
+        UNKNOWN_ERROR
+        if harmonics_error >= UNKNOWN_ERROR
+        else max(harmonics_error - sampling_error, 0.0)
+    )
+    can_use_orbits = assessment.can_search_orbit and search and structure.light_lips
     more_modes = assessment.more_modes if can_use_orbits else None
-    min_harmonics = problem.response_harmonics(ENOUGH_HARMONICS)
-    if can_use_orbits and truncation >= UNKNOWN and isinstance(structure, ReducedStructure):
-        modal_errors = UNKNOWN, UNKNOWN  # without an orbit the effect of more modes is unknown, too
-    elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics):
-        modal_errors = more_modes.errors or (UNKNOWN, UNKNOWN)
+    min_harmonics_for_modes = problem.response_harmonics(MIN_HARMONICS_FOR_MODAL_CHANGE)
+    if (
+        can_use_orbits
+        and truncation_error >= UNKNOWN_ERROR
+        and isinstance(structure, ReducedStructure)
+    ):
+        modal_errors = (
+            UNKNOWN_ERROR,
+            UNKNOWN_ERROR,
+        )  # without an orbit the effect of more modes is unknown, too
+    elif more_modes and (more_modes.orbit or problem.harmonics < min_harmonics_for_modes):
+        modal_errors = more_modes.errors or (UNKNOWN_ERROR, UNKNOWN_ERROR)
     else:
         modal_errors = _reduction_errors(point, wave, problem)
         if can_use_orbits and any(modal_errors):  # modes above all harmonics are static in both
-            modal_errors = max(modal_errors[0], truncation), max(modal_errors[1], load_error)
+            modal_errors = max(modal_errors[0], truncation_error), max(modal_errors[1], load_error)
     return ErrorReport(
-        residual=max(residual, relative(expanded_gap - point.gap)),
-        truncation=truncation,
-        sampling=sampling,
+        residual=max(relative_residual, relative_gap_size(gap_of_displacement - point.gap)),
+        truncation=truncation_error,
+        sampling=sampling_error,
         reduction=modal_errors[0],
-        penetration=penetration,
-        displacement=min(load_error + modal_errors[1], UNKNOWN),
-        confirmed=not (assessment.affordable and search) or assessment.orbit is not None,
+        penetration=relative_penetration,
+        displacement=min(load_error + modal_errors[1], UNKNOWN_ERROR),
+        confirmed=not (assessment.can_search_orbit and search)
+        or assessment.nearest_orbit is not None,
     )
 
 
-NOT_ESTIMATED = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 """Report of a solution whose errors were not requested."""
 
 
-def error_against_reference(solution: Wave, reference_solution: Wave) -> ErrorReport:
+def report_against_reference(solution: Wave, reference_solution: Wave) -> ErrorReport:
     """Return the report of a linear solution, by its change to the reference's solution
     (collective).
 
     The reference is that of the solution's reduced structure.
     """
-    gap_motion = reference_solution.gap_coefficients.copy()
-    gap_motion[0] += solution.structure.clearance
-    change_square = mean_square(reference_solution.gap_coefficients - solution.gap_coefficients)
-    gap_error = math.sqrt(change_square / moving_mean_square(gap_motion))
-    load_error = _change_at_load(
+    gap_plus_clearance = reference_solution.gap_coefficients.copy()
+    gap_plus_clearance[0] += solution.structure.clearance
+    change_mean_square = mean_square(
+        reference_solution.gap_coefficients - solution.gap_coefficients
+    )
+    gap_error = math.sqrt(change_mean_square / mean_square_with_limited_mean(gap_plus_clearance))
+    load_error = _relative_change_at_load(
         solution, reference_solution.structure, reference_solution.displacement_coefficients
     )
-    reduction, displacement = modal_truncation_errors(solution.structure, (gap_error, load_error))
-    return ErrorReport(reduction=reduction, displacement=displacement)
+    reduction_error, displacement_error = modal_truncation_errors(
+        solution.structure, (gap_error, load_error)
+    )
+    return ErrorReport(reduction=reduction_error, displacement=displacement_error)
 
 
-def _change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
+def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
     """Return the relative change of the displacement at the load (collective).
 
     It is the change from the motion ``wave`` to the coefficients ``displacement`` (2H+1, n_local)
     of another ``structure``. The reference is the root mean square, with the mean at most as large
     as all else.
     """
-    motion = motion_at_load(wave.structure, wave.displacement_coefficients)
-    change = mean_square(motion_at_load(structure, displacement) - motion)
-    return math.sqrt(change / moving_mean_square(motion)) if motion.any() else 0.0
+    motion_coefficients = motion_along_load(wave.structure, wave.displacement_coefficients)
+    change_mean_square = mean_square(
+        motion_along_load(structure, displacement) - motion_coefficients
+    )
+    return (
+        math.sqrt(change_mean_square / mean_square_with_limited_mean(motion_coefficients))
+        if motion_coefficients.any()
+        else 0.0
+    )
 
 
-def relative_size(change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
+def relative_size(gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray) -> float:
     """Return the root mean square of a gap's change, relative to that of B^T u = g + g0.
 
     It is 0 if B^T u is rounding in comparison with its value without contact.
     """
-    gap_motion, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
-    gap_motion[0] += clearance
+    gap_plus_clearance, linear_gap = point.gap.copy(), point.system.compliance.linear_gap.copy()
+    gap_plus_clearance[0] += clearance
     linear_gap[0] += clearance
-    rounding = NEGLIGIBLE**2 * mean_square(linear_gap)
-    is_still = mean_square(gap_motion) <= rounding  # the load presses the crack faces together
-    return 0.0 if is_still else math.sqrt(mean_square(change) / moving_mean_square(gap_motion))
+    negligible_mean_square = NEGLIGIBLE**2 * mean_square(linear_gap)
+    is_still = (
+        mean_square(gap_plus_clearance) <= negligible_mean_square
+    )  # the load presses the crack faces together
+    return (
+        0.0
+        if is_still
+        else math.sqrt(mean_square(gap_change) / mean_square_with_limited_mean(gap_plus_clearance))
+    )
 
 
 def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
@@ -257,14 +290,14 @@ def _truncation_errors(point: ContactPoint, wave: Wave) -> Errors:
     converge with many stiff pairs, unless pairs have a residual flexibility.
     """
     kept_harmonics, n_pairs = point.system.integrals.harmonics, point.unknown.shape[1]
-    harmonics = max(
+    more_harmonics = max(
         2 * kept_harmonics,
         kept_harmonics + 4,
         min(4 * kept_harmonics, (MAX_DENSE_SIZE // n_pairs - 1) // 2),
     )
-    larger_system = point.system.with_harmonics(harmonics)
+    larger_system = point.system.with_harmonics(more_harmonics)
     return _change_by_better_system(
-        point, wave, larger_system, resize_harmonics(point.unknown, harmonics), wave.structure
+        point, wave, larger_system, resize_harmonics(point.unknown, more_harmonics), wave.structure
     )
 
 
@@ -272,28 +305,41 @@ def _change_by_better_system(
     base_point: ContactPoint,
     wave: Wave,
     better_system: ContactSystem,
-    start: np.ndarray,
+    start_slow_gap: np.ndarray,
     structure: Structure,
 ) -> Errors:
     """Return the relative changes from a solution to that of better equations.
 
-    Newton's method begins at coefficients ``start`` of the slow gap. ``structure`` is that of the
-    better equations. The changes, of gaps and of the displacement at the load, are :data:`UNKNOWN`
-    if Newton's method fails.
+    Newton's method begins at coefficients ``start_slow_gap``. ``structure`` is that of the
+    better equations. The changes, of gaps and of the displacement at the load, are
+    :data:`UNKNOWN_ERROR` if Newton's method fails.
     """
-    start_point = better_system.linearise(start)
-    size = max(float(np.linalg.norm(start)), 1e-300)
-    tolerance = max(COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / size, ROUNDING)
-    end_point = solve_by_full_or_damped_steps(better_system, start, 1.0, tolerance=tolerance)
-    if end_point is None:
-        return UNKNOWN, UNKNOWN
-    better_point, n_rows = better_system.linearise(end_point.unknown), len(base_point.force)
-    gap_error = relative_size(
-        better_point.gap - start_point.gap, base_point, wave.structure_with_row_pairs.clearance
+    start_point = better_system.linearise(start_slow_gap)
+    start_norm = max(float(np.linalg.norm(start_slow_gap)), 1e-300)
+    tolerance = max(
+        COARSE_TOLERANCE * float(np.linalg.norm(start_point.residual)) / start_norm, ROUNDING
     )
-    force = base_point.force + (better_point.force - start_point.force)[:n_rows]
-    load_error = _change_at_load(wave, structure, better_system.compliance.displacement(force))
-    return min(gap_error, UNKNOWN), min(load_error, UNKNOWN)
+    end_path_point = solve_by_full_or_damped_steps(
+        better_system, start_slow_gap, 1.0, tolerance=tolerance
+    )
+    if end_path_point is None:
+        return UNKNOWN_ERROR, UNKNOWN_ERROR
+    converged_better_point, n_base_rows = (
+        better_system.linearise(end_path_point.unknown),
+        len(base_point.force),
+    )
+    gap_error = relative_size(
+        converged_better_point.gap - start_point.gap,
+        base_point,
+        wave.structure_with_row_pairs.clearance,
+    )
+    better_force = (
+        base_point.force + (converged_better_point.force - start_point.force)[:n_base_rows]
+    )
+    load_error = _relative_change_at_load(
+        wave, structure, better_system.compliance.displacement(better_force)
+    )
+    return min(gap_error, UNKNOWN_ERROR), min(load_error, UNKNOWN_ERROR)
 
 
 def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Errors:
@@ -301,30 +347,42 @@ def _reduction_errors(point: ContactPoint, wave: Wave, problem: Problem) -> Erro
 
     They follow from the reduced structure's reference, which has more modes.
     """
-    reference, residual = reference_of(wave), point.system.residual
-    if reference is None:
+    reference_structure, residual_compliance = (
+        reference_structure_of(wave),
+        point.system.residual_compliance,
+    )
+    if reference_structure is None:
         return 0.0, 0.0
-    cutoff = np.inf if residual is None else problem.cutoff
-    reference_problem, start = replace(problem, structure=reference, static_above=cutoff), point.gap
+    cutoff = np.inf if residual_compliance is None else problem.cutoff
+    reference_problem, start_slow_gap = (
+        replace(problem, structure=reference_structure, static_above=cutoff),
+        point.gap,
+    )
     if point.system.integrals.has_coupled_pairs:
-        assert residual is not None
+        assert residual_compliance is not None
         if is_rigid(problem.contact) and not is_regular(
             all_modes(reference_problem.structure_with_row_pairs).static_pair_compliance(cutoff)
         ):
             # With this stiffness the penalty is numerically a constraint.
-            max_stiffness = len(residual) / (REGULAR_EIGENVALUE_RATIO * np.trace(residual))
-            reference_problem = replace(
-                reference_problem, contact=with_penalty(problem.contact, float(max_stiffness))
+            rigid_penalty_stiffness = len(residual_compliance) / (
+                REGULAR_EIGENVALUE_RATIO * np.trace(residual_compliance)
             )
-    system = reference_problem.system(reference_problem.compliance())
-    if system.residual is not None:
-        start = start + point.force @ system.residual
+            reference_problem = replace(
+                reference_problem,
+                contact=with_penalty(problem.contact, float(rigid_penalty_stiffness)),
+            )
+    reference_system = reference_problem.system(reference_problem.compliance())
+    if reference_system.residual_compliance is not None:
+        start_slow_gap = start_slow_gap + point.force @ reference_system.residual_compliance
     return modal_truncation_errors(
-        problem.structure, _change_by_better_system(point, wave, system, start, reference)
+        problem.structure,
+        _change_by_better_system(
+            point, wave, reference_system, start_slow_gap, reference_structure
+        ),
     )
 
 
-def _penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
+def _rms_penetration(point: ContactPoint, problem: Problem) -> np.ndarray:
     """Return the root mean square penetration max(g, 0) of each pair: (1, n_pairs) [m]."""
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
@@ -344,7 +402,10 @@ def mean_square(coefficients: np.ndarray) -> float:
     return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
 
 
-def moving_mean_square(coefficients: np.ndarray) -> float:
+def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
     """Return the mean square in which means contribute no more than all else; never zero."""
-    vibration, means = 0.5 * np.sum(coefficients[1:] ** 2), np.sum(coefficients[0] ** 2)
-    return motion_square(float(vibration), float(means))
+    vibration_mean_square, squared_means_sum = (
+        0.5 * np.sum(coefficients[1:] ** 2),
+        np.sum(coefficients[0] ** 2),
+    )
+    return motion_square(float(vibration_mean_square), float(squared_means_sum))

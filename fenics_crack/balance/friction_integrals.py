@@ -33,20 +33,20 @@ from fenics_crack.numerics.fourier import (
 
 
 def coupled_integrals(
-    law: ContactLaw, harmonics: int, residual: np.ndarray, samples: int | None = None
+    law: ContactLaw, harmonics: int, residual_compliance: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
     """Return the integrals for pairs that a static compliance R_inf couples.
 
-    ``residual`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2 n_pairs), normal
-    gaps before tangential ones.
+    ``residual_compliance`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2
+    n_pairs), normal gaps before tangential ones.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
-    return integrals_class(law, harmonics, residual=residual, samples=samples)
+    return integrals_class(law, harmonics, residual_compliance=residual_compliance, samples=samples)
 
 
 SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
 """Instants per harmonic, and the least number of instants."""
-MAX_PERIODS = 20
+MAX_MARCH_PERIODS = 20
 """Maximum periods of a march.
 
 Pairs that never all slip or open at once keep a ninth of the initial difference per period (an edge
@@ -73,38 +73,40 @@ class FrictionIntegrals(ContactIntegrals):
     has_coupled_pairs: ClassVar[bool] = True
 
     @cached_property
-    def sets(self) -> FrictionSets:
-        """Return the sets of closed and sliding pairs for D."""
-        friction = friction_of(self.law)
-        assert friction is not None
-        coefficient = np.multiply(self.friction_scale, friction.coefficient)
-        return FrictionSets(self.compliance, coefficient)
+    def set_solver(self) -> FrictionSets:
+        """Return the solver by sets of closed and sliding pairs, for D."""
+        friction_law = friction_of(self.law)
+        assert friction_law is not None
+        scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
+        return FrictionSets(self.compliance, scaled_coefficient)
 
     @cached_property
     def compliance(self) -> np.ndarray:
         """Return R_inf plus all compliances in series: (2 n_pairs, 2 n_pairs) [m/N].
 
-        Those are contact springs, 1/k on the diagonal, and ``softness``.
+        Those are contact springs, 1/k on the diagonal, and ``relative_softness``.
         """
-        assert self.residual is not None
-        softness = self.spring_compliance + self.softness * self.unit
-        return np.ascontiguousarray(self.residual + np.diag(softness))
+        assert self.residual_compliance is not None
+        series_compliances = (
+            self.spring_compliance + self.relative_softness * self.mean_pair_compliance
+        )
+        return np.ascontiguousarray(self.residual_compliance + np.diag(series_compliances))
 
     @cached_property
     def spring_compliance(self) -> np.ndarray:
         """Return the contact springs' compliances, normal then tangential: (2 n_pairs,) [m/N]."""
-        assert self.residual is not None
-        return spring_compliances(self.law, len(self.residual) // 2)
+        assert self.residual_compliance is not None
+        return spring_compliances(self.law, len(self.residual_compliance) // 2)
 
     @property
-    def instants(self) -> int:
+    def n_instants(self) -> int:
         """N, the instants per period."""
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
-    def march(self, gap: np.ndarray) -> tuple[np.ndarray, ...]:
+    def march(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
         """Follow the forces through a period's slow gaps until they repeat.
 
-        ``gap`` is (n, 2 n_pairs) [m].
+        ``gap_samples`` is (n, 2 n_pairs) [m].
 
         Raises as :meth:`FrictionSets.solve`.
 
@@ -118,21 +120,23 @@ class FrictionIntegrals(ContactIntegrals):
         origins : (n_pairs,) int
             Instant at which each pair last did not stick, or 0.
         """
-        return self.sets.solve(gap, gap[0, gap.shape[1] // 2 :], max_periods=MAX_PERIODS)
+        return self.set_solver.solve(
+            gap_samples, gap_samples[0, gap_samples.shape[1] // 2 :], max_periods=MAX_MARCH_PERIODS
+        )
 
-    def forces_in_time(self, gap: np.ndarray) -> np.ndarray:
-        return self.march(gap)[0]
+    def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
+        return self.march(gap_samples)[0]
 
     def forces_and_places_at(
-        self, gap: np.ndarray, phase: np.ndarray
+        self, gap_coefficients: np.ndarray, requested_phases: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return forces and sticking places at phases (n,).
 
         Parameters
         ----------
-        gap : (2H+1, 2 n_pairs) [m]
+        gap_coefficients : (2H+1, 2 n_pairs) [m]
             Coefficients of the slow gaps.
-        phase : (n,) [rad]
+        requested_phases : (n,) [rad]
 
         Returns
         -------
@@ -140,19 +144,30 @@ class FrictionIntegrals(ContactIntegrals):
         places : (n, n_pairs) [m]
             Sliders' positions h, at which pairs stick.
         """
-        n_instants, turn = self.instants, 2.0 * np.pi
-        phases = np.concatenate([turn / n_instants * np.arange(n_instants), np.mod(phase, turn)])
-        gap_samples = np.concatenate([sample_period(gap, n_instants), evaluate(gap, 1.0, phase)])
-        _, first_index, phase_index = np.unique(phases, return_index=True, return_inverse=True)
-        forces, _, places, _ = self.march(gap_samples[first_index])
-        requested_indices = phase_index[n_instants:]
-        return forces[requested_indices], places[requested_indices]
+        n_instants, two_pi = self.n_instants, 2.0 * np.pi
+        grid_and_requested_phases = np.concatenate(
+            [two_pi / n_instants * np.arange(n_instants), np.mod(requested_phases, two_pi)]
+        )
+        gap_samples = np.concatenate(
+            [
+                sample_period(gap_coefficients, n_instants),
+                evaluate(gap_coefficients, 1.0, requested_phases),
+            ]
+        )
+        _, unique_phase_indices, unique_index_of_phase = np.unique(
+            grid_and_requested_phases, return_index=True, return_inverse=True
+        )
+        normal_and_friction_forces, _, sticking_places, _ = self.march(
+            gap_samples[unique_phase_indices]
+        )
+        requested_indices = unique_index_of_phase[n_instants:]
+        return normal_and_friction_forces[requested_indices], sticking_places[requested_indices]
 
-    def linearise(self, gap: np.ndarray) -> FrictionForces:
-        return FrictionForces(self, gap)
+    def linearise(self, gap_coefficients: np.ndarray) -> FrictionForces:
+        return FrictionForces(self, gap_coefficients)
 
-    def refine(self) -> Self:
-        return replace(self, samples=4 * self.instants)
+    def exact_or_finer(self) -> Self:
+        return replace(self, samples=4 * self.n_instants)
 
     def with_harmonics(self, harmonics: int) -> Self:
         return replace(self, harmonics=harmonics, samples=None)
@@ -161,55 +176,75 @@ class FrictionIntegrals(ContactIntegrals):
 class FrictionForces(CoupledForces):
     """Coefficients of contact and friction forces for slow gaps (2H+1, 2 n_pairs) [m]."""
 
-    def __init__(self, integrals: FrictionIntegrals, gap: np.ndarray) -> None:
-        self._integrals, self._shape = integrals, gap.shape
-        gap_samples = sample_period(gap, integrals.instants)
-        self._force_samples, self.states, self.places, self._origins = integrals.march(gap_samples)
+    def __init__(self, integrals: FrictionIntegrals, gap_coefficients: np.ndarray) -> None:
+        self._integrals, self._shape = integrals, gap_coefficients.shape
+        gap_samples = sample_period(gap_coefficients, integrals.n_instants)
+        (
+            self._force_samples,
+            self.contact_states,
+            self.sticking_places,
+            self._last_unstuck_instants,
+        ) = integrals.march(gap_samples)
         self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        return self._force_change(sample_period(change, self._integrals.instants))
+    def apply(self, gap_change: np.ndarray) -> np.ndarray:
+        return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
-    def _force_change(self, gap_changes: np.ndarray) -> np.ndarray:
+    def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
         """Return the change of the forces' coefficients for gaps' changes at N instants.
 
         Parameters
         ----------
-        gap_changes : (N, 2 n_pairs) [m]
+        gap_change_samples : (N, 2 n_pairs) [m]
 
         Returns
         -------
         (2H+1, 2 n_pairs) [N]
         """
-        gap_changes = np.ascontiguousarray(gap_changes)
-        force_changes = np.empty_like(self._force_samples)
-        arrays = map(pointer, (self.states, self._origins, gap_changes, force_changes))
-        if kernel.friction_changes(self._integrals.sets.handle, len(gap_changes), *arrays):
+        gap_change_samples = np.ascontiguousarray(gap_change_samples)
+        force_change_samples = np.empty_like(self._force_samples)
+        array_pointers = map(
+            pointer,
+            (
+                self.contact_states,
+                self._last_unstuck_instants,
+                gap_change_samples,
+                force_change_samples,
+            ),
+        )
+        if kernel.friction_changes(
+            self._integrals.set_solver.handle, len(gap_change_samples), *array_pointers
+        ):
             raise MemoryError("friction")
-        return fourier_coefficients(force_changes, self._integrals.harmonics)
+        return fourier_coefficients(force_change_samples, self._integrals.harmonics)
 
-    def tangent(self, basis: np.ndarray | None = None) -> np.ndarray:
-        n_rows, n_pair_rows = self._shape
-        basis_matrix = np.eye(n_pair_rows) if basis is None else np.ascontiguousarray(basis)
-        n_instants, n_columns = self._integrals.instants, basis_matrix.shape[1]
-        phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        waves = fourier_basis(phase, np.arange(1, n_rows // 2 + 1))
+    def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
+        n_rows, n_gaps = self._shape
+        gap_basis_matrix = np.eye(n_gaps) if gap_basis is None else np.ascontiguousarray(gap_basis)
+        n_instants, n_columns = self._integrals.n_instants, gap_basis_matrix.shape[1]
+        instant_phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
+        waves = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))
         weighted_waves = 2.0 / n_instants * waves
         weighted_waves[:, 0] *= 0.5
         tangent = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
-            self._integrals.sets.handle, n_instants, pointer(self.states),
-            pointer(self._origins), n_rows, pointer(waves), pointer(weighted_waves), n_columns,
-            pointer(basis_matrix), pointer(tangent),
+            self._integrals.set_solver.handle, n_instants, pointer(self.contact_states),
+            pointer(self._last_unstuck_instants), n_rows, pointer(waves),
+            pointer(weighted_waves), n_columns,
+            pointer(gap_basis_matrix), pointer(tangent),
         ):  # fmt: skip
             raise MemoryError("friction")
         return tangent
 
     def by_softness(self) -> np.ndarray:
-        return self._force_change(-self._integrals.unit * self._force_samples)
+        return self._force_coefficient_change(
+            -self._integrals.mean_pair_compliance * self._force_samples
+        )
 
     def by_log_stiffness(self) -> np.ndarray:
-        return self._force_change(self._force_samples * self._integrals.spring_compliance)
+        return self._force_coefficient_change(
+            self._force_samples * self._integrals.spring_compliance
+        )
 
     def by_friction_scale(self) -> np.ndarray:
         """Return the coefficients' derivative by the factor of the friction coefficient.
@@ -219,12 +254,16 @@ class FrictionForces(CoupledForces):
         that change.
         """
         integrals, n_pairs = self._integrals, self._shape[1] // 2
-        friction = friction_of(integrals.law)
-        assert friction is not None
-        signs = 1.0 * (self.states == kernel.SLIP_UP) - (self.states == kernel.SLIP_DOWN)
-        slip_force = np.zeros_like(self._force_samples)
-        slip_force[:, n_pairs:] = signs * friction.coefficient * self._force_samples[:, :n_pairs]
-        compliance = integrals.compliance
-        return fourier_coefficients(slip_force, integrals.harmonics) + self._force_change(
-            -slip_force @ compliance
+        friction_law = friction_of(integrals.law)
+        assert friction_law is not None
+        slip_signs = 1.0 * (self.contact_states == kernel.SLIP_UP) - (
+            self.contact_states == kernel.SLIP_DOWN
         )
+        slip_force_by_scale = np.zeros_like(self._force_samples)
+        slip_force_by_scale[:, n_pairs:] = (
+            slip_signs * friction_law.coefficient * self._force_samples[:, :n_pairs]
+        )
+        compliance = integrals.compliance
+        return fourier_coefficients(
+            slip_force_by_scale, integrals.harmonics
+        ) + self._force_coefficient_change(-slip_force_by_scale @ compliance)

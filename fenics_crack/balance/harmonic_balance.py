@@ -32,10 +32,14 @@ from functools import cache, partial
 import numpy as np
 
 from fenics_crack.balance.assessment import Assessment
-from fenics_crack.balance.block_system import FORMS
+from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.compliance import DynamicStiffness, ModalCompliance, load_coefficients
-from fenics_crack.balance.error_report import NOT_ESTIMATED, ErrorReport, error_against_reference
-from fenics_crack.balance.more_modes import UNKNOWN, MoreModes, reference_of
+from fenics_crack.balance.error_report import (
+    UNESTIMATED_REPORT,
+    ErrorReport,
+    report_against_reference,
+)
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR, MoreModes, reference_structure_of
 from fenics_crack.balance.problem import Problem, check_memory, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -101,28 +105,34 @@ def solve_linear(
     min_harmonics = least_harmonics(structure, 1)
     harmonics = max(Problem.harmonics, min_harmonics) if harmonics is None else harmonics
     check_count("harmonics", harmonics, min_harmonics)
-    solution = _linear_solution(structure, omega, harmonics)
+    solution = _linear_periodic_solution(structure, omega, harmonics)
 
     @cache
     def estimate() -> ErrorReport:
-        reference = reference_of(solution)
-        if reference is None:
+        reference_structure = reference_structure_of(solution)
+        if reference_structure is None:
             return ErrorReport()
-        return error_against_reference(solution, _linear_solution(reference, omega, harmonics))
+        return report_against_reference(
+            solution, _linear_periodic_solution(reference_structure, omega, harmonics)
+        )
 
     return replace(solution, estimate=estimate)
 
 
-def _linear_solution(structure: Structure, omega: float, harmonics: int) -> PeriodicSolution:
+def _linear_periodic_solution(
+    structure: Structure, omega: float, harmonics: int
+) -> PeriodicSolution:
     """Return the linear solution, without contact forces and error report (collective)."""
-    load = to_complex(load_coefficients(structure, harmonics, 1))
-    amplitude = np.zeros_like(load)
-    for k in range(len(load)):
-        if np.any(structure.sum_over_ranks(np.abs(load[k]).sum(keepdims=True))):
-            amplitude[k] = _linear_amplitude(structure, k * omega, load[k])
-    displacement = from_complex(amplitude)
-    gap = structure.gap_of(displacement)
-    return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap), 1)
+    load_by_harmonic = to_complex(load_coefficients(structure, harmonics, 1))
+    displacement_by_harmonic = np.zeros_like(load_by_harmonic)
+    for k in range(len(load_by_harmonic)):
+        if np.any(structure.sum_over_ranks(np.abs(load_by_harmonic[k]).sum(keepdims=True))):
+            displacement_by_harmonic[k] = _complex_linear_displacement(
+                structure, k * omega, load_by_harmonic[k]
+            )
+    displacement_rows = from_complex(displacement_by_harmonic)
+    gap = structure.gap_of(displacement_rows)
+    return PeriodicSolution(structure, omega, None, displacement_rows, gap, np.zeros_like(gap), 1)
 
 
 def linear_response(
@@ -160,33 +170,39 @@ def linear_response(
     >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
     """
     check_choice("lips", lips, LIP_STATES)
-    frequencies = numbers(omega)
-    if frequencies.ndim != 1 or not np.all(np.isfinite(frequencies) & (frequencies >= 0.0)):
+    load_omegas = numbers(omega)
+    if load_omegas.ndim != 1 or not np.all(np.isfinite(load_omegas) & (load_omegas >= 0.0)):
         raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
-    load = load_coefficients(structure, 1, 1)
-    row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
-    amplitudes = np.full(len(frequencies), np.inf)
-    for index, frequency in enumerate(frequencies):
+    load_rows = load_coefficients(structure, 1, 1)
+    dof_selection_row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
+    amplitudes = np.full(len(load_omegas), np.inf)
+    for index, load_omega in enumerate(load_omegas):
         with contextlib.suppress(ConvergenceError):
-            compliance = ModalCompliance(structure, float(frequency), load)
-            force = np.zeros_like(compliance.linear_gap)
+            compliance = ModalCompliance(structure, float(load_omega), load_rows)
+            bonding_force = np.zeros_like(compliance.linear_gap)
             if lips == "tied" and structure.n_pairs:
-                gap = to_complex(compliance.linear_gap)
-                gap[1] = np.linalg.lstsq(compliance.matrices[1], gap[1], rcond=None)[0]
-                force[1:] = from_complex(gap)[1:]
-            amplitudes[index] = np.hypot(*compliance.selected_displacement(row, force)[1:, 0])
+                complex_gap = to_complex(compliance.linear_gap)
+                complex_gap[1] = np.linalg.lstsq(
+                    compliance.matrices[1], complex_gap[1], rcond=None
+                )[0]
+                bonding_force[1:] = from_complex(complex_gap)[1:]
+            amplitudes[index] = np.hypot(
+                *compliance.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
+            )
     return amplitudes
 
 
-def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:
+def _complex_linear_displacement(
+    structure: Structure, omega: float, load: np.ndarray
+) -> np.ndarray:
     """Return the complex displacement by a harmonic load (n_local,) [N]: same shape [m]."""
     if not structure.light_lips:
-        with DynamicStiffness(structure, omega) as stiffness:
-            return stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
+        with DynamicStiffness(structure, omega) as dynamic_stiffness:
+            return dynamic_stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))[0]
-    response = modes.respond(receptance, load @ modes.shapes)
-    return response @ modes.shapes.T + load @ modes.massless_flexibility
+    modal_displacement = modes.respond(receptance, load @ modes.shapes)
+    return modal_displacement @ modes.shapes.T + load @ modes.massless_flexibility
 
 
 def solve_harmonic_balance(
@@ -262,7 +278,7 @@ def solve_harmonic_balance(
     >>> solution = fc.solve_harmonic_balance(structure, 2000.0, contact, harmonics=20)
     >>> error = solution.report.total
     """
-    check_choice("form", form, FORMS)
+    check_choice("form", form, SOLVER_BY_FORM)
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0, above=True)
@@ -282,7 +298,7 @@ def solve_harmonic_balance(
         check_count("samples", samples, 4 * harmonics + 1)
     if initial is not None:
         check_initial(problem, initial)
-    solver = FORMS[form](problem, residual_tolerance, throw)
+    solver = SOLVER_BY_FORM[form](problem, residual_tolerance, throw)
     if tolerance is not None:
         return solve_to_tolerance(solver, tolerance, initial)
     check_memory(structure, harmonics)
@@ -293,11 +309,15 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless the search for a problem's solution can begin at ``initial``."""
     structure, subharmonic = problem.structure, problem.subharmonic
     fitting_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
-    initial_size = initial.structure.n_dofs, initial.structure.n_pairs
-    needs_gaps_only = structure.light_lips and initial_size[1] == structure.n_pairs
-    if not needs_gaps_only and initial_size != (structure.n_dofs, structure.n_pairs):
+    initial_dofs_and_pairs = initial.structure.n_dofs, initial.structure.n_pairs
+    needs_gaps_only = structure.light_lips and initial_dofs_and_pairs[1] == structure.n_pairs
+    if not needs_gaps_only and initial_dofs_and_pairs != (structure.n_dofs, structure.n_pairs):
         requirement = f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs"
-        raise InputError("initial", f"{initial_size[0]} dofs, {initial_size[1]} pairs", requirement)
+        raise InputError(
+            "initial",
+            f"{initial_dofs_and_pairs[0]} dofs, {initial_dofs_and_pairs[1]} pairs",
+            requirement,
+        )
     if subharmonic % initial.subharmonic:
         requirement = f"of a subharmonic that divides {subharmonic}"
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
@@ -314,8 +334,11 @@ def mode_counts(
 ) -> list[int]:
     """Return ascending numbers of modes for a large structure, doubled each time."""
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
-    doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
-    return [min(first_modes * 2**power, max_modes) for power in range(doublings + 1)]
+    n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
+    return [
+        min(first_modes * 2**n_done_doublings, max_modes)
+        for n_done_doublings in range(n_doublings + 1)
+    ]
 
 
 def solve_to_tolerance(
@@ -349,8 +372,8 @@ def solve_to_tolerance(
     ):
         structures = [whole_structure]
     elif structures is None:
-        reduce = partial(reduce_structure, whole_structure, method="massless")
-        structures = (reduce(modes=modes) for modes in mode_counts(whole_structure))
+        reduce_to = partial(reduce_structure, whole_structure, method="massless")
+        structures = (reduce_to(modes=modes) for modes in mode_counts(whole_structure))
     best_solution = None
     for structure in structures:
         solver = replace(solver, problem=replace(solver.problem, structure=structure))
@@ -378,11 +401,11 @@ def solve_beside(
     neighbour: PeriodicSolution | None,
     tolerance: float | None = None,
     *,
-    error: bool = True,
+    with_errors: bool = True,
 ) -> PeriodicSolution:
     """Return a small structure's solution, sought from a neighbouring solution.
 
-    Without a tolerance, ``error`` decides whether errors are estimated. With a tolerance, the
+    Without a tolerance, ``with_errors`` decides whether errors are estimated. With a tolerance, the
     solution is the orbit next to the neighbour. It has no fewer harmonics than the problem, and as
     many as bring the truncation error below the tolerance.
 
@@ -395,21 +418,23 @@ def solve_beside(
     """
     if tolerance is None:
         balanced_solution = Solver(problem).solve(neighbour)
-        return balanced_solution if error else balanced_solution.reported(NOT_ESTIMATED)
+        return balanced_solution if with_errors else balanced_solution.reported(UNESTIMATED_REPORT)
     solution = _solve_structure(Solver(problem), tolerance, neighbour)
-    if not (truncation := solution.report.truncation) <= tolerance:
-        size = f"the estimated truncation error, {truncation:.1e} with H = {solution.harmonics},"
-        message = f"{size} stays above {tolerance:g}; {solution.status}"
+    if not (truncation_error := solution.report.truncation) <= tolerance:
+        error_text = (
+            f"the estimated truncation error, {truncation_error:.1e} with H = {solution.harmonics},"
+        )
+        message = f"{error_text} stays above {tolerance:g}; {solution.status}"
         raise ConvergenceError(f"harmonic balance at {problem.omega:g} rad/s: {message}")
     return solution
 
 
-def _error_goal(tolerance: float, reduction: float) -> float:
+def _error_goal(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for harmonics and samples.
 
     It is the tolerance less the modal truncation error, at most half of the tolerance.
     """
-    remaining_error = tolerance - reduction
+    remaining_error = tolerance - reduction_error
     return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0
 
 
@@ -424,29 +449,36 @@ def _with_tolerance_status(
     report, structure = solution.report, solution.structure
     if not solution.converged:
         return solution
-    massless_part = as_massless_structure(structure)
-    kept_modes = ""
-    modes_remedy = modes_key or "modes"
+    massless_structure = as_massless_structure(structure)
+    kept_modes_text = ""
+    modes_remedy_text = modes_key or "modes"
     n_sectors = 1
     if isinstance(structure, ReducedStructure):
-        size = f"{structure.n_dofs} coordinates"
-        kept_modes = f", {size}"
-        if massless_part is not None:
-            kept_modes = f", {massless_part.n_modes} modes ({size})"
-            n_sectors = massless_part.whole.n_sectors
-            modes_remedy = modes_key or ("families" if n_sectors > 1 else "modes")
-            modes_remedy += f" {2 * massless_part.n_modes // n_sectors}, in about twice the time"
+        size_text = f"{structure.n_dofs} coordinates"
+        kept_modes_text = f", {size_text}"
+        if massless_structure is not None:
+            kept_modes_text = f", {massless_structure.n_modes} modes ({size_text})"
+            n_sectors = massless_structure.whole.n_sectors
+            modes_remedy_text = modes_key or ("families" if n_sectors > 1 else "modes")
+            modes_remedy_text += (
+                f" {2 * massless_structure.n_modes // n_sectors}, in about twice the time"
+            )
     if report.total <= tolerance:
-        choice = f"chosen for an error of {tolerance:g}: H = {solution.harmonics}{kept_modes}"
-        return replace(solution, status=f"{solution.status}; {choice}")
-    remedies = {
-        modes_remedy: report.reduction,
+        choice_text = (
+            f"chosen for an error of {tolerance:g}: H = {solution.harmonics}{kept_modes_text}"
+        )
+        return replace(solution, status=f"{solution.status}; {choice_text}")
+    error_by_remedy = {
+        modes_remedy_text: report.reduction,
         "more damping, which needs fewer harmonics": report.truncation + report.sampling,
         "a larger tolerance, as the error is rounding": report.residual,
     }
-    size = "unknown" if report.unknown else percent(report.total)
-    message = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
-    message += f"{max(remedies, key=remedies.__getitem__)} (H = {solution.harmonics}{kept_modes})"
+    size_text = "unknown" if report.unknown else percent(report.total)
+    message = f"solved; error {size_text}, {percent(tolerance)} was asked; what helps: "
+    message += (
+        f"{max(error_by_remedy, key=error_by_remedy.__getitem__)} "
+        f"(H = {solution.harmonics}{kept_modes_text})"
+    )
     if solver.throw:
         message += f"; {solution.status}; throw = False returns it"
         raise ConvergenceError(f"harmonic balance at {solution.omega:g} rad/s: {message}")
@@ -464,31 +496,34 @@ def _solve_structure(
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
         orbit_solution = solution_of_orbit(problem, search.orbit, tolerance, initial)
-        origin = (
+        origin_text = (
             f"{search.outcome_text}, from H = {solutions[-1].harmonics}"
             if solutions
             else search.outcome_text
         )
         return replace(
             orbit_solution,
-            status=origin + _describe_other_orbits(search),
+            status=origin_text + _describe_other_orbits(search),
             others=search.other_orbits,
         )
     if solutions:
         initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
     solution = _raise_harmonics(solver, tolerance, _solver_for(solver, problem).solve(initial))
-    orders = ", ".join(
-        str(count * problem.subharmonic) for count in SearchOptions.guess_harmonic_counts
+    harmonics_text = ", ".join(
+        str(load_harmonics * problem.subharmonic)
+        for load_harmonics in SearchOptions.guess_harmonic_counts
     )
-    status = f"no exact orbit found from H = {orders}; {search.outcome_text}; {solution.status}"
+    status = (
+        f"no exact orbit found from H = {harmonics_text}; {search.outcome_text}; {solution.status}"
+    )
     return replace(solution, status=status)
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
 
 
-def initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
+def search_initial_orbit(problem: Problem, initial: PeriodicSolution | None = None) -> OrbitSearch:
     """Search for an exact orbit from harmonic-balance solutions.
 
     The solutions have more and more harmonics, and are all sought from ``initial``. If that has an
@@ -512,22 +547,24 @@ def _search_orbit_from_solutions(
     """
     problem, solutions = solver.problem, list[PeriodicSolution]()
 
-    def guesses() -> Iterator[np.ndarray]:
+    def state_guesses() -> Iterator[np.ndarray]:
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
                 yield orbit.sampled.whole_states[SEGMENT_START_SLICE]
             elif flow.n_modes > orbit.flow.n_modes and initial.structure.light_lips:
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
-        for count in SearchOptions.guess_harmonic_counts:
-            start_problem = problem.with_harmonics(problem.response_harmonics(count))
-            solution = _solver_for(solver, start_problem).attempt(initial, wholly=False)[1]
+        for load_harmonics in SearchOptions.guess_harmonic_counts:
+            start_problem = problem.with_harmonics(problem.response_harmonics(load_harmonics))
+            solution = _solver_for(solver, start_problem).search_and_solution(
+                initial, with_whole_budget=False
+            )[1]
             if solution.converged:
                 solutions.append(solution)
-                yield solution.assessment.states
+                yield solution.assessment.states_over_period
 
     search = search_orbit(
-        flow, problem.omega, guesses(), problem.subharmonic, prefer_stable=initial is None
+        flow, problem.omega, state_guesses(), problem.subharmonic, prefer_stable=initial is None
     )
     return solutions, search
 
@@ -542,7 +579,7 @@ def _states_with_more_modes(
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
         return more_modes.orbit.sampled.whole_states[SEGMENT_START_SLICE]
-    return MoreModes(flow, assessment.wave, orbit).states
+    return MoreModes(flow, assessment.wave, orbit).states_over_period
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
@@ -578,83 +615,92 @@ def solution_of_orbit(
     )
     more_modes: MoreModes | None = None
 
-    def wave_with(harmonics: int) -> PeriodicSolution:
+    def solution_with(harmonics: int) -> PeriodicSolution:
         nonlocal coefficients
         if 2 * harmonics + 1 > len(coefficients.gap):
             coefficients = orbit.coefficients(harmonics)
-        return wave_of(problem.with_harmonics(harmonics), orbit, coefficients, more_modes)
+        return truncated_orbit_solution(
+            problem.with_harmonics(harmonics), orbit, coefficients, more_modes
+        )
 
-    more_modes = wave_with(
+    more_modes = solution_with(
         problem.response_harmonics(SearchOptions.guess_harmonic_counts[0])
     ).assessment.more_modes
     if more_modes and initial and initial.structure is problem.structure:
-        initial_modes = initial.assessment.more_modes
+        initial_more_modes = initial.assessment.more_modes
         more_modes = replace(
-            more_modes, inverse=initial_modes.orbit_inverse if initial_modes else None
+            more_modes,
+            inverse_function=initial_more_modes.orbit_inverse_function
+            if initial_more_modes
+            else None,
         )
-    reduction, load_error = _modal_truncation_errors(problem, wave_with, more_modes)
-    goal = _error_goal(tolerance, reduction)
-    too_few_harmonics, solution = 0, wave_with(problem.harmonics)
-    while not solution.assessment.distance <= goal and solution.harmonics < max_harmonics:
-        too_few_harmonics = solution.harmonics
-        solution = wave_with(min(2 * solution.harmonics, max_harmonics))
-    if too_few_harmonics:
+    reduction_error, load_error = _modal_truncation_errors(problem, solution_with, more_modes)
+    error_goal = _error_goal(tolerance, reduction_error)
+    n_insufficient_harmonics, solution = 0, solution_with(problem.harmonics)
+    while not solution.assessment.distance <= error_goal and solution.harmonics < max_harmonics:
+        n_insufficient_harmonics = solution.harmonics
+        solution = solution_with(min(2 * solution.harmonics, max_harmonics))
+    if n_insufficient_harmonics:
         harmonics = bisect_left(
             range(solution.harmonics),
             True,
-            too_few_harmonics + 1,
-            key=lambda count: wave_with(count).assessment.distance <= goal,
+            n_insufficient_harmonics + 1,
+            key=lambda count: solution_with(count).assessment.distance <= error_goal,
         )
-        solution = wave_with(harmonics)
-    gap, errors = orbit.gap, solution.assessment.errors()
-    gap_motion = gap + problem.structure.clearance
+        solution = solution_with(harmonics)
+    gap_samples, gap_and_load_errors = orbit.gap, solution.assessment.errors()
+    gap_plus_clearance = gap_samples + problem.structure.clearance
     report = ErrorReport(
         residual=orbit.residual,
-        truncation=errors[0],
-        reduction=reduction,
-        penetration=relative_to_motion(np.maximum(gap, 0.0), gap_motion),
-        displacement=min(errors[1] + load_error, UNKNOWN),
+        truncation=gap_and_load_errors[0],
+        reduction=reduction_error,
+        penetration=relative_to_motion(np.maximum(gap_samples, 0.0), gap_plus_clearance),
+        displacement=min(gap_and_load_errors[1] + load_error, UNKNOWN_ERROR),
     )
     return replace(solution.reported(report), iterations=orbit.iterations)
 
 
-def wave_of(
+def truncated_orbit_solution(
     problem: Problem,
     orbit: PeriodicOrbit,
     coefficients: RealFourierCoefficients,
     more_modes: MoreModes | None = None,
 ) -> PeriodicSolution:
     """Return an orbit's motion with the harmonics of a problem."""
-    rows = slice(2 * problem.harmonics + 1)
+    row_slice = slice(2 * problem.harmonics + 1)
     wave = problem.wave_of(
-        coefficients.displacement[rows], coefficients.gap[rows], coefficients.force[rows]
+        coefficients.displacement[row_slice],
+        coefficients.gap[row_slice],
+        coefficients.force[row_slice],
     )
     return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more_modes=more_modes))
 
 
 def _modal_truncation_errors(
-    problem: Problem, wave_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
+    problem: Problem, solution_with: Callable[[int], PeriodicSolution], more_modes: MoreModes | None
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
     They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
-    computes them, from ``wave_with``, the orbit's motion with a given number of harmonics.
+    computes them, from ``solution_with``, the orbit's motion with a given number of harmonics.
 
     Returns
     -------
     gap, displacement : float
         Relative errors; the displacement is the one at the load.
     """
-    structure = problem.structure
-    if not isinstance(structure, ReducedStructure) or structure.reference is None:
+    reduced_structure = problem.structure
+    if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
     if more_modes is None or more_modes.orbit is None:
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
-        balance = Solver(problem.with_harmonics(n_harmonics))
-        solution = balance.attempt(wave_with(n_harmonics), wholly=False, more_modes=more_modes)[1]
-        if solution.converged:
-            return solution.report.reduction, solution.report.displacement
-    return (more_modes and more_modes.errors) or (UNKNOWN, UNKNOWN)
+        balance_solver = Solver(problem.with_harmonics(n_harmonics))
+        balanced_solution = balance_solver.search_and_solution(
+            solution_with(n_harmonics), with_whole_budget=False, more_modes=more_modes
+        )[1]
+        if balanced_solution.converged:
+            return balanced_solution.report.reduction, balanced_solution.report.displacement
+    return (more_modes and more_modes.errors) or (UNKNOWN_ERROR, UNKNOWN_ERROR)
 
 
 # --- by harmonics ---------------------------------------------------------------------------------
@@ -668,7 +714,7 @@ def _raise_harmonics(
     while solution.converged and not _has_enough_harmonics(solution, tolerance):
         harmonics = min(2 * solution.harmonics, MAX_HARMONICS)
         finer_solver = _solver_for(solver, solver.problem.with_harmonics(harmonics))
-        solution = finer_solver.attempt(solution, wholly=False)[1]
+        solution = finer_solver.search_and_solution(solution, with_whole_budget=False)[1]
         if solution.converged and solution.report.total < best_solution.report.total:
             best_solution = solution
     return best_solution
@@ -679,13 +725,13 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
 
     With sampled contact forces, more harmonics also mean more samples.
     """
-    error = solution.report.truncation + solution.report.sampling
-    is_unknown = (
-        error >= UNKNOWN
+    truncation_and_sampling = solution.report.truncation + solution.report.sampling
+    is_error_unknown = (
+        truncation_and_sampling >= UNKNOWN_ERROR
         and solution.harmonics >= SearchOptions.guess_harmonic_counts[-1] * solution.subharmonic
     )
-    meets_goal = error <= _error_goal(tolerance, solution.report.reduction)
-    return meets_goal or is_unknown or solution.harmonics >= MAX_HARMONICS
+    meets_goal = truncation_and_sampling <= _error_goal(tolerance, solution.report.reduction)
+    return meets_goal or is_error_unknown or solution.harmonics >= MAX_HARMONICS
 
 
 # --- friction on solids ---------------------------------------------------------------------------
@@ -725,10 +771,10 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
     --------
     >>> rubbing = fc.slide_along_lines(structure, 2e3, fc.CoulombFriction(contact, 0.3))
     """
-    return along_lines(structure, contact, partial(motion_without_friction, structure, omega))
+    return law_along_lines(structure, contact, partial(motion_without_friction, structure, omega))
 
 
-def along_lines(
+def law_along_lines(
     structure: Structure,
     contact: ContactLaw,
     frictionless_motion: Callable[[ContactLaw], ObservedMotion],
@@ -737,13 +783,13 @@ def along_lines(
 
     They follow from the motion under its normal law.
     """
-    friction, tangents = friction_of(contact), structure.tangential
-    if friction is None or friction.direction is not None or tangents is None:
+    friction_law, tangential_gap_matrix = friction_of(contact), structure.tangential
+    if friction_law is None or friction_law.direction is not None or tangential_gap_matrix is None:
         return contact
-    if tangents.shape[1] == structure.n_pairs:
+    if tangential_gap_matrix.shape[1] == structure.n_pairs:
         return contact
-    direction, turning_ratio = find_sliding_lines(frictionless_motion(friction.law))
-    return replace(friction, direction=direction, turning=turning_ratio)
+    line_angles, turning_ratio = find_line_angles_and_turning(frictionless_motion(friction_law.law))
+    return replace(friction_law, direction=line_angles, turning=turning_ratio)
 
 
 def motion_without_friction(
@@ -757,11 +803,15 @@ def motion_without_friction(
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
     solution = Solver(start_problem).solve()
     assessment = solution.assessment
-    return assessment.orbit if assessment.is_accepted and assessment.orbit is not None else solution
+    return (
+        assessment.nearest_orbit
+        if assessment.is_accepted and assessment.nearest_orbit is not None
+        else solution
+    )
 
 
-def find_sliding_lines(
-    motion: ObservedMotion, direction: np.ndarray | None = None
+def find_line_angles_and_turning(
+    motion: ObservedMotion, line_angles: np.ndarray | None = None
 ) -> tuple[np.ndarray, float]:
     """Return the lines along which pairs slide, and how much sliding turns (collective).
 
@@ -769,31 +819,35 @@ def find_sliding_lines(
     ----------
     motion : ObservedMotion
         Motion of a structure with two tangential gaps per pair.
-    direction : (n_pairs,) [rad], optional
+    line_angles : (n_pairs,) [rad], optional
         Lines; default: the main directions of sliding.
 
     Returns
     -------
-    direction : (n_pairs,) [rad]
+    line_angles : (n_pairs,) [rad]
     turning : float
         Root of the sum over pairs of A across the lines, over A along them
         (:func:`slide_along_lines`).
     """
-    tangents = motion.structure.tangential
-    assert tangents is not None
-    [record] = motion.records(tangents.T.toarray())
-    pairs = motion.structure.n_pairs
-    slip, force = (
-        record.row_products.reshape(len(record.row_products), 2, pairs),
-        record.forces[:, :pairs],
+    tangential_gap_matrix = motion.structure.tangential
+    assert tangential_gap_matrix is not None
+    [motion_record] = motion.records(tangential_gap_matrix.T.toarray())
+    n_pairs = motion.structure.n_pairs
+    slip, normal_force = (
+        motion_record.row_products.reshape(len(motion_record.row_products), 2, n_pairs),
+        motion_record.forces[:, :n_pairs],
     )
     slip_change = np.roll(slip, -1, axis=0) - slip
-    weight = np.maximum(0.5 * (np.roll(force, -1, axis=0) + force), 0.0)
-    work = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, weight)
-    if direction is None:
-        main_axes = np.linalg.eigh(work)[1][:, :, 1]
-        direction = np.arctan2(main_axes[:, 1], main_axes[:, 0])
-    line = np.array([np.cos(direction), np.sin(direction)])
-    work_along = float(np.einsum("ip,jp,pij->", line, line, work))
-    work_across = max(float(np.trace(work, axis1=1, axis2=2).sum()) - work_along, 0.0)
-    return direction, math.sqrt(work_across / work_along) if work_along > 0.0 else 0.0
+    mean_normal_force = np.maximum(0.5 * (np.roll(normal_force, -1, axis=0) + normal_force), 0.0)
+    work_matrices = np.einsum("tip,tjp,tp->pij", slip_change, slip_change, mean_normal_force)
+    if line_angles is None:
+        main_axes = np.linalg.eigh(work_matrices)[1][:, :, 1]
+        line_angles = np.arctan2(main_axes[:, 1], main_axes[:, 0])
+    line_vectors = np.array([np.cos(line_angles), np.sin(line_angles)])
+    total_work_along = float(np.einsum("ip,jp,pij->", line_vectors, line_vectors, work_matrices))
+    total_work_across = max(
+        float(np.trace(work_matrices, axis1=1, axis2=2).sum()) - total_work_along, 0.0
+    )
+    return line_angles, math.sqrt(
+        total_work_across / total_work_along
+    ) if total_work_along > 0.0 else 0.0

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_crack.balance.harmonic_balance import initial_orbit
+from fenics_crack.balance.harmonic_balance import search_initial_orbit
 from fenics_crack.balance.more_modes import is_still
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import ConvergenceError, InputError
@@ -108,8 +108,12 @@ class ManyOrbits(Tabular):
 
         Raises InputError if the case cannot exist.
         """
-        omega, load, damping, clearance = (float(getattr(self, name)[case]) for name in PARAMETERS)
-        structure = self.structure.varied(load=load, damping=damping, clearance=clearance)
+        omega, load_factor, damping_factor, added_clearance = (
+            float(getattr(self, parameter_name)[case]) for parameter_name in PARAMETERS
+        )
+        structure = self.structure.varied(
+            load=load_factor, damping=damping_factor, clearance=added_clearance
+        )
         return Problem(structure, omega, self.contact, self.harmonics)
 
     def orbit(self, case: int) -> PeriodicOrbit:
@@ -128,7 +132,10 @@ class ManyOrbits(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the attributes (n,) by name, as lists, without structure and states."""
-        return {column.name: getattr(self, column.name).tolist() for column in fields(self)[3:-1]}
+        return {
+            column_field.name: getattr(self, column_field.name).tolist()
+            for column_field in fields(self)[3:-1]
+        }
 
     def _title(self) -> str:
         return f"{len(self.omega)} cases, {np.sum(self.verdict == '')} without an orbit"
@@ -175,36 +182,40 @@ def solve_many(
     >>> many = fc.solve_many(structure, 2000.0, contact, damping=np.linspace(0.5, 2.0, 20))
     >>> lost = np.flatnonzero(many.status == "lost")
     """
-    arguments = [numbers(argument) for argument in (omega, load, damping, clearance)]
-    shapes = {argument.shape for argument in arguments} - {()}
+    argument_arrays = [numbers(argument) for argument in (omega, load, damping, clearance)]
+    shapes = {argument.shape for argument in argument_arrays} - {()}
     if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
-        shapes_in_words = ", ".join(str(argument.shape) for argument in arguments)
+        shapes_in_words = ", ".join(str(argument.shape) for argument in argument_arrays)
         raise InputError(
             "omega, load, damping, clearance", shapes_in_words, "numbers and arrays (n,)"
         )
-    cases = np.array(np.broadcast_arrays(*arguments), dtype=float)
+    case_parameters = np.array(np.broadcast_arrays(*argument_arrays), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
-    n_cases, flow = cases.shape[1], exact_flow_or_error(structure, contact)
-    columns: dict[str, Any] = dict(zip(PARAMETERS, cases, strict=True))
-    columns |= {name: np.full(n_cases, "", dtype=object) for name in TEXT_COLUMNS}
-    columns |= {name: np.full(n_cases, np.nan) for name in NUMBER_COLUMNS}
-    columns["states"] = np.full((n_cases, flow.size), np.nan)
-    solved_cases = ManyOrbits(structure, contact, harmonics, **columns)
-    watched_rows = rows_of(structure, [structure.watched_dof])
-    for case, neighbours, offsets in _order_cases(solved_cases, flow):
+    n_cases, flow = case_parameters.shape[1], exact_flow_or_error(structure, contact)
+    columns_by_name: dict[str, Any] = dict(zip(PARAMETERS, case_parameters, strict=True))
+    columns_by_name |= {
+        column_name: np.full(n_cases, "", dtype=object) for column_name in TEXT_COLUMNS
+    }
+    columns_by_name |= {column_name: np.full(n_cases, np.nan) for column_name in NUMBER_COLUMNS}
+    columns_by_name["states"] = np.full((n_cases, flow.size), np.nan)
+    orbit_table = ManyOrbits(structure, contact, harmonics, **columns_by_name)
+    watched_dof_row = rows_of(structure, [structure.watched_dof])
+    for case, neighbour_indices, offsets in _yield_cases_with_neighbours(orbit_table, flow):
         try:
-            problem = solved_cases.problem(case)
-            orbit = _find_orbit_of_case(solved_cases, case, problem, neighbours, offsets)
-            for name, number in _orbit_numbers(problem, orbit, watched_rows).items():
-                columns[name][case] = number
+            problem = orbit_table.problem(case)
+            orbit = _find_orbit_of_case(orbit_table, case, problem, neighbour_indices, offsets)
+            for column_name, table_entry in _table_entries_of_orbit(
+                problem, orbit, watched_dof_row
+            ).items():
+                columns_by_name[column_name][case] = table_entry
         except (ConvergenceError, InputError, np.linalg.LinAlgError) as error:
-            solved_cases.status[case] = "refused" if isinstance(error, InputError) else "lost"
-            solved_cases.reason[case] = str(error)
-    return solved_cases
+            orbit_table.status[case] = "refused" if isinstance(error, InputError) else "lost"
+            orbit_table.reason[case] = str(error)
+    return orbit_table
 
 
-def _order_cases(
-    cases: ManyOrbits, flow: ContactFlow
+def _yield_cases_with_neighbours(
+    orbit_table: ManyOrbits, flow: ContactFlow
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Yield cases from the middle outwards, each with its earlier neighbours.
 
@@ -214,101 +225,157 @@ def _order_cases(
     ------
     case : int
         Index.
-    neighbours : (k,) int
+    neighbour_indices : (k,) int
         Indices of earlier cases among the nearest 16, the nearest first.
     offsets : (k, d)
         Scaled parameters of the neighbours, less those of the case.
     """
-    load_size = np.where(cases.load == 0.0, 1.0, np.abs(cases.load))
-    rows = [cases.omega, cases.damping, np.sign(cases.load), cases.clearance / load_size]
-    rows.append(np.abs(flow.clearance).max() / load_size)
-    x = np.nan_to_num(np.array(rows).T, nan=0.0, posinf=0.0, neginf=0.0)
-    scale, centre = np.ptp(x, axis=0), np.median(x, axis=0)
-    mode_index = int(np.abs(flow.modal_model.squares - centre[0] ** 2).argmin())
-    width = centre[1] * flow.modal_model.damping_force(np.eye(flow.n_modes))[mode_index, mode_index]
-    scale[0] = min(scale[0], width) if width > 0.0 else scale[0]
-    x = (x - centre) / np.where(scale > 0.0, scale, 1.0)
-    order = np.argsort(np.linalg.norm(x, axis=1), kind="stable")
-    nearest_cases = cKDTree(x).query(x, min(N_NEAREST_CASES, len(x)))[1].reshape(len(x), -1)
-    rank = np.argsort(order)
-    for case in order.tolist():
-        neighbours = nearest_cases[case][rank[nearest_cases[case]] < rank[case]]
-        yield case, neighbours, x[neighbours] - x[case]
+    load_magnitudes = np.where(orbit_table.load == 0.0, 1.0, np.abs(orbit_table.load))
+    parameter_rows = [
+        orbit_table.omega,
+        orbit_table.damping,
+        np.sign(orbit_table.load),
+        orbit_table.clearance / load_magnitudes,
+    ]
+    parameter_rows.append(np.abs(flow.clearance).max() / load_magnitudes)
+    scaled_parameters = np.nan_to_num(np.array(parameter_rows).T, nan=0.0, posinf=0.0, neginf=0.0)
+    parameter_ranges, median_parameters = (
+        np.ptp(scaled_parameters, axis=0),
+        np.median(scaled_parameters, axis=0),
+    )
+    mode_index = int(np.abs(flow.modal_model.squares - median_parameters[0] ** 2).argmin())
+    resonance_width = (
+        median_parameters[1]
+        * flow.modal_model.damping_force(np.eye(flow.n_modes))[mode_index, mode_index]
+    )
+    parameter_ranges[0] = (
+        min(parameter_ranges[0], resonance_width) if resonance_width > 0.0 else parameter_ranges[0]
+    )
+    scaled_parameters = (scaled_parameters - median_parameters) / np.where(
+        parameter_ranges > 0.0, parameter_ranges, 1.0
+    )
+    case_order = np.argsort(np.linalg.norm(scaled_parameters, axis=1), kind="stable")
+    nearest_cases = (
+        cKDTree(scaled_parameters)
+        .query(scaled_parameters, min(N_NEAREST_CASES, len(scaled_parameters)))[1]
+        .reshape(len(scaled_parameters), -1)
+    )
+    order_position = np.argsort(case_order)
+    for case in case_order.tolist():
+        neighbour_indices = nearest_cases[case][
+            order_position[nearest_cases[case]] < order_position[case]
+        ]
+        yield (
+            case,
+            neighbour_indices,
+            scaled_parameters[neighbour_indices] - scaled_parameters[case],
+        )
 
 
 def _find_orbit_of_case(
-    cases: ManyOrbits, case: int, problem: Problem, neighbours: np.ndarray, offsets: np.ndarray
+    orbit_table: ManyOrbits,
+    case: int,
+    problem: Problem,
+    neighbour_indices: np.ndarray,
+    offsets: np.ndarray,
 ) -> PeriodicOrbit:
     """Return the orbit of a case, and set its ``status`` and ``reason``.
 
-    Newton's method begins near the orbits of ``neighbours``, cases whose scaled parameters differ
-    by ``offsets`` (:func:`_order_cases`). Raises ConvergenceError if no orbit is found.
+    Newton's method begins near the orbits of the neighbours, cases whose scaled parameters differ
+    by ``offsets`` (:func:`_yield_cases_with_neighbours`). Raises ConvergenceError if no orbit is
+    found.
     """
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_affordable(flow, problem.omega):
         raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
-    is_usable = (cases.verdict[neighbours] != "") & (cases.load[neighbours] != 0.0)
-    neighbours, offsets = neighbours[is_usable][:N_NEIGHBOURS], offsets[is_usable][:N_NEIGHBOURS]
-    states = cases.states[neighbours] * np.abs(cases.load[case] / cases.load[neighbours])[:, None]
-    guesses = list(states[:1])
-    if len(states) > np.any(offsets, axis=0).sum() + 1:
+    is_usable = (orbit_table.verdict[neighbour_indices] != "") & (
+        orbit_table.load[neighbour_indices] != 0.0
+    )
+    neighbour_indices, offsets = (
+        neighbour_indices[is_usable][:N_NEIGHBOURS],
+        offsets[is_usable][:N_NEIGHBOURS],
+    )
+    neighbour_states = (
+        orbit_table.states[neighbour_indices]
+        * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
+    )
+    guesses = list(neighbour_states[:1])
+    if len(neighbour_states) > np.any(offsets, axis=0).sum() + 1:
         weights = 1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
-        rows = weights * np.column_stack([np.ones(len(offsets)), offsets])
-        guesses.insert(0, np.linalg.lstsq(rows, weights * states, rcond=None)[0][0])
-    orbits = (
+        regression_rows = weights * np.column_stack([np.ones(len(offsets)), offsets])
+        guesses.insert(
+            0, np.linalg.lstsq(regression_rows, weights * neighbour_states, rcond=None)[0][0]
+        )
+    orbits_or_none = (
         find_orbit(flow, problem.omega, state, step_tolerance=STEP_TOLERANCE) for state in guesses
     )
-    orbit, cases.status[case] = next(filter(None, orbits), None), "neighbour"
+    orbit, orbit_table.status[case] = next(filter(None, orbits_or_none), None), "neighbour"
     # Without damping the largest modulus is 1.
     if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit
-    search = initial_orbit(problem)
+    search = search_initial_orbit(problem)
     if orbit is None or (search.orbit is not None and search.orbit.is_stable):
-        orbit, cases.status[case], cases.reason[case] = search.orbit, "alone", search.outcome_text
+        orbit, orbit_table.status[case], orbit_table.reason[case] = (
+            search.orbit,
+            "alone",
+            search.reason,
+        )
     if orbit is None:
         raise ConvergenceError(search.outcome_text)
     return orbit
 
 
-def _orbit_numbers(
-    problem: Problem, orbit: PeriodicOrbit, watched_rows: np.ndarray
+def _table_entries_of_orbit(
+    problem: Problem, orbit: PeriodicOrbit, watched_dof_row: np.ndarray
 ) -> dict[str, Any]:
     """Return an orbit's entries of the arrays of :class:`ManyOrbits`, by name.
 
-    ``watched_rows`` (1, n_dofs) select the watched dof.
+    ``watched_dof_row`` (1, n_dofs) selects the watched dof.
     """
-    n_instants, track = max(MIN_SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
-    samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
-    motion = samples.displacement, samples.gaps, samples.forces
-    wave = problem.wave_of(*(fourier_coefficients(rows, problem.harmonics) for rows in motion))
-    gap_error = motion[1] - wave.over_period(n_instants)[1]
-    displacement = motion[0] @ watched_rows.T
-    truncation = (
+    n_instants, contact_track = max(MIN_SAMPLES, 4 * problem.harmonics + 4), orbit.motion.track
+    orbit_samples = orbit.samples(np.arange(n_instants) * orbit.period / n_instants)
+    displacement_gaps_forces = orbit_samples.displacement, orbit_samples.gaps, orbit_samples.forces
+    wave = problem.wave_of(
+        *(
+            fourier_coefficients(quantity_samples, problem.harmonics)
+            for quantity_samples in displacement_gaps_forces
+        )
+    )
+    gap_error = displacement_gaps_forces[1] - wave.over_period(n_instants)[1]
+    watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
+    truncation_error = (
         0.0
-        if is_still(samples)
-        else relative_to_motion(gap_error, motion[1] + wave.structure_with_row_pairs.clearance)
+        if is_still(orbit_samples)
+        else relative_to_motion(
+            gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
+        )
     )
     multiplier = abs(orbit.multipliers[0])
     verdict = "stable" if multiplier < 1.0 else "unstable"
     return {
         "amplitude": 0.5
-        * (_interpolated_maximum(displacement) + _interpolated_maximum(-displacement)),
-        "opening": max(0.0, _interpolated_maximum(-samples.gap)),
-        "closed_share": track.mean_time_share(track.sets > 0),
+        * (
+            _interpolated_largest_sample(watched_displacement)
+            + _interpolated_largest_sample(-watched_displacement)
+        ),
+        "opening": max(0.0, _interpolated_largest_sample(-orbit_samples.gap)),
+        "closed_share": contact_track.mean_time_share(contact_track.sets > 0),
         "multiplier": multiplier,
-        "truncation": truncation,
+        "truncation": truncation_error,
         "states": orbit.state,
         "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
     }
 
 
-def _interpolated_maximum(values: np.ndarray) -> float:
+def _interpolated_largest_sample(period_samples: np.ndarray) -> float:
     """Return the largest of all values over a period, by interpolation.
 
-    Rows of ``values`` (n, m) are equally spaced instants. A parabola goes through the largest value
-    and its two neighbours in the column.
+    Rows of ``period_samples`` (n, m) are equally spaced instants. A parabola goes through the
+    largest value and its two neighbours in the column.
     """
-    row, column = np.unravel_index(values.argmax(), values.shape)
-    previous, peak, subsequent = values[np.arange(row - 1, row + 2) % len(values), column]
-    curvature = max(2.0 * peak - previous - subsequent, sys.float_info.min)
-    return float(peak + (subsequent - previous) ** 2 / (8.0 * curvature))
+    row_index, column_index = np.unravel_index(period_samples.argmax(), period_samples.shape)
+    sample_before, largest_sample, sample_after = period_samples[
+        np.arange(row_index - 1, row_index + 2) % len(period_samples), column_index
+    ]
+    curvature = max(2.0 * largest_sample - sample_before - sample_after, sys.float_info.min)
+    return float(largest_sample + (sample_after - sample_before) ** 2 / (8.0 * curvature))

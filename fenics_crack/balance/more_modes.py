@@ -41,54 +41,62 @@ from fenics_crack.numerics.equations import ROOT_TOLERANCE
 from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import relative_to_motion
 
-UNKNOWN = 1.0
+UNKNOWN_ERROR = 1.0
 """Relative error that stands for an unknown error."""
 
 Errors = tuple[float, float]
-"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN`."""
+"""Errors of the gap, and of the displacement at the load; at most :data:`UNKNOWN_ERROR`."""
 
 
-def reference_of(wave: Wave) -> ReducedStructure | None:
+def reference_structure_of(wave: Wave) -> ReducedStructure | None:
     """Return the reference of a solution's reduced structure, or None.
 
     The reference has more damping if the truncated modes have none.
     """
-    structure = wave.structure
-    if not isinstance(structure, ReducedStructure) or structure.reference is None:
+    reduced_structure = wave.structure
+    if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return None
-    extra_damping = structure.share * _neglected_dissipation(wave)
+    extra_damping = reduced_structure.share * _neglected_dissipation_ratio(wave)
     return (
-        structure.reference.varied(damping=1.0 + extra_damping)
+        reduced_structure.reference.varied(damping=1.0 + extra_damping)
         if extra_damping
-        else structure.reference
+        else reduced_structure.reference
     )
 
 
-def _neglected_dissipation(wave: Wave) -> float:
+def _neglected_dissipation_ratio(wave: Wave) -> float:
     """Return truncated modes' dissipation by Rayleigh damping, relative to kept modes.
 
     It is 0 with another damping, and for a structure with mass in all coordinates.
     """
-    massless_part = as_massless_structure(wave.structure)
-    if massless_part is None or not isinstance(massless_part.original.damping, RayleighDamping):
+    massless_structure = as_massless_structure(wave.structure)
+    if massless_structure is None or not isinstance(
+        massless_structure.original.damping, RayleighDamping
+    ):
         return 0.0
-    orders = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
-    modal_part, static_part = np.split(
-        orders * wave.displacement_coefficients[1:], [massless_part.n_modes], axis=1
+    harmonic_orders = np.repeat(np.arange(1.0, wave.harmonics + 1), 2)[:, None]
+    modal_rate_coefficients, static_rate_coefficients = np.split(
+        harmonic_orders * wave.displacement_coefficients[1:], [massless_structure.n_modes], axis=1
     )
-    neglected_energy = massless_part.original.damping.stiffness * np.sum(
-        static_part @ massless_part.compliance * static_part
+    neglected_energy = massless_structure.original.damping.stiffness * np.sum(
+        static_rate_coefficients @ massless_structure.compliance * static_rate_coefficients
     )
     return float(
         neglected_energy
-        / max(np.sum(modal_part**2 @ massless_part.rate), NEGLIGIBLE * neglected_energy, 1e-300)
+        / max(
+            np.sum(modal_rate_coefficients**2 @ massless_structure.rate),
+            NEGLIGIBLE * neglected_energy,
+            1e-300,
+        )
     )
 
 
-def modal_truncation_errors(structure: Structure, changes: Errors) -> Errors:
+def modal_truncation_errors(structure: Structure, gap_and_load_changes: Errors) -> Errors:
     """Return the modal truncation errors from changes between a structure and its reference."""
-    share = structure.share if isinstance(structure, ReducedStructure) else 1.0
-    return min(changes[0] / share, UNKNOWN), min(changes[1] / share, UNKNOWN)
+    reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
+    return min(gap_and_load_changes[0] / reference_share, UNKNOWN_ERROR), min(
+        gap_and_load_changes[1] / reference_share, UNKNOWN_ERROR
+    )
 
 
 @dataclass(frozen=True)
@@ -101,51 +109,68 @@ class MoreModes:
     """Harmonic-balance solution."""
     nearest_orbit: PeriodicOrbit
     """Nearest exact orbit, with the modes of the solution's structure."""
-    inverse: IMinusMSolver | None = None
+    inverse_function: IMinusMSolver | None = None
     """(I - M)^-1 of a neighbouring motion, with which the search begins."""
 
     @property
-    def states(self) -> np.ndarray:
+    def states_over_period(self) -> np.ndarray:
         """Return the nearest orbit's states on the flow with more modes: (32, flow.size).
 
         They belong to equal parts of the period. New modes respond statically to the load and the
         contact forces.
         """
-        samples, flow = self.nearest_orbit.sampled, self.flow
-        n_modes = self.nearest_orbit.flow.n_modes
-        coordinates, speed, places = np.split(samples.whole_states, [n_modes, 2 * n_modes], axis=1)
+        orbit_samples, flow = self.nearest_orbit.sampled, self.flow
+        n_orbit_modes = self.nearest_orbit.flow.n_modes
+        modal_coordinates, modal_velocities, sticking_places = np.split(
+            orbit_samples.whole_states, [n_orbit_modes, 2 * n_orbit_modes], axis=1
+        )
         if as_massless_structure(self.wave.structure) is None:
-            return self._reference_states(coordinates, speed, places)[SEGMENT_START_SLICE]
-        n_kept = coordinates.shape[1]
+            return self._reference_states(modal_coordinates, modal_velocities, sticking_places)[
+                SEGMENT_START_SLICE
+            ]
+        n_kept = modal_coordinates.shape[1]
         modal_loads = (
-            fourier_basis_for(flow.modal_load, self.wave.omega * samples.time)
+            fourier_basis_for(flow.modal_load, self.wave.omega * orbit_samples.time)
             @ flow.modal_load[:, n_kept:]
         )
-        modal_loads = modal_loads - samples.forces @ flow.modal_model.pairs[n_kept:].T
+        modal_loads = modal_loads - orbit_samples.forces @ flow.modal_model.pairs[n_kept:].T
         static_coordinates = modal_loads / flow.modal_model.squares[n_kept:]
         static_rates = (
             np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
-        ) / (2.0 * samples.time[1])
-        whole_states = [coordinates, static_coordinates, speed, static_rates, places]
-        return np.hstack(whole_states)[SEGMENT_START_SLICE]
+        ) / (2.0 * orbit_samples.time[1])
+        state_columns = [
+            modal_coordinates,
+            static_coordinates,
+            modal_velocities,
+            static_rates,
+            sticking_places,
+        ]
+        return np.hstack(state_columns)[SEGMENT_START_SLICE]
 
     def _reference_states(
-        self, coordinates: np.ndarray, speed: np.ndarray, places: np.ndarray
+        self,
+        modal_coordinates: np.ndarray,
+        modal_velocities: np.ndarray,
+        sticking_places: np.ndarray,
     ) -> np.ndarray:
         """Return states of the structure with more modes (n, flow.size), by projection.
 
-        Modal ``coordinates`` and ``speed`` (n, n_modes), and ``places`` h of sticking pairs, are
+        Modal coordinates and velocities (n, n_modes), and ``sticking_places`` h (n, n_pairs), are
         those of a reduced structure with mass.
         """
-        structure, reference = self.wave.structure, self.flow.structure
-        assert isinstance(structure, ReducedStructure) and isinstance(reference, ReducedStructure)
-        whole_structure = structure.whole
-        mass_times_basis = multiply(whole_structure.mass, structure.basis)
+        reduced_structure, reference_structure = self.wave.structure, self.flow.structure
+        assert isinstance(reduced_structure, ReducedStructure) and isinstance(
+            reference_structure, ReducedStructure
+        )
+        whole_structure = reduced_structure.whole
+        mass_times_basis = multiply(whole_structure.mass, reduced_structure.basis)
         basis_change = (
-            whole_structure.sum_over_ranks(reference.basis.T @ mass_times_basis)
+            whole_structure.sum_over_ranks(reference_structure.basis.T @ mass_times_basis)
             @ self.nearest_orbit.flow.modal_model.shapes
         )
-        return self.flow.state(coordinates @ basis_change.T, speed @ basis_change.T, places)
+        return self.flow.state(
+            modal_coordinates @ basis_change.T, modal_velocities @ basis_change.T, sticking_places
+        )
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
@@ -158,23 +183,27 @@ class MoreModes:
 
         The step corrects all parts of the nearest orbit's period together.
         """
-        flow, omega, periods = self.flow, self.wave.omega, self.wave.subharmonic
-        states, start_inverse = self.states, self.inverse
-        search = partial(
-            find_orbit, flow, omega, subharmonic=periods, step_tolerance=ROOT_TOLERANCE
+        flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
+        period_states, start_inverse_function = self.states_over_period, self.inverse_function
+        search_from_state = partial(
+            find_orbit, flow, load_omega, subharmonic=n_load_periods, step_tolerance=ROOT_TOLERANCE
         )
         orbit = None
         if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            orbit = search(states[0], solve_i_minus_m=start_inverse) or (
-                search(states[0]) if start_inverse else None
+            orbit = search_from_state(period_states[0], solve_i_minus_m=start_inverse_function) or (
+                search_from_state(period_states[0]) if start_inverse_function else None
             )
-        if orbit is None and (step := predict_orbit(flow, omega, states, periods)):
-            orbit = search(step.states[0], solve_i_minus_m=step.solve_i_minus_m)
-            return orbit or predict_motion(flow, omega, step, periods)
+        if orbit is None and (
+            prediction := predict_orbit(flow, load_omega, period_states, n_load_periods)
+        ):
+            orbit = search_from_state(
+                prediction.states[0], solve_i_minus_m=prediction.solve_i_minus_m
+            )
+            return orbit or predict_motion(flow, load_omega, prediction, n_load_periods)
         return orbit
 
     @property
-    def orbit_inverse(self) -> IMinusMSolver | None:
+    def orbit_inverse_function(self) -> IMinusMSolver | None:
         """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
         with suppress(np.linalg.LinAlgError):
             return self.orbit.inverse if self.orbit else None
@@ -193,16 +222,16 @@ class MoreModes:
             motion_samples.gaps - orbit_samples.gaps,
             orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
         )
-        displacement, reference_displacement = (
-            motion_at_load(samples.flow.structure, samples.displacement)
+        orbit_motion, motion_with_more_modes = (
+            motion_along_load(samples.flow.structure, samples.displacement)
             for samples in (orbit_samples, motion_samples)
         )
-        load_error = relative_to_motion(reference_displacement - displacement, displacement)
+        load_error = relative_to_motion(motion_with_more_modes - orbit_motion, orbit_motion)
         return modal_truncation_errors(
             self.wave.structure, (0.0 if is_still(orbit_samples) else gap_error, load_error)
         )
 
-    def contradicts(self, verdict: str) -> str:
+    def describe_contradiction(self, verdict: str) -> str:
         """Return in words how the orbit contradicts a verdict on stability.
 
         Returns "" if it agrees, or is unknown.
@@ -222,15 +251,15 @@ class MoreModes:
 def is_still(samples: Samples) -> bool:
     """Return True if crack faces, pressed together by the load, move by rounding only."""
     modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.pairs
-    gap_motion = samples.gaps + samples.flow.clearance
-    return bool(np.linalg.norm(gap_motion) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
+    gap_plus_clearance = samples.gaps + samples.flow.clearance
+    return bool(np.linalg.norm(gap_plus_clearance) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
 
 
-def motion_at_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
+def motion_along_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
     """Return a motion (n, n_local) projected on the load's vibrating parts (collective).
 
     If no part vibrates, the mean load is taken. The shape is (n, n_parts).
     """
-    is_load_part = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
-    is_load_part[0] &= not is_load_part[1:].any()
-    return structure.sum_over_ranks(motion @ structure.force[is_load_part].T)
+    is_loaded_row = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
+    is_loaded_row[0] &= not is_loaded_row[1:].any()
+    return structure.sum_over_ranks(motion @ structure.force[is_loaded_row].T)

@@ -44,7 +44,12 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     respond,
 )
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
+from fenics_crack.balance.contact_system import (
+    ContactPoint,
+    ContactSystem,
+    Wave,
+    default_projection_weight,
+)
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import (
     MAX_SAMPLES,
@@ -90,30 +95,30 @@ from fenics_crack.numerics.newton import (
 )
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOptions, Target
 
-STATIC_CUTOFF_RATIO = 2.0
+CUTOFF_TO_HIGHEST_HARMONIC = 2.0
 """Frequency above which modes are quasi-static, relative to the highest harmonic."""
-MAX_UNKNOWNS_PER_CALL = 15_000
+MAX_CURVE_UNKNOWNS_PER_CALL = 15_000
 """Unknowns that one kernel call computes along a curve, summed over points. Ctrl-C waits for the
 call, a second or two."""
-ALLOWED_IF_SINGULAR = (
+REMEDY_IF_SINGULAR = (
     "'penalty', with a stiffness, as some pairs hardly give beside others: they lie on a strip too "
     "thin for no penetration at all, or no modes are left out; or cracks farther apart"
 )
 """Remedies if R_inf, the quasi-static compliance of a rigid contact, is singular to rounding."""
-ALLOWED_WITHOUT_COMPLIANCE = (
+REMEDY_WITHOUT_COMPLIANCE = (
     "a penalty with a tangential stiffness, or crack faces without mass, "
     "reduce_structure(structure, method='massless'): pairs that stick must give a little"
 )
 """Remedies if pairs with friction have no compliance in series."""
-N_MATRICES_IN_MEMORY = 4
+N_JACOBIANS_IN_MEMORY = 4
 """Dense matrices with the size of the Jacobian in memory at once. For coupled pairs, stiffnesses at
 all instants."""
-MAX_KERNEL_ITERATIONS = 7500
+MAX_SEARCH_ITERATIONS = 7500
 """Search budget: iterations of all guesses together. Steps along a path that were too long count,
 too. With 300 unknowns in the kernel it takes 5 to 8 s."""
-MIN_COSTLY_UNKNOWNS = 200
+MIN_UNKNOWNS_WITH_GROWING_COST = 200
 """Unknowns below which an iteration takes constant time, mostly for the contact integrals."""
-MAX_FRICTION_WORK = 8e6
+MAX_FRICTION_SEARCH_WORK = 8e6
 """Search budget with friction: iterations times instants times unknowns. Unknowns count up to the
 largest Jacobian that is formed. It takes 1 to 3 s."""
 
@@ -200,10 +205,10 @@ class Problem:
     def cutoff(self) -> float:
         """Return the frequency above which modes are quasi-static [rad/s].
 
-        It matters only with a :attr:`residual` flexibility.
+        It matters only with a :attr:`residual_compliance`.
         """
-        default = STATIC_CUTOFF_RATIO * self.harmonics * self.base_omega
-        return default if self.static_above is None else self.static_above
+        default_cutoff = CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics * self.base_omega
+        return default_cutoff if self.static_above is None else self.static_above
 
     @property
     def static_cutoff(self) -> float | None:
@@ -211,7 +216,7 @@ class Problem:
 
         Solutions keep this value.
         """
-        return None if self.residual is None else self.cutoff
+        return None if self.residual_compliance is None else self.cutoff
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
@@ -222,57 +227,65 @@ class Problem:
         return add_friction_pairs(self.contact, self.structure)
 
     @property
-    def friction(self) -> bool:
+    def has_friction(self) -> bool:
         """True if tangential forces are balanced, too."""
         return friction_of(self.contact) is not None
 
     @cached_property
-    def residual(self) -> np.ndarray | None:
+    def residual_compliance(self) -> np.ndarray | None:
         """Return R_inf, the residual flexibility in series with contact [m/N].
 
         Crack faces with mass have R_inf if the law is rigid. They also have R_inf if the law is so
         stiff that the faces bounce at frequencies beyond H harmonics. None: no residual
         flexibility.
         """
-        structure, contact = self.structure, self.contact
-        if self.friction:
-            return self._residual_with_friction
-        has_light_faces, has_rigid_law = structure.light_lips, is_rigid(contact)
-        may_project = is_rigid(contact) and contact.weight is not None and not has_light_faces
-        if may_project or not is_small(structure):
+        structure, contact_law = self.structure, self.contact
+        if self.has_friction:
+            return self._residual_compliance_with_friction
+        has_massless_faces, has_rigid_law = structure.light_lips, is_rigid(contact_law)
+        may_project_constraint = (
+            is_rigid(contact_law) and contact_law.weight is not None and not has_massless_faces
+        )
+        if may_project_constraint or not is_small(structure):
             return None
-        residual = all_modes(self.structure_with_row_pairs).static_pair_compliance(self.cutoff)
-        if not has_light_faces and not has_rigid_law:
-            is_requested = self.static_above is not None and np.any(residual)
+        residual_compliance = all_modes(self.structure_with_row_pairs).static_pair_compliance(
+            self.cutoff
+        )
+        if not has_massless_faces and not has_rigid_law:
+            is_static_part_requested = self.static_above is not None and np.any(residual_compliance)
             # A penalty k is stiff from k R_inf = 100 on.
             if (
-                not is_requested
-                and not float(np.max(contact.stiffness * np.diag(residual))) > 100.0
+                not is_static_part_requested
+                and not float(np.max(contact_law.stiffness * np.diag(residual_compliance))) > 100.0
             ):
                 return None
-        if has_rigid_law and not is_regular(residual):
-            if has_light_faces:
-                raise InputError("contact law", "unilateral", ALLOWED_IF_SINGULAR)
+        if has_rigid_law and not is_regular(residual_compliance):
+            if has_massless_faces:
+                raise InputError("contact law", "unilateral", REMEDY_IF_SINGULAR)
             return None
-        return residual
+        return residual_compliance
 
     @property
-    def _residual_with_friction(self) -> np.ndarray | None:
+    def _residual_compliance_with_friction(self) -> np.ndarray | None:
         """Return R_inf of normal, then tangential gaps: (2 n_pairs, 2 n_pairs) [m/N].
 
         It is None for large structures. Raises InputError if gaps have no compliance in series.
         """
         has_few_dofs = is_small(self.structure)
-        springs = spring_compliances(self.contact, self.structure.n_pairs)
-        residual = (
+        pair_spring_compliances = spring_compliances(self.contact, self.structure.n_pairs)
+        residual_compliance = (
             all_modes(self.structure_with_row_pairs).static_pair_compliance(self.cutoff)
             if has_few_dofs
             else None
         )
-        series_compliance = np.diag(springs) if residual is None else residual + np.diag(springs)
-        if not np.all(springs) and not is_regular(series_compliance):
-            raise InputError("contact", self.contact, ALLOWED_WITHOUT_COMPLIANCE)
-        return residual
+        series_compliance = (
+            np.diag(pair_spring_compliances)
+            if residual_compliance is None
+            else residual_compliance + np.diag(pair_spring_compliances)
+        )
+        if not np.all(pair_spring_compliances) and not is_regular(series_compliance):
+            raise InputError("contact", self.contact, REMEDY_WITHOUT_COMPLIANCE)
+        return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
         """Return a problem whose static modes are settled for a whole family.
@@ -280,21 +293,27 @@ class Problem:
         The cutoff [rad/s] decides for every member whether pairs have a residual flexibility, and
         which modes are static.
         """
-        base_omega = cutoff / (STATIC_CUTOFF_RATIO * self.harmonics)
-        residual = replace(self, static_above=None, omega=base_omega * self.subharmonic).residual
-        return replace(self, static_above=np.inf if residual is None else cutoff)
+        base_omega = cutoff / (CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics)
+        residual_compliance = replace(
+            self, static_above=None, omega=base_omega * self.subharmonic
+        ).residual_compliance
+        return replace(self, static_above=np.inf if residual_compliance is None else cutoff)
 
     @property
-    def is_projected(self) -> bool:
+    def has_projected_constraint(self) -> bool:
         """True if the constraint is balanced in frequency, for uncoupled pairs."""
-        return is_rigid(self.contact) and self.residual is None and not self.friction
+        return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
     def with_weight(self, compliance: Compliance) -> Problem:
         """Return the problem with the weight of its projection, if it needs one."""
-        contact = self.contact
-        if not (is_rigid(contact) and self.is_projected and contact.weight is None):
+        contact_law = self.contact
+        if not (
+            is_rigid(contact_law) and self.has_projected_constraint and contact_law.weight is None
+        ):
             return self
-        return replace(self, contact=replace(contact, weight=default_weight(compliance)))
+        return replace(
+            self, contact=replace(contact_law, weight=default_projection_weight(compliance))
+        )
 
     def system(self, compliance: Compliance) -> ContactSystem:
         """Return the condensed equations."""
@@ -315,10 +334,12 @@ class Problem:
             With friction, normal rows and then tangential ones.
         """
         n_pairs = self.structure.n_pairs
-        tangential = (gap[:, n_pairs:], force[:, n_pairs:]) if self.friction else (None, None)
+        tangential_gap_and_force = (
+            (gap[:, n_pairs:], force[:, n_pairs:]) if self.has_friction else (None, None)
+        )
         return Wave(
             self.structure, self.omega, self.contact, displacement, gap[:, :n_pairs],
-            force[:, :n_pairs], self.subharmonic, self.static_cutoff, *tangential,
+            force[:, :n_pairs], self.subharmonic, self.static_cutoff, *tangential_gap_and_force,
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
@@ -326,17 +347,17 @@ class Problem:
 
         A projected constraint uses its weight as the stiffness.
         """
-        contact, harmonics = self.contact, self.harmonics
-        if self.residual is not None:
-            return coupled_integrals(contact, harmonics, self.residual, self.samples)
-        if self.friction:
+        contact_law, harmonics = self.contact, self.harmonics
+        if self.residual_compliance is not None:
+            return coupled_integrals(contact_law, harmonics, self.residual_compliance, self.samples)
+        if self.has_friction:
             zero_compliance = np.zeros((self.structure_with_row_pairs.n_pairs,) * 2)
-            return coupled_integrals(contact, harmonics, zero_compliance, self.samples)
-        if is_rigid(contact):
-            assert contact.weight is not None
-            inverse_weight = np.eye(self.structure.n_pairs) / contact.weight
-            return ExactIntegrals(contact, harmonics, residual=inverse_weight)
-        return contact_integrals(contact, harmonics, self.samples, self.subharmonic)
+            return coupled_integrals(contact_law, harmonics, zero_compliance, self.samples)
+        if is_rigid(contact_law):
+            assert contact_law.weight is not None
+            projection_compliance = np.eye(self.structure.n_pairs) / contact_law.weight
+            return ExactIntegrals(contact_law, harmonics, residual_compliance=projection_compliance)
+        return contact_integrals(contact_law, harmonics, self.samples, self.subharmonic)
 
     def compliance(self) -> Compliance:
         """Return the compliance at multiples of the base frequency (collective).
@@ -364,18 +385,29 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     instants, and vectors of the iterative solver.
     """
     n_pairs = structure.n_pairs
-    n_unknowns, order = (2 * harmonics + 1) * n_pairs, 2
-    n_numbers = N_MATRICES_IN_MEMORY * n_unknowns**2
+    n_unknowns, memory_exponent = (2 * harmonics + 1) * n_pairs, 2
+    n_numbers = N_JACOBIANS_IN_MEMORY * n_unknowns**2
     if structure.light_lips:  # an error estimate has twice the harmonics
         n_vectors = 2 * kernel.MAX_KRYLOV_VECTORS + 2  # vectors kept, and those for a solution
-        n_numbers, order = 2 * (2 * N_MATRICES_IN_MEMORY * n_pairs + n_vectors) * n_unknowns, 1
-    memory = machine_memory()
-    if 8 * n_numbers > 0.8 * memory:
-        max_harmonics = int(harmonics * (0.1 * memory / n_numbers) ** (1.0 / order))
-        needed_size, machine_size = (f"{size / 2**30:.0f}" for size in (8 * n_numbers, memory))
-        sizes = f"{n_unknowns} unknowns need {needed_size} GiB of this machine's {machine_size}"
+        n_numbers, memory_exponent = (
+            2 * (2 * N_JACOBIANS_IN_MEMORY * n_pairs + n_vectors) * n_unknowns,
+            1,
+        )
+    machine_bytes = machine_memory()
+    if 8 * n_numbers > 0.8 * machine_bytes:
+        max_allowed_harmonics = int(
+            harmonics * (0.1 * machine_bytes / n_numbers) ** (1.0 / memory_exponent)
+        )
+        needed_gib_text, machine_gib_text = (
+            f"{n_bytes / 2**30:.0f}" for n_bytes in (8 * n_numbers, machine_bytes)
+        )
+        memory_text = (
+            f"{n_unknowns} unknowns need {needed_gib_text} GiB of this machine's {machine_gib_text}"
+        )
         raise InputError(
-            "harmonics", harmonics, f"at most {max_harmonics} with {n_pairs} pairs: {sizes}"
+            "harmonics",
+            harmonics,
+            f"at most {max_allowed_harmonics} with {n_pairs} pairs: {memory_text}",
         )
 
 
@@ -406,21 +438,21 @@ class Search:
     history: list[float] = field(default_factory=list)
     """``|F|`` of every SNES iteration. With the equations in the kernel, SNES makes only a last
     attempt after all others have failed."""
-    attempts: list[str] = field(default_factory=list)
+    attempt_texts: list[str] = field(default_factory=list)
     """Attempts and their outcomes, in words."""
-    _rounding: float = ROUNDING
+    _residual_rounding: float = ROUNDING
     _max_iterations: float = 0.0
     _simpler_point: ContactPoint | None = None
 
     @property
     def status(self) -> str:
         """Return all attempts in words, with a remedy if none succeeded."""
-        attempts = "; then ".join(self.attempts)
+        attempts_text = "; then ".join(self.attempt_texts)
         if self.has_converged:
-            return attempts
-        return f"{attempts}; no solution in {self.iterations} iterations: try {self.remedy}"
+            return attempts_text
+        return f"{attempts_text}; no solution in {self.iterations} iterations: try {self.remedy}"
 
-    def solve(self, *starts: np.ndarray) -> Linearisation:
+    def solve(self, *neighbour_slow_gaps: np.ndarray) -> Linearisation:
         """Return the equations at the solution, or at the last point reached.
 
         Parameters
@@ -434,24 +466,26 @@ class Search:
             The contact is so stiff that rounding leaves nothing of its force.
         """
         system = self.system
-        if system.residual is None:
-            self._rounding = rounding_left(system.compliance, system.integrals.law)
-            if self._rounding > ROUNDING:
-                self.tolerance = max(self.tolerance, self._rounding)
+        if system.residual_compliance is None:
+            self._residual_rounding = relative_residual_rounding(
+                system.compliance, system.integrals.law
+            )
+            if self._residual_rounding > ROUNDING:
+                self.tolerance = max(self.tolerance, self._residual_rounding)
         self._max_iterations = self.budget_fraction * _iteration_budget(system)
         point: Linearisation | None = None
-        with ExitStack() as stack:
+        with ExitStack() as exit_stack:
             snes = None
             if not can_solve_in_kernel(system):
-                snes = stack.enter_context(SystemSnes(system, self.history))
-            for start in self._ladder(starts):
-                begin(start.name)
+                snes = exit_stack.enter_context(SystemSnes(system, self.history))
+            for start_strategy in self._start_strategies(neighbour_slow_gaps):
+                begin(start_strategy.name)
                 iterations_before = self.iterations
-                for guess in start.generate_candidates():
-                    point = self._take_newton_steps(snes, guess)
-                    if self.has_converged or self._is_spent:
+                for slow_gap_guess in start_strategy.generate_candidates():
+                    point = self._take_newton_steps(snes, slow_gap_guess)
+                    if self.has_converged or self._is_budget_spent:
                         break
-                self.record_attempt(start.name, iterations_before)
+                self.append_attempt_text(start_strategy.name, iterations_before)
                 if self.has_converged:
                     break
         point = point or system.linearise(np.zeros(system.shape), 1.0)
@@ -462,16 +496,16 @@ class Search:
             with SystemSnes(system, self.history) as snes:
                 point = self._take_newton_steps(snes, point.unknown)
             if self.has_converged:
-                self.record_attempt("full steps of SNES", iterations_before)
+                self.append_attempt_text("full steps of SNES", iterations_before)
             else:
                 self.iterations = iterations_before
         return point
 
-    def record_attempt(self, name: str, iterations_before: int) -> None:
+    def append_attempt_text(self, start_name: str, iterations_before: int) -> None:
         """Record the outcome of a start."""
-        outcome = "converged" if self.has_converged else "failed"
-        self.attempts.append(
-            f"{name}: {outcome} ({self.iterations - iterations_before} iterations)"
+        outcome_text = "converged" if self.has_converged else "failed"
+        self.attempt_texts.append(
+            f"{start_name}: {outcome_text} ({self.iterations - iterations_before} iterations)"
         )
 
     def _take_newton_steps(self, snes: SystemSnes | None, guess: np.ndarray) -> Linearisation:
@@ -505,11 +539,18 @@ class Search:
         parameter : float
             Parameter of the system: 1 is the law itself, 0 very soft contact.
         """
-        max_iterations, step_tolerance = self._iterations_per_guess, max(self.tolerance, tolerance)
-        path_point = solve_at(
-            system, guess, parameter, tolerance=step_tolerance, max_iterations=max_iterations
+        max_guess_iterations, raised_tolerance = (
+            self._iterations_per_guess,
+            max(self.tolerance, tolerance),
         )
-        self.iterations += max_iterations if path_point is None else path_point.iterations
+        path_point = solve_at(
+            system,
+            guess,
+            parameter,
+            tolerance=raised_tolerance,
+            max_iterations=max_guess_iterations,
+        )
+        self.iterations += max_guess_iterations if path_point is None else path_point.iterations
         return None if path_point is None else path_point.linearisation
 
     @property
@@ -518,55 +559,67 @@ class Search:
         return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
 
     @property
-    def _is_spent(self) -> bool:
+    def _is_budget_spent(self) -> bool:
         """True if the budget of iterations is spent."""
         return self.iterations >= self._max_iterations
 
     # --- the ladder of starts ---------------------------------------------------------------------
 
-    def _ladder(self, guesses: Sequence[np.ndarray]) -> Iterator[Start]:
+    def _start_strategies(self, neighbour_slow_gaps: Sequence[np.ndarray]) -> Iterator[Start]:
         """Yield starts in the order of attempts."""
         system, problem = self.system, self.problem
-        for guess in guesses:
-            yield Start("full Newton steps", partial(self._guesses_near, system, guess))
-        if problem.friction:
+        for neighbour_slow_gap in neighbour_slow_gaps:
+            yield Start(
+                "full Newton steps", partial(self._guesses_near, system, neighbour_slow_gap)
+            )
+        if problem.has_friction:
             yield Start("from contact without friction", self._guesses_without_friction)
         else:
-            is_large = system.residual is not None or system.size > kernel.MANY_UNKNOWNS
-            min_harmonics = problem.least_harmonics if is_large else problem.harmonics
-            counts = halve_harmonics(problem.harmonics, min_harmonics)
-            name = "from fewer harmonics" if is_large else "full Newton steps"
-            yield Start(name, partial(self._guesses_by_harmonics, counts))
-        quantity = "coefficient of friction" if problem.friction else "contact compliance"
-        path_guesses = partial(self._guesses_by_continuation, system)
-        ladder = [] if self._is_spent else [Start(f"continuation in the {quantity}", path_guesses)]
+            is_system_large = (
+                system.residual_compliance is not None or system.size > kernel.MANY_UNKNOWNS
+            )
+            coarsest_harmonics = problem.least_harmonics if is_system_large else problem.harmonics
+            harmonic_counts = halve_harmonics(problem.harmonics, coarsest_harmonics)
+            strategy_name = "from fewer harmonics" if is_system_large else "full Newton steps"
+            yield Start(strategy_name, partial(self._guesses_by_harmonics, harmonic_counts))
+        continued_quantity_name = (
+            "coefficient of friction" if problem.has_friction else "contact compliance"
+        )
+        path_guess_function = partial(self._guesses_by_continuation, system)
+        later_strategies = (
+            []
+            if self._is_budget_spent
+            else [Start(f"continuation in the {continued_quantity_name}", path_guess_function)]
+        )
         if (
             self.budget_fraction == 1.0
             and system.integrals.has_coupled_pairs
-            and problem.harmonics <= self._min_harmonics_for_orbit_start
+            and problem.harmonics <= self._orbit_first_above_harmonics
         ):
             flow = exact_flow_or_none(problem.structure, problem.contact)
             is_orbit_last = flow is not None and flow.n_modes > MAX_MODES_FOR_MONODROMY
-            start = Start("from an exact orbit", self._guesses_from_orbit)
-            ladder.insert(len(ladder) * is_orbit_last, start)
-        yield from ladder
+            orbit_strategy = Start("from an exact orbit", self._guesses_from_orbit)
+            later_strategies.insert(len(later_strategies) * is_orbit_last, orbit_strategy)
+        yield from later_strategies
 
     @property
-    def _min_harmonics_for_orbit_start(self) -> int:
+    def _orbit_first_above_harmonics(self) -> int:
         """Return the number of harmonics above which an exact orbit is tried first."""
         return self.problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
 
     def _guesses_near(self, system: ContactSystem, guess: np.ndarray) -> Iterator[np.ndarray]:
         """Yield a guess, then the point that shortened steps reach from it."""
         yield guess
-        if self._is_spent:
+        if self._is_budget_spent:
             return
-        point = solve_by_full_or_damped_steps(
+        shortened_step_point = solve_by_full_or_damped_steps(
             system, guess, 1.0, tolerance=self.tolerance, try_full_steps=False
         )
-        self.iterations += MAX_STALLED_STEPS if point is None else point.iterations
-        if point is not None:
-            yield point.unknown
+        self.iterations += (
+            MAX_STALLED_STEPS if shortened_step_point is None else shortened_step_point.iterations
+        )
+        if shortened_step_point is not None:
+            yield shortened_step_point.unknown
 
     def _guesses_by_harmonics(self, harmonic_counts: list[int]) -> Iterator[np.ndarray]:
         """Yield guesses with the last of ascending numbers of harmonics.
@@ -575,32 +628,34 @@ class Search:
         starts the first. A number without a solution is skipped. Many harmonics try an exact orbit
         first.
         """
-        orbit_harmonics = self._min_harmonics_for_orbit_start
+        orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
-            if orbit_harmonics < n_harmonics <= 2 * orbit_harmonics:
+            if orbit_first_above_harmonics < n_harmonics <= 2 * orbit_first_above_harmonics:
                 yield from self._guesses_from_orbit()
             system = self.system
             iterations_before = self.iterations
             simpler_point = self._simpler_point
             if n_harmonics != harmonic_counts[-1]:
-                new_compliance = resized_compliance(system.compliance, n_harmonics)
-                system = self.problem.with_harmonics(n_harmonics).system(new_compliance)
+                coarser_compliance = resized_compliance(system.compliance, n_harmonics)
+                system = self.problem.with_harmonics(n_harmonics).system(coarser_compliance)
             guess = (
-                system.linear
+                system.linear_gap
                 if simpler_point is None
                 else system.slow_gap(simpler_point.gap, simpler_point.force)
             )
             if system is self.system:
                 yield from self._guesses_near(system, guess)
                 continue
-            point = self._solve_coarsely(system, self._guesses_near(system, guess))
+            coarse_point = self._first_coarse_solution(system, self._guesses_near(system, guess))
             # Iterations with fewer harmonics cost little: they do not count.
             self._max_iterations += self.iterations - iterations_before
-            if point is None and not system.matrix_free:
-                point = self._solve_coarsely(system, self._guesses_by_continuation(system, 0.5))
-            self._simpler_point = point or simpler_point
+            if coarse_point is None and not system.matrix_free:
+                coarse_point = self._first_coarse_solution(
+                    system, self._guesses_by_continuation(system, 0.5)
+                )
+            self._simpler_point = coarse_point or simpler_point
 
-    def _solve_coarsely(
+    def _first_coarse_solution(
         self, system: ContactSystem, guesses: Iterator[np.ndarray]
     ) -> ContactPoint | None:
         """Return the first solution by full steps from guesses, to a coarse tolerance."""
@@ -611,27 +666,34 @@ class Search:
 
     def _guesses_without_friction(self) -> Iterator[np.ndarray]:
         """Yield the slow gap under the contact forces of the solution without friction."""
-        problem, system = self.problem, self.system
-        frictionless = replace(problem, contact=normal_law(problem.contact))
-        compliance = frictionless.compliance()
+        problem_with_friction, system_with_friction = self.problem, self.system
+        frictionless_problem = replace(
+            problem_with_friction, contact=normal_law(problem_with_friction.contact)
+        )
+        compliance = frictionless_problem.compliance()
         try:
-            search = Search(
-                frictionless.system(compliance),
-                frictionless,
+            frictionless_search = Search(
+                frictionless_problem.system(compliance),
+                frictionless_problem,
                 self.tolerance,
                 0.5 * self.budget_fraction,
             )
-            point = search.solve()
+            frictionless_point = frictionless_search.solve()
         finally:
             compliance.destroy()
-        self.iterations += search.iterations
-        self._max_iterations += search.iterations  # they cost little and do not count
-        if not search.has_converged:
+        self.iterations += frictionless_search.iterations
+        self._max_iterations += frictionless_search.iterations  # they cost little and do not count
+        if not frictionless_search.has_converged:
             return
-        force = np.zeros(system.shape)
-        force[:, : point.unknown.shape[1]] = search.system.integrals.force(point.unknown)
-        self._simpler_point = system.linearise(system.linear - respond(system.dynamic_part, force))
-        if problem.harmonics > self._min_harmonics_for_orbit_start:
+        frictionless_force = np.zeros(system_with_friction.shape)
+        frictionless_force[:, : frictionless_point.unknown.shape[1]] = (
+            frictionless_search.system.integrals.force(frictionless_point.unknown)
+        )
+        self._simpler_point = system_with_friction.linearise(
+            system_with_friction.linear_gap
+            - respond(system_with_friction.dynamic_part, frictionless_force)
+        )
+        if problem_with_friction.harmonics > self._orbit_first_above_harmonics:
             yield from self._guesses_from_orbit()
         yield self._simpler_point.unknown
 
@@ -641,23 +703,32 @@ class Search:
         The search for the orbit begins at a simpler solution, if there is one, and otherwise at
         rest. Nothing is yielded without an exact flow, or if the search would take long.
         """
-        problem, simpler_point, guesses = self.problem, self._simpler_point, list[np.ndarray]()
+        problem, simpler_point, state_guesses = (
+            self.problem,
+            self._simpler_point,
+            list[np.ndarray](),
+        )
         flow = exact_flow_or_none(problem.structure, problem.contact)
-        omega, periods = problem.omega, problem.subharmonic
-        if flow is None or not is_affordable(flow, omega, periods):
+        load_omega, n_load_periods = problem.omega, problem.subharmonic
+        if flow is None or not is_affordable(flow, load_omega, n_load_periods):
             return
         if simpler_point is not None:
-            displacement = self.system.compliance.displacement(
+            simpler_displacement = self.system.compliance.displacement(
                 resize_harmonics(simpler_point.force, problem.harmonics)
             )
-            guesses.append(wave_states(flow, displacement, problem.base_omega))
-        self.orbit = search_orbit(flow, omega, guesses, periods, prefer_stable=False).orbit
+            state_guesses.append(wave_states(flow, simpler_displacement, problem.base_omega))
+        self.orbit = search_orbit(
+            flow, load_omega, state_guesses, n_load_periods, prefer_stable=False
+        ).orbit
         if self.orbit is not None:
-            coefficients = self.orbit.coefficients(problem.harmonics)
+            gap_and_force_coefficients = self.orbit.coefficients(problem.harmonics)
             self._max_iterations += self._iterations_per_guess
             self.remedy = "a tolerance, which takes the exact orbit that was found"
             yield from self._guesses_near(
-                self.system, self.system.slow_gap(coefficients.gap, coefficients.force)
+                self.system,
+                self.system.slow_gap(
+                    gap_and_force_coefficients.gap, gap_and_force_coefficients.force
+                ),
             )
         self.orbit = None
 
@@ -670,23 +741,25 @@ class Search:
         ``budget_fraction`` of the iterations that remain.
         """
         start_point: Linearisation | None = self._simpler_point
-        if self.problem.friction:
-            system = system.along_friction()
+        if self.problem.has_friction:
+            system = system.system_along_friction()
         else:
-            system = system.along_softness()
-            start_point = self._take_full_steps(system, system.linear, parameter=0.0)
+            system = system.system_along_softness()
+            start_point = self._take_full_steps(system, system.linear_gap, parameter=0.0)
         if start_point is None:
             return
         max_steps = 1 + max(0, int(budget_fraction * (self._max_iterations - self.iterations)))
         max_iterations = self.iterations + max_steps
         points_per_call = min(PathOptions.points_per_call, 1 + max_steps // MAX_STALLED_STEPS)
-        options = replace(
+        path_options = replace(
             HOMOTOPY_OPTIONS,
-            rounding=self._rounding,
+            rounding=self._residual_rounding,
             max_steps=max_steps,
             points_per_call=points_per_call,
         )
-        path = Path(system, point_on_path(system, start_point.unknown, 0.0), options, [Target(1.0)])
+        path = Path(
+            system, point_on_path(system, start_point.unknown, 0.0), path_options, [Target(1.0)]
+        )
         for point in path.points():
             self.iterations += point.iterations
             if self.iterations >= max_iterations:
@@ -700,25 +773,32 @@ def halve_harmonics(harmonics: int, min_harmonics: int) -> list[int]:
 
     The first is ``min_harmonics``, the last is ``harmonics``.
     """
-    counts = [harmonics]
-    while counts[0] > min_harmonics:
-        counts.insert(0, max((counts[0] + 1) // 2, min_harmonics))
-    return counts
+    harmonic_counts = [harmonics]
+    while harmonic_counts[0] > min_harmonics:
+        harmonic_counts.insert(0, max((harmonic_counts[0] + 1) // 2, min_harmonics))
+    return harmonic_counts
 
 
-def rounding_left(compliance: Compliance, law: ContactLaw) -> float:
+def relative_residual_rounding(compliance: Compliance, law: ContactLaw) -> float:
     """Return the rounding error of |F| / |x| for uncoupled pairs.
 
     It follows from the largest k R. Raises InputError if rounding leaves nothing of the contact
     force.
     """
-    max_stiffness, row_sums = float(np.max(law.stiffness)), np.abs(compliance.matrices).sum(axis=2)
-    stiffness_limit = COARSE_TOLERANCE / (MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300)))
-    if not max_stiffness < stiffness_limit:
-        requirement = f"at most {stiffness_limit:.2g} N/m on this structure, beyond which rounding "
+    max_contact_stiffness, row_sums = (
+        float(np.max(law.stiffness)),
+        np.abs(compliance.matrices).sum(axis=2),
+    )
+    max_allowed_stiffness = COARSE_TOLERANCE / (
+        MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))
+    )
+    if not max_contact_stiffness < max_allowed_stiffness:
+        requirement = (
+            f"at most {max_allowed_stiffness:.2g} N/m on this structure, beyond which rounding "
+        )
         requirement += "leaves nothing; UnilateralConstraint is the limit"
-        raise InputError("contact stiffness", max_stiffness, requirement)
-    return residual_rounding(max_stiffness * float(row_sums.max(initial=0.0)))
+        raise InputError("contact stiffness", max_contact_stiffness, requirement)
+    return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))
 
 
 def _iteration_budget(system: ContactSystem) -> float:
@@ -728,9 +808,11 @@ def _iteration_budget(system: ContactSystem) -> float:
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):
-        return MAX_FRICTION_WORK / (integrals.instants * system.n_cost_unknowns)
-    kernel_limit = MAX_KERNEL_ITERATIONS * (300.0 / max(MIN_COSTLY_UNKNOWNS, system.size)) ** 2
+        return MAX_FRICTION_SEARCH_WORK / (integrals.n_instants * system.n_cost_unknowns)
+    kernel_budget = (
+        MAX_SEARCH_ITERATIONS * (300.0 / max(MIN_UNKNOWNS_WITH_GROWING_COST, system.size)) ** 2
+    )
     if getattr(system, "compiled_equations", None) is not None:
-        return kernel_limit
-    python_limit = MAX_KERNEL_ITERATIONS / 5  # Python takes five times as long
-    return python_limit if system.matrix_free else min(python_limit, kernel_limit)
+        return kernel_budget
+    python_budget = MAX_SEARCH_ITERATIONS / 5  # Python takes five times as long
+    return python_budget if system.matrix_free else min(python_budget, kernel_budget)

@@ -71,14 +71,19 @@ class Stability(Described):
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict, and the multiplier of largest modulus."""
         leading_multiplier = complex(self.multipliers[0])
-        columns = {"verdict": self.verdict, "modulus": abs(leading_multiplier)}
-        columns |= {"real": leading_multiplier.real, "imaginary": leading_multiplier.imag}
-        return columns | {entry.name: getattr(self, entry.name) for entry in fields(self)[2:]}
+        columns_by_name = {"verdict": self.verdict, "modulus": abs(leading_multiplier)}
+        columns_by_name |= {"real": leading_multiplier.real, "imaginary": leading_multiplier.imag}
+        return columns_by_name | {
+            stability_field.name: getattr(self, stability_field.name)
+            for stability_field in fields(self)[2:]
+        }
 
     def _title(self) -> str:
-        reason = f" ({self.reason})" if self.reason else ""
-        multiplier = f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
-        return f"{self.verdict}{reason}, {multiplier}, uncertainty {self.uncertainty:.2g}"
+        reason_text = f" ({self.reason})" if self.reason else ""
+        multiplier_text = (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
+        )
+        return f"{self.verdict}{reason_text}, {multiplier_text}, uncertainty {self.uncertainty:.2g}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -138,7 +143,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     def __post_init__(self) -> None:
         if self.assessment is None or not self.assessment.is_of(self):
-            wave = Wave(**{entry.name: getattr(self, entry.name) for entry in fields(Wave)})
+            wave = Wave(
+                **{wave_field.name: getattr(self, wave_field.name) for wave_field in fields(Wave)}
+            )
             object.__setattr__(self, "assessment", Assessment(wave))
 
     @property
@@ -167,7 +174,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
         None stands for the watched dof.
         """
-        if self.residual is None:
+        if self.residual_compliance is None:
             return evaluate(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
 
@@ -185,62 +192,70 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         ``rows`` (m, n_local) are factors of the displacement. Default: the times of
         :meth:`instants`. If a number ``instants`` is given, all numbers follow from those samples.
         """
-        friction, static_response = coefficient_of(self.contact), None
+        friction_coefficient, static_motion_per_force = coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            static_response = rows @ all_modes(self.structure_with_row_pairs).static_pair_responses(
-                self.static_above
-            )
-        waves = self.structure.sum_over_ranks(self._coefficients_mean_if_still @ rows.T)
+            static_motion_per_force = rows @ all_modes(
+                self.structure_with_row_pairs
+            ).static_pair_responses(self.static_above)
+        motion_coefficients = self.structure.sum_over_ranks(
+            self._displacement_rows_mean_if_still @ rows.T
+        )
 
         def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return with_displacement(*self.at_phase(TURN * fractions))
+            return motion_gap_and_force(*self.at_phase(TURN * fractions))
 
-        def with_displacement(
+        def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            motion = basis @ waves
-            if static_response is not None:
-                motion -= (force - basis @ self.force_rows) @ static_response.T
+            motion = basis @ motion_coefficients
+            if static_motion_per_force is not None:
+                motion -= (force - basis @ self.force_rows) @ static_motion_per_force.T
             return motion, gap, force
 
         n_instants = instants or len(self.instants())
         fractions = np.arange(n_instants) / n_instants
-        motion, gap, force = with_displacement(*self.over_period(n_instants))
+        motion, gap, force = motion_gap_and_force(*self.over_period(n_instants))
         yield Record(
-            self.omega, self.subharmonic, self.period * fractions, waves, motion, gap, force,
-            structure=self.structure,
-            friction_coefficient=friction,
+            self.omega, self.subharmonic, self.period * fractions, motion_coefficients,
+            motion, gap, force, structure=self.structure,
+            friction_coefficient=friction_coefficient,
             # Friction forces follow from earlier ones.
-            evaluate_at_period_fractions=evaluate_at if friction is None else None,
+            evaluate_at_period_fractions=evaluate_at if friction_coefficient is None else None,
             exact_numbers={} if instants or self.orbit is None else self.orbit.sliding,
         )  # fmt: skip
 
     @property
-    def _coefficients_mean_if_still(self) -> np.ndarray:
+    def _displacement_rows_mean_if_still(self) -> np.ndarray:
         """Return the displacement's coefficients; only the mean if nothing vibrates."""
-        rows = self.displacement_coefficients
-        return resize_harmonics(rows[:1], self.harmonics) if self.still else rows
+        coefficient_rows = self.displacement_coefficients
+        return (
+            resize_harmonics(coefficient_rows[:1], self.harmonics)
+            if self.still
+            else coefficient_rows
+        )
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Return the displacement's coefficients at dofs: (2H+1, len(dofs)) [m] (collective)."""
-        return self.structure.values_at(self._coefficients_mean_if_still, dofs)
+        return self.structure.values_at(self._displacement_rows_mean_if_still, dofs)
 
     @cached_property
     def breathes(self) -> bool:
         """True if a pair closes and opens again within the period."""
         time = self.instants()
         # The force of a smoothed law is never 0.
-        signal = self.contact_force if is_unilateral(self.contact) else self.gap
-        is_closed = signal(time) > 0.0
+        signal_function = self.contact_force if is_unilateral(self.contact) else self.gap
+        is_closed = signal_function(time) > 0.0
         return bool(np.any(is_closed.any(axis=0) & ~is_closed.all(axis=0)))
 
     @cached_property
     def still(self) -> bool:
         """True if the load is steady and only rounding moves (collective)."""
-        rows = self.displacement_coefficients
-        coefficients = self.structure.force[1:], rows[1:], rows[:1]
-        sizes = self.structure.sum_over_ranks(np.array([np.sum(part**2) for part in coefficients]))
-        return bool(sizes[0] == 0.0 and sizes[1] <= NEGLIGIBLE**2 * sizes[2])
+        coefficient_rows = self.displacement_coefficients
+        load_motion_and_mean = self.structure.force[1:], coefficient_rows[1:], coefficient_rows[:1]
+        square_sums = self.structure.sum_over_ranks(
+            np.array([np.sum(coefficient_part**2) for coefficient_part in load_motion_and_mean])
+        )
+        return bool(square_sums[0] == 0.0 and square_sums[1] <= NEGLIGIBLE**2 * square_sums[2])
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of the whole structure's dofs (collective).
@@ -261,37 +276,40 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the frequency, extremes of the contact, errors, and the status."""
-        columns: dict[str, Any] = {
+        columns_by_name: dict[str, Any] = {
             "omega": float(self.omega),
             "harmonics": self.harmonics,
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        columns |= self.faces
-        columns |= {f"{name}_error": error for name, error in self.report.to_dict().items()}
-        columns["penetration_share"] = columns.pop("penetration_error")
+        columns_by_name |= self.faces
+        columns_by_name |= {
+            f"{part_name}_error": part_error
+            for part_name, part_error in self.report.to_dict().items()
+        }
+        columns_by_name["penetration_share"] = columns_by_name.pop("penetration_error")
         if self.stability is not None:
-            columns["verdict"] = self.stability.verdict
-            columns["multiplier"] = float(abs(self.stability.multipliers[0]))
-        columns |= {"converged": self.converged, "iterations": int(self.iterations)}
-        return with_frequency(columns) | {"status": str(self.status)}
+            columns_by_name["verdict"] = self.stability.verdict
+            columns_by_name["multiplier"] = float(abs(self.stability.multipliers[0]))
+        columns_by_name |= {"converged": self.converged, "iterations": int(self.iterations)}
+        return with_frequency(columns_by_name) | {"status": str(self.status)}
 
     def _title(self) -> str:
-        columns = self.to_dict()
-        parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
+        columns_by_name = self.to_dict()
+        title_parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
         if self.subharmonic > 1:
-            parts.append(f"period of {self.subharmonic} loads")
-        parts.append(counted(columns["pairs"], "pair"))
-        if columns["pairs"]:
-            parts.append(f"opening {quantity(columns['opening'], 'm')}")
+            title_parts.append(f"period of {self.subharmonic} loads")
+        title_parts.append(counted(columns_by_name["pairs"], "pair"))
+        if columns_by_name["pairs"]:
+            title_parts.append(f"opening {quantity(columns_by_name['opening'], 'm')}")
         if self.contact is None:
-            parts.append("linear")
+            title_parts.append("linear")
         elif self.report.estimated:
-            error = "unknown" if self.report.unknown else f"{self.report.total:.2g}"
-            parts.append(f"error {error}")
+            error_text = "unknown" if self.report.unknown else f"{self.report.total:.2g}"
+            title_parts.append(f"error {error_text}")
         if self.stability is not None:
-            parts.append(self.stability.verdict)
-        return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])
+            title_parts.append(self.stability.verdict)
+        return ", ".join([*title_parts, "converged" if self.converged else "NOT CONVERGED"])
 
 
 def solution_of(
@@ -319,14 +337,14 @@ def solution_of(
         Assessment with the motion; default: the motion at the point.
     """
     assessment = assessment or Assessment(problem.wave(point))
-    options = {"search": search, "has_converged": has_converged}
-    estimate = partial(estimate_errors, point, assessment, problem, **options)
+    estimate_options = {"search": search, "has_converged": has_converged}
+    estimate_function = partial(estimate_errors, point, assessment, problem, **estimate_options)
     solution = PeriodicSolution(
         **vars(assessment.wave),
         status=status,
         converged=has_converged,
         assessment=assessment,
-        estimate=cache(estimate),
+        estimate=cache(estimate_function),
     )
     if not is_small(problem.structure):  # factors are not kept
         solution.estimate()
@@ -353,48 +371,51 @@ class Solver:
         ConvergenceError
             Nothing converged, and ``throw`` is True.
         """
-        search, solution = self.attempt(initial)
+        search, solution = self.search_and_solution(initial)
         if not search.has_converged:
-            self._check_slope(solution.gap_coefficients)
+            self._check_law_slope(solution.gap_coefficients)
         if self.throw and not search.has_converged:
-            case = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
-            raise ConvergenceError(f"harmonic balance {case}: {search.status}", search.history)
+            case_text = f"at {self.problem.omega:g} rad/s, H = {self.problem.harmonics}"
+            raise ConvergenceError(f"harmonic balance {case_text}: {search.status}", search.history)
         return solution
 
-    def _check_slope(self, coefficients: np.ndarray) -> None:
+    def _check_law_slope(self, gap_coefficients: np.ndarray) -> None:
         """Raise InputError unless a user's law has the right tangent.
 
         The check samples gaps with the given coefficients (2H+1, n_pairs) [m], and their negatives.
         """
         if is_unilateral(self.problem.contact):
             return
-        gap = sample_period(coefficients, 4 * len(coefficients))
+        gap_samples = sample_period(gap_coefficients, 4 * len(gap_coefficients))
         with np.errstate(all="ignore"):  # gaps may be far outside the law's range
-            check_slope(self.problem.contact, np.concatenate([gap, -gap]))
+            check_slope(self.problem.contact, np.concatenate([gap_samples, -gap_samples]))
 
-    def attempt(
+    def search_and_solution(
         self,
         initial: PeriodicSolution | None,
         *,
-        wholly: bool = True,
+        with_whole_budget: bool = True,
         more_modes: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
         """Return a search and its last point as a solution, converged or not.
 
-        ``initial`` is a neighbouring solution, or None. ``wholly``: the search may use its whole
-        budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if known.
+        ``initial`` is a neighbouring solution, or None. ``with_whole_budget``: the search may use
+        its whole budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if
+        known.
         """
         compliance = self.problem.compliance()
-        share = 1.0 if wholly else 1.0 / len(SearchOptions.guess_harmonic_counts)
+        budget_fraction = (
+            1.0 if with_whole_budget else 1.0 / len(SearchOptions.guess_harmonic_counts)
+        )
         try:
             problem = self.problem.with_weight(compliance)
-            search, end_point, wave = replace(self, problem=problem).find(
-                compliance, initial, share
+            search, end_point, wave = replace(self, problem=problem).search_point_and_wave(
+                compliance, initial, budget_fraction
             )
             solution = solution_of(
                 problem, end_point, status=search.status, has_converged=search.has_converged,
                 assessment=Assessment(
-                    wave, source=more_modes.nearest_orbit if more_modes else search.orbit,
+                    wave, source_orbit=more_modes.nearest_orbit if more_modes else search.orbit,
                     more_modes=more_modes,
                 ),
             )  # fmt: skip
@@ -402,12 +423,12 @@ class Solver:
             compliance.destroy()
         return search, replace(solution, iterations=search.iterations)
 
-    def find(
-        self, compliance: Compliance, initial: PeriodicSolution | None, share: float = 1.0
+    def search_point_and_wave(
+        self, compliance: Compliance, initial: PeriodicSolution | None, budget_fraction: float = 1.0
     ) -> tuple[Search, ContactPoint, Wave]:
         """Search for a solution in the condensed equations.
 
-        ``compliance`` is that of the problem, ``share`` the fraction of the budget to use.
+        ``compliance`` is that of the problem, ``budget_fraction`` the part of the budget to use.
 
         Returns
         -------
@@ -418,14 +439,16 @@ class Solver:
             Motion at the point.
         """
         problem = self.problem
-        system, starts = problem.system(compliance), []
+        system, start_slow_gaps = problem.system(compliance), []
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
-            rows = initial.gap_rows, initial.force_rows
-            if rows[0].shape[1] == system.shape[1]:  # False: the initial solution has no friction
-                starts.append(system.slow_gap(*rows, n_periods))
-        search = Search(system, problem, self.residual_tolerance, share)
-        point = search.solve(*starts)
+            gap_and_force_rows = initial.gap_rows, initial.force_rows
+            if (
+                gap_and_force_rows[0].shape[1] == system.shape[1]
+            ):  # False: the initial solution has no friction
+                start_slow_gaps.append(system.slow_gap(*gap_and_force_rows, n_periods))
+        search = Search(system, problem, self.residual_tolerance, budget_fraction)
+        point = search.solve(*start_slow_gaps)
         # The kernel's points do not know the forces.
         point = point if isinstance(point, ContactPoint) else system.linearise(point.unknown)
         return search, point, problem.wave(point)

@@ -173,7 +173,7 @@ def of_more_modes(scene: Scene, found: PeriodicSolution, verdict: str) -> Iterat
     """A warning of a solution whose orbit has another verdict with twice the modes or more
     (collective)."""
     larger = found.assessment.more_modes
-    if larger is not None and (said := larger.contradicts(verdict)):
+    if larger is not None and (said := larger.describe_contradiction(verdict)):
         yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise {scene.modes_key}"
 
 

@@ -25,7 +25,7 @@ from fenics_crack.balance.contact_system import (
     CompiledEquations,
     ContactPoint,
     ContactSystem,
-    by_friction,
+    residual_by_friction_scale,
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.errors import InputError, check_number, check_omega
@@ -55,7 +55,7 @@ class BalanceEquations(CurveSystem):
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
             problem = problem.with_common_cutoff(self._common_cutoff(problem, start, end))
-        if problem.is_projected:
+        if problem.has_projected_constraint:
             contact_requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, contact_requirement)
         self.problem, self.start, self.end = problem, start, end
@@ -96,7 +96,7 @@ class BalanceEquations(CurveSystem):
     def max_force_slope(self) -> float:
         """Largest slope of the contact forces, under the stiffer law of both ends [N/m]."""
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
-        return max(self.system(self.start).steepest_force(law) for law in laws)
+        return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
 
     @classmethod
     @abstractmethod
@@ -121,7 +121,7 @@ class BalanceEquations(CurveSystem):
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
         """Return the residual's derivative by the parameter value, dF/dv."""
         assert isinstance(point.system.compliance, ModalCompliance)
-        return point.system.compliance.derivative(self.name, point.force)
+        return point.system.compliance.residual_derivative(self.name, point.force)
 
     def system(self, value: float) -> ContactSystem:
         """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
@@ -149,7 +149,7 @@ class BalanceEquations(CurveSystem):
     def compiled_equations(self) -> CompiledEquations | None:
         """Same equations in the kernel; None if the kernel lacks them."""
         system = self.system(self.start)
-        return self._compile_equations(system) if system.integrals.exact else None
+        return self._compile_equations(system) if system.integrals.is_exact else None
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations from the system at p = 0, or None."""
@@ -174,7 +174,7 @@ class BalanceEquations(CurveSystem):
         stiffness, or less with a residual flexibility.
         """
         if self.compiled_equations is not None:
-            max_compliance_row_sum = self.compiled_equations.largest_compliance(parameter)
+            max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)
         else:
             dynamic_part = self.system(self.value(parameter)).dynamic_part
             max_compliance_row_sum = float(np.abs(dynamic_part).sum(axis=2).max())
@@ -199,8 +199,8 @@ class BalanceEquations(CurveSystem):
         Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
         the motion's period.
         """
-        modal_fields = self._unvaried_compliance_model.modal_part(
-            base_omega_and_change, damping_factor_and_change, self.problem.residual
+        modal_fields = self._unvaried_compliance_model.modal_fields_for_kernel(
+            base_omega_and_change, damping_factor_and_change, self.problem.residual_compliance
         )
         return (
             None
@@ -258,12 +258,12 @@ class _BalanceOfVariedStructure(BalanceEquations):
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations if v changes only the gap without contact, linearly."""
-        residual_derivative = self._unvaried_compliance_model.derivative(
+        residual_derivative = self._unvaried_compliance_model.residual_derivative(
             self.name, np.zeros(start_system.shape)
         )
         linear_gap_rate = -(self.end - self.start) * residual_derivative
         return start_system.compile(
-            start_system.linear, start_system.dynamic_part, linear_rate=linear_gap_rate
+            start_system.linear_gap, start_system.dynamic_part, linear_gap_rate=linear_gap_rate
         )
 
 
@@ -316,11 +316,15 @@ class BalanceAlongContactStiffness(BalanceEquations):
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return respond(point.system.dynamic_part, point.forces.by_log_stiffness()) / value
+        return (
+            respond(point.system.dynamic_part, point.linearised_forces.by_log_stiffness()) / value
+        )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations:
         return start_system.compile(
-            start_system.linear, start_system.dynamic_part, growth=self.value_rate(1.0)
+            start_system.linear_gap,
+            start_system.dynamic_part,
+            log_stiffness_rate=self.value_rate(1.0),
         )
 
 
@@ -340,7 +344,7 @@ class BalanceAlongFriction(BalanceEquations):
         )
 
     def _residual_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        return by_friction(point) / value
+        return residual_by_friction_scale(point) / value
 
 
 class BalanceAlongSpeed(BalanceEquations):

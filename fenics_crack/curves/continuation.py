@@ -7,8 +7,8 @@ form. A curve therefore costs the same on any mesh.
 
 With harmonic balance, root finding locates folds. The sign of det J, the Jacobian determinant,
 shows branch points, and shrinking steps locate them. If J is not formed
-(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`), branch points go unnoticed. Verdicts
-follow after the curve (:mod:`verdicts`).
+(:data:`fenics_crack.balance.contact_system.MAX_UNKNOWNS_WITH_JACOBIAN`), branch points go
+unnoticed. Verdicts follow after the curve (:mod:`verdicts`).
 
 Along orbits, Newton's method forms the monodromy matrix at each point for the tangent.
 Multipliers, steps that resolve them, and all bifurcations (:mod:`orbit_events`) then cost only the
@@ -23,7 +23,7 @@ from typing import TypedDict, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import check_initial, initial_orbit, solve_beside
+from fenics_crack.balance.harmonic_balance import check_initial, search_initial_orbit, solve_beside
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
@@ -513,7 +513,7 @@ def _find_start_orbit(
         return initial
     if initial is not None:
         check_initial(problem, initial)
-    search_result = initial_orbit(problem, initial)
+    search_result = search_initial_orbit(problem, initial)
     if search_result.orbit is None:
         failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search_result.outcome_text}"
         advice_words = (

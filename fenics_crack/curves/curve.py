@@ -14,8 +14,8 @@ import numpy as np
 from fenics_crack.balance.assessment import Assessment
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.harmonic_balance import solution_of_orbit, wave_of
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.harmonic_balance import solution_of_orbit, truncated_orbit_solution
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.basics.errors import InputError
@@ -478,7 +478,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             return "its largest multiplier is 1 to its accuracy"
         if self.undecided.all():
             return "no exact orbit is accepted for any point of the curve"
-        return self.assessment(index).reason or "its largest multiplier is 1 to rounding"
+        return self.assessment(index).rejection_reason or "its largest multiplier is 1 to rounding"
 
     @property
     def resolution(self) -> float:
@@ -624,10 +624,16 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Return the estimated error of the displacement at a point."""
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
-            orbit_solution = wave_of(problem, orbit, orbit.coefficients(problem.harmonics))
+            orbit_solution = truncated_orbit_solution(
+                problem, orbit, orbit.coefficients(problem.harmonics)
+            )
             more_modes_motion = orbit_solution.assessment.more_modes
             if more_modes_motion is not None:
-                return UNKNOWN if more_modes_motion.errors is None else more_modes_motion.errors[1]
+                return (
+                    UNKNOWN_ERROR
+                    if more_modes_motion.errors is None
+                    else more_modes_motion.errors[1]
+                )
         return self.solution(index, search=False).report.displacement
 
     # --- shown ------------------------------------------------------------------------------------

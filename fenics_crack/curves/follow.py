@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.problem import MAX_UNKNOWNS_PER_CALL, Problem, least_harmonics
+from fenics_crack.balance.problem import MAX_CURVE_UNKNOWNS_PER_CALL, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
     INTERRUPTED,
@@ -228,7 +228,7 @@ def _find_other_curve(
         for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
                 growing_curve = make_curve(stage_start, stage_end, start_solution)
-                n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_PER_CALL
+                n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_CURVE_UNKNOWNS_PER_CALL
                 n_allowed_points = max(
                     n_first_points, n_allowed_unknowns // growing_curve.system.n_unknowns
                 )

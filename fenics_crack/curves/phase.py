@@ -125,7 +125,9 @@ class PhasePoint(Linearisation):
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
         contact_residual = self.contact_point.residual.copy()
-        contact_residual[0] += (1.0 - self._inverse_factor) * self.contact_point.system.linear[0]
+        contact_residual[0] += (1.0 - self._inverse_factor) * self.contact_point.system.linear_gap[
+            0
+        ]
         return np.append(
             contact_residual / self._vibration_size, self.complex_work.real / self.complex_work.imag
         )
@@ -134,7 +136,9 @@ class PhasePoint(Linearisation):
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         residual_derivative = np.zeros_like(self.unknown)
         residual_derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_factor_rate * self.contact_point.system.linear[0] / self._vibration_size
+            -self._inverse_factor_rate
+            * self.contact_point.system.linear_gap[0]
+            / self._vibration_size
         )
         return residual_derivative
 
@@ -148,7 +152,8 @@ class PhasePoint(Linearisation):
         return (
             self.drive.complex_work(
                 self.contact_point,
-                self.contact_point.force + self.contact_point.forces.apply(slow_gap_change),
+                self.contact_point.force
+                + self.contact_point.linearised_forces.apply(slow_gap_change),
             )
             - self.complex_work
         )
@@ -156,7 +161,9 @@ class PhasePoint(Linearisation):
     @cached_property
     def unknown_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
-            compliance_model_of(self.contact_point).derivative("omega", self.contact_point.force)
+            compliance_model_of(self.contact_point).residual_derivative(
+                "omega", self.contact_point.force
+            )
         )
 
     @cached_property

@@ -134,7 +134,7 @@ def first_resonance(problem: Problem, near_omega: float) -> PhasePoint:
     ConvergenceError
         No first solution, or no resonance on the curve.
     """
-    if problem.friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
+    if problem.has_friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         contact_requirement = (
             "the penalty law or the constraint, without friction, and subharmonic = 1,"
             " for a phase resonance"

@@ -39,7 +39,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import Assessment, with_twice_the_harmonics
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
 from fenics_crack.basics.tables import percent
@@ -254,9 +254,11 @@ def shoot(
     assessment, subharmonic = _assessment_of(structure, solution, contact), solution.subharmonic
     assert assessment.wave.contact is not None
     flow = exact_flow_or_error(structure, assessment.wave.contact)
-    orbit = None if settle else assessment.orbit
+    orbit = None if settle else assessment.nearest_orbit
     if orbit is None:
-        orbit_equations = FlowOrbits(flow, solution.omega, assessment.states[0], subharmonic)
+        orbit_equations = FlowOrbits(
+            flow, solution.omega, assessment.states_over_period[0], subharmonic
+        )
         settled_unknown = orbit_equations.start_unknown
         for _ in range(settle):
             settled_unknown = orbit_equations.unknown_after_period(settled_unknown, 1.0)
@@ -361,13 +363,13 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     ...     seen = [one.amplitudes().max() for one in fc.attractors(structure, solution)]
     """
     assessment = replace(solution, structure=structure).assessment
-    if assessment.irregular_motion is not None:
-        return (assessment.irregular_motion,)
+    if assessment.irregular_attractor is not None:
+        return (assessment.irregular_attractor,)
     can_form_monodromy = (
         assessment.flow is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
     )
     solution_verdict = stability_of(assessment).verdict if can_form_monodromy else "no exact flow"
-    nearest_orbit = assessment.orbit if can_form_monodromy else None
+    nearest_orbit = assessment.nearest_orbit if can_form_monodromy else None
     if solution_verdict != "unstable" or nearest_orbit is None:
         requirement = (
             f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
@@ -410,13 +412,13 @@ def from_rest(solution: PeriodicSolution) -> Attractor | None:
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return None
-    orbit_equations = FlowOrbits(flow, solution.omega, solution.assessment.states[0])
+    orbit_equations = FlowOrbits(flow, solution.omega, solution.assessment.states_over_period[0])
     return find_attractor(orbit_equations, np.zeros(flow.size), SearchOptions.periods(flow))
 
 
 def stability_of(assessment: Assessment) -> Stability:
     """Return the stability of an assessed solution by its nearest exact orbit."""
-    orbit, irregular_attractor = assessment.orbit, assessment.irregular_motion
+    orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:
         assert assessment.flow is not None
         multipliers = np.full(assessment.flow.size, np.nan + 0j)
@@ -429,10 +431,13 @@ def stability_of(assessment: Assessment) -> Stability:
                 reason="no orbit was found, and the exact motion "
                 f"{irregular_attractor.description}",
             )
-        if assessment.prediction is not None and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-            multipliers = eigenvalues(assessment.prediction.monodromy)
-        return Stability(multipliers, "undecided", np.nan, reason=assessment.reason)
-    reason, largest_modulus = assessment.reason, abs(orbit.multipliers[0])
+        if (
+            assessment.orbit_prediction is not None
+            and assessment.flow.n_modes <= MAX_MODES_FOR_MONODROMY
+        ):
+            multipliers = eigenvalues(assessment.orbit_prediction.monodromy)
+        return Stability(multipliers, "undecided", np.nan, reason=assessment.rejection_reason)
+    reason, largest_modulus = assessment.rejection_reason, abs(orbit.multipliers[0])
     if not reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
@@ -473,7 +478,7 @@ def _stability_by_linear_flow(
         unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
     largest_modulus, solution_error, reason = abs(multipliers[0]), solution.report.truncation, ""
-    if solution_error >= UNKNOWN or not np.isfinite(uncertainty):
+    if solution_error >= UNKNOWN_ERROR or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
     elif solution_error > LARGE_ERROR:
         reason = f"the truncated harmonics change it by {percent(solution_error)}; use more"

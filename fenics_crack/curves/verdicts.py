@@ -113,7 +113,7 @@ def _growth_factors_along(curve: ResponseCurve, is_undecided: np.ndarray) -> np.
     for index, assessment in zip(
         followed_indices, curve.assessments(followed_indices), strict=True
     ):
-        if irregular_attractor := assessment.irregular_motion:
+        if irregular_attractor := assessment.irregular_attractor:
             growth_factors[index] = irregular_attractor.growth
     for start_index, end_index in pairwise(followed_indices):
         stretch = slice(start_index, end_index + 1)

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import (
-    along_lines,
-    find_sliding_lines,
+    find_line_angles_and_turning,
+    law_along_lines,
     motion_without_friction,
     slide_along_lines,
     solve_linear,
@@ -178,7 +178,7 @@ class Case:
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
         for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
             assert law is not None
-            contact_law = along_lines(reduced_structure, law, lambda _: orbits[0])
+            contact_law = law_along_lines(reduced_structure, law, lambda _: orbits[0])
             problem = Problem(
                 reduced_structure,
                 answer.omega,
@@ -186,7 +186,7 @@ class Case:
                 START_HARMONICS * periods,
                 subharmonic=periods,
             )
-            orbit = Solver(problem).solve(answer).assessment.orbit
+            orbit = Solver(problem).solve(answer).assessment.nearest_orbit
             if orbit is None:
                 break
             twin = replace(study, structure=reduced_structure, contact=contact_law)
@@ -204,7 +204,10 @@ class Case:
         frictionless_numbers = self.compute_values(
             frictionless_motion, replace(study, contact=friction.law)
         )
-        turning_ratio, parts = find_sliding_lines(frictionless_motion, friction.direction)[1], {}
+        turning_ratio, parts = (
+            find_line_angles_and_turning(frictionless_motion, friction.direction)[1],
+            {},
+        )
         for name, value in self.answer_numbers.items():
             value_with_turning = value + turning_ratio * (
                 frictionless_numbers.get(name, 0.0) - value
@@ -265,7 +268,7 @@ def solve_in_steps(
     if study.contact is None:
         return solution
     solver = _solver(study, omega, harmonics)
-    search, finer_solution = solver.attempt(solution, wholly=False)
+    search, finer_solution = solver.search_and_solution(solution, with_whole_budget=False)
     return finer_solution if search.has_converged else solution
 
 

@@ -127,7 +127,9 @@ def accepted_orbit(solution: PeriodicSolution) -> PeriodicOrbit | None:
     None also if the search would take long.
     """
     assessment = solution.assessment
-    return assessment.orbit if assessment.affordable and assessment.is_accepted else None
+    return (
+        assessment.nearest_orbit if assessment.can_search_orbit and assessment.is_accepted else None
+    )
 
 
 def largest_left_out(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:

@@ -53,8 +53,12 @@ from operator import methodcaller
 
 import numpy as np
 
-from fenics_crack.balance.error_report import ENOUGH_HARMONICS, LARGE_ERROR, ErrorReport
-from fenics_crack.balance.more_modes import reference_of
+from fenics_crack.balance.error_report import (
+    LARGE_ERROR,
+    MIN_HARMONICS_FOR_MODAL_CHANGE,
+    ErrorReport,
+)
+from fenics_crack.balance.more_modes import reference_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.causes import REDUCTION_CAUSES
 from fenics_crack.basics.errors import InputError
@@ -301,7 +305,7 @@ class StatedCase(Case):
         The change is at least the part of harmonics in motions that are truncated: modes above all
         harmonics are static in both.
         """
-        structure, reference = self.study.structure, reference_of(self.wave)
+        structure, reference = self.study.structure, reference_structure_of(self.wave)
         if reference is None:
             return "all are kept"
         assert isinstance(structure, ReducedStructure)
@@ -332,12 +336,12 @@ class StatedCase(Case):
         """Return the motion with the answer's modes, and with those of a larger study.
 
         They are the nearest exact orbits; with few harmonics the second may be a predicted motion.
-        If these are not known, they are solutions, with :data:`ENOUGH_HARMONICS` if orbits are
-        affordable.
+        If these are not known, they are solutions, with :data:`MIN_HARMONICS_FOR_MODAL_CHANGE` if
+        orbits are affordable.
         """
         wave, assessment = self.wave, self.answer.assessment
-        min_harmonics = ENOUGH_HARMONICS * wave.subharmonic
-        if assessment.affordable and (more_modes := assessment.more_modes):
+        min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * wave.subharmonic
+        if assessment.can_search_orbit and (more_modes := assessment.more_modes):
             is_short = self.answer.orbit is None and wave.harmonics < min_harmonics
             if motion := more_modes.motion if is_short else more_modes.orbit:
                 return more_modes.nearest_orbit, motion
@@ -349,7 +353,7 @@ class StatedCase(Case):
     @property
     def _has_massless_flow(self) -> bool:
         """True if exact orbits are affordable and crack faces have no mass."""
-        return self.answer.assessment.affordable and self.study.structure.light_lips
+        return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
 
     def harmonics(self) -> Varied:
         """Judge by the exact orbit, or by more harmonics (collective)."""

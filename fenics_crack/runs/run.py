@@ -194,6 +194,7 @@ class Run(Answer, Generic[ResultType]):
     report = ResultAttribute()
     reported = ResultAttribute()
     residual = ResultAttribute()
+    residual_compliance = ResultAttribute()
     resolution = ResultAttribute()
     structure_with_row_pairs = ResultAttribute()
     said = ResultAttribute()

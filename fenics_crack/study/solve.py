@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
-from fenics_crack.balance.block_system import FORMS
-from fenics_crack.balance.error_report import NOT_ESTIMATED
+from fenics_crack.balance.block_system import SOLVER_BY_FORM
+from fenics_crack.balance.error_report import UNESTIMATED_REPORT
 from fenics_crack.balance.harmonic_balance import (
     FIRST_MODES,
     mode_counts,
@@ -64,9 +64,9 @@ def solve_prepared(
         assert law is not None
         check_memory(study.structure, table.harmonics)
         problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
-        solver = FORMS[table.form](problem, throw=False)
+        solver = SOLVER_BY_FORM[table.form](problem, throw=False)
         solution = solver.solve(initial)
-        solution = solution if table.error else solution.reported(NOT_ESTIMATED)
+        solution = solution if table.error else solution.reported(UNESTIMATED_REPORT)
     else:
         smallest_structure = next(with_more_modes(whole)).structure  # kept
         whole = replace(whole, contact=slide_along_lines(smallest_structure, omega, law))

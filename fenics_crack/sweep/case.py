@@ -268,7 +268,7 @@ class Cases:
         check_memory(structure, table.harmonics)
         problem = Problem(structure, omega, law, table.harmonics, table.samples)
         near, self._near = self._near, None
-        self._near = solve_beside(problem, near, table.tolerance, error=table.error)
+        self._near = solve_beside(problem, near, table.tolerance, with_errors=table.error)
         return self._near
 
     def _take(self, case: Scene) -> None:
@@ -293,7 +293,7 @@ class Cases:
         law = slide_along_lines(self._structure, omega, self._law)
         problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
         found = None
-        if is_unilateral(law) and not problem.friction:
+        if is_unilateral(law) and not problem.has_friction:
             near = float(self._geometry.natural.nearest(omega)["omega_bilinear"])
             found = resonance_at(problem, near, tolerance=table.tolerance)
         if found is None or found.several:
@@ -335,7 +335,7 @@ class Cases:
         if found.reason:
             remark = f"; {found.verdict}: {found.reason}"
         elif structure.light_lips and (more := solution.assessment.more_modes):
-            said = more.contradicts(found.verdict)
+            said = more.describe_contradiction(found.verdict)
             remark = YET + said if said else ""
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
 

@@ -32,10 +32,10 @@ from typing import Any, ClassVar
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.contact_system import default_weight
+from fenics_crack.balance.contact_system import default_projection_weight
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linear
-from fenics_crack.balance.more_modes import UNKNOWN
+from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import passing_folder
@@ -355,8 +355,8 @@ class SweepResult(Tabular):
             "error_displacement": 0.0,
         }
         parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
-        if problem.is_projected:
-            parts["weight"] = default_weight(problem.compliance())
+        if problem.has_projected_constraint:
+            parts["weight"] = default_projection_weight(problem.compliance())
         return solution_from(parts, structure, law)
 
     def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
@@ -427,7 +427,7 @@ class SweepResult(Tabular):
             size = quantity(float(height[place]), "m")
             known.append(f"the largest response is {size} half peak-to-peak at ")
             known[0] += in_words(self.axes, [*map(int, place)])
-        largest, unknown = total.max(initial=0.0), int(np.sum(total >= UNKNOWN))
+        largest, unknown = total.max(initial=0.0), int(np.sum(total >= UNKNOWN_ERROR))
         if not self.scene.harmonic_balance.error:
             known.append("errors and stability are not estimated (harmonic_balance.error = false)")
         elif largest > 0.0 and not unknown:

@@ -184,7 +184,7 @@ def test_jacobian_against_finite_differences(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed", "constraint", "weighted"])
 def test_softness_derivative_against_finite_differences(kind: str) -> None:
     """dF / dp between soft contact and the law."""
-    system = system_of(problem_of(kind)).along_softness()
+    system = system_of(problem_of(kind)).system_along_softness()
     unknown = np.random.default_rng(9).normal(size=system.shape)
     sides = [system.linearise(unknown, 0.5 + step).residual for step in (1e-6, -1e-6)]
     slope = (sides[0] - sides[1]) / 2e-6
@@ -204,13 +204,13 @@ def newton(system: Any, start: np.ndarray) -> Any:
 def test_sensitivity_of_the_gap(kind: str) -> None:
     """Change of the gap with the gap without contact, against solving again, to 1e-5."""
     system = system_of(problem_of(kind))
-    start = system.linear if kind != "constraint" else np.zeros(system.shape)
+    start = system.linear_gap if kind != "constraint" else np.zeros(system.shape)
     solution = newton(system, start)
     change = np.random.default_rng(10).normal(size=system.shape)
     predicted = solution.gap_change(solution.solve(change))
-    linear, gaps = system.linear, []
+    linear, gaps = system.linear_gap, []
     for sign in (1.0, -1.0):
-        system.linear = linear + sign * 1e-6 * change
+        system.linear_gap = linear + sign * 1e-6 * change
         gaps.append(newton(system, solution.unknown).gap)
     assert relative(predicted, (gaps[0] - gaps[1]) / 2e-6) < 1e-5
     assert np.linalg.norm(gaps[0] - solution.gap) > 1e-8

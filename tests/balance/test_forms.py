@@ -296,7 +296,7 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
     condensed, linear = problem.system(compliance), compliance.displacement(np.zeros((11, 3)))
     with block_system(problem if samples else replace(problem, samples=64)) as (_, residual, slope):
         incremental = newton = linear
-        gap, moved = condensed.linear.copy(), 0.0
+        gap, moved = condensed.linear_gap.copy(), 0.0
         for _ in range(5):
             matrix, right = incremental_system(
                 structure, omega, LAWS[law], incremental, samples=samples

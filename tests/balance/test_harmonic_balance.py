@@ -311,6 +311,6 @@ def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
 def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
     """A smoothed law, and rigid lips with mass: nothing is decided, and it is said why."""
     known = fc.solve_harmonic_balance(oscillator(), 1.0, law).assessment
-    assert known.orbit is None and known.predicted_error == np.inf
+    assert known.nearest_orbit is None and known.predicted_error == np.inf
     assert not known.is_accepted and np.isnan(known.distance)
-    assert known.reason == "there is no exact flow for its law or structure"
+    assert known.rejection_reason == "there is no exact flow for its law or structure"

@@ -312,7 +312,7 @@ def test_choice_of_integrals() -> None:
     assert isinstance(contact_integrals(penalty, 5), ExactIntegrals)
     chosen = contact_integrals(penalty, 5, 64)
     assert isinstance(chosen, SampledIntegrals) and chosen.samples == 64
-    chosen = contact_integrals(smoothed, 5, periods=3)
+    chosen = contact_integrals(smoothed, 5, n_load_periods=3)
     assert isinstance(chosen, SampledIntegrals) and chosen.samples == 3 * 1024
     assert default_samples(5) == default_samples(32) == 1024
     assert default_samples(33) == 2048
@@ -339,7 +339,9 @@ def residual(pairs: int, seed: int = 1) -> np.ndarray:
 def integrals(kind: str, harmonics: int, **options: Any) -> CoupledIntegrals:
     """Of three pairs under a law."""
     law, samples = LAWS[kind]
-    return CoupledIntegrals(law, harmonics, residual=residual(3), samples=samples, **options)
+    return CoupledIntegrals(
+        law, harmonics, residual_compliance=residual(3), samples=samples, **options
+    )
 
 
 def difference(function: Any, place: Any, step: Any) -> np.ndarray:
@@ -375,13 +377,13 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     harmonics, made = 4, integrals(law, 4)
     gap = random_gaps(harmonics, 3, 2)
     grid = np.linspace(0.0, 2.0 * np.pi, 4097)
-    _, closed = made.active_sets.solve(evaluate(gap, 1.0, grid))
+    _, closed = made.active_set_solver.solve(evaluate(gap, 1.0, grid))
     events = []
     for place in np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)):
         low, high = grid[place], grid[place + 1]
         for _ in range(60):
             middle = 0.5 * (low + high)
-            same = made.active_sets.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
+            same = made.active_set_solver.solve(evaluate(gap, 1.0, np.array([middle])))[1][0]
             low, high = (middle, high) if np.array_equal(same, closed[place]) else (low, middle)
         events.append(low)
     assert len(events) >= 6
@@ -391,7 +393,8 @@ def test_exact_force_by_gauss_between_events(law: str) -> None:
     for low, high in pairwise(ends):
         theta = 0.5 * (low + high) + 0.5 * (high - low) * nodes
         force = (
-            made.forces_in_time(evaluate(gap, 1.0, theta)) * (0.5 * (high - low) * weights)[:, None]
+            made.forces_at_gap_samples(evaluate(gap, 1.0, theta))
+            * (0.5 * (high - low) * weights)[:, None]
         )
         expected[0] += force.sum(axis=0) / (2.0 * np.pi)
         for k in range(1, harmonics + 1):
@@ -407,7 +410,7 @@ def test_coupled_samples_approach_with_second_order(pairs: int, harmonics: int) 
     errors = np.zeros(len(counts))
     for seed in range(8):
         gap = random_gaps(harmonics, pairs, seed)
-        made = CoupledIntegrals(RIGID, harmonics, residual=compliance)
+        made = CoupledIntegrals(RIGID, harmonics, residual_compliance=compliance)
         exact = made.force(gap)
         for place, count in enumerate(counts):
             found = replace(made, samples=int(count)).force(gap)
@@ -425,7 +428,10 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
     alone = ExactIntegrals(fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7)
     for seed in range(4):
         gap = random_gaps(7, 1, seed)
-        seen: dict[str, Any] = {"residual": np.full((1, 1), 0.4), "softness": softness}
+        seen: dict[str, Any] = {
+            "residual_compliance": np.full((1, 1), 0.4),
+            "relative_softness": softness,
+        }
         forces = CoupledIntegrals(law, 7, **seen).linearise(gap)
         pair, spring = ExactIntegrals(law, 7, **seen).linearise(gap), alone.linearise(gap)
         for found in (forces, pair):
@@ -443,7 +449,9 @@ def test_grazing_contact_against_a_penalty() -> None:
         for column in range(10):
             gap = gaps[:, [column]]
             for sign in (1.0, -1.0):
-                made = CoupledIntegrals(RIGID, 4, residual=np.eye(1)).linearise(sign * gap)
+                made = CoupledIntegrals(RIGID, 4, residual_compliance=np.eye(1)).linearise(
+                    sign * gap
+                )
                 force = ExactIntegrals(fc.UnilateralPenalty(1.0), 4).force(sign * gap)
                 assert np.abs(made.force - force).max() < 1e-13
                 assert np.any(made.force) == (depth > 0.0 or sign < 0.0)
@@ -452,12 +460,12 @@ def test_grazing_contact_against_a_penalty() -> None:
 def test_smoothed_force_by_quadrature() -> None:
     """lambda(s(t)) of one pair times each wave, by QUADPACK."""
     law, compliance = fc.SmoothedPenalty(3.0, 4.0), np.full((1, 1), 0.2)
-    made, gap = CoupledIntegrals(law, 2, residual=compliance), random_gaps(2, 1)
+    made, gap = CoupledIntegrals(law, 2, residual_compliance=compliance), random_gaps(2, 1)
     found = made.linearise(gap).force[:, 0]
 
     def products(t: float) -> np.ndarray:
         waves = np.array([0.5, np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)])
-        return waves * made.forces_in_time(evaluate(gap, 1.0, np.array([t])))[0, 0]
+        return waves * made.forces_at_gap_samples(evaluate(gap, 1.0, np.array([t])))[0, 0]
 
     integrals, _ = scipy.integrate.quad_vec(products, 0.0, 2.0 * np.pi, epsabs=1e-11, limit=200)
     assert found == pytest.approx(integrals / np.pi, abs=1e-9)
@@ -489,7 +497,7 @@ def test_coupled_tangent_against_finite_differences(kind: str, harmonics: int) -
 @pytest.mark.parametrize("kind", LAWS)
 def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> None:
     """By central differences; a rigid law has no stiffness to depend on."""
-    gap, made = random_gaps(5, 3, 3), integrals(kind, 5, softness=softness)
+    gap, made = random_gaps(5, 3, 3), integrals(kind, 5, relative_softness=softness)
     forces, step = made.linearise(gap), 1e-5
     found = forces.by_softness()
     soft = [made.with_softness(softness + s * step).linearise(gap).force for s in (1.0, -1.0)]
@@ -502,7 +510,9 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     def scaled(logarithm: float) -> np.ndarray:
         other = replace(made, law=law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
-        kept = other.with_softness(softness * made.unit / other.unit)
+        kept = other.with_softness(
+            softness * made.mean_pair_compliance / other.mean_pair_compliance
+        )
         return kept.linearise(gap).force
 
     assert relative(difference(scaled, 0.0, step) / step, forces.by_log_stiffness()) < 1e-5
@@ -513,7 +523,7 @@ def test_widened_keeps_the_forces() -> None:
     for kind in LAWS:
         gap = random_gaps(4, 3)
         wide = np.vstack([gap, np.zeros((8, 3))])
-        made = integrals(kind, 4, softness=0.2)
+        made = integrals(kind, 4, relative_softness=0.2)
         made = made if kind == "sampled" else replace(made, samples=None)
         found = made.with_harmonics(8).linearise(wide).force[:9]
         assert relative(found, made.linearise(gap).force) < (1e-3 if kind == "sampled" else 1e-9)
@@ -522,7 +532,7 @@ def test_widened_keeps_the_forces() -> None:
 def test_many_pairs_and_sets() -> None:
     """Forty pairs, hundreds of sets: the forces of many samples, and the tangent along a change."""
     compliance, gap = residual(40), random_gaps(4, 40)
-    made = CoupledIntegrals(RIGID, 4, residual=compliance)
+    made = CoupledIntegrals(RIGID, 4, residual_compliance=compliance)
     exact = made.linearise(gap)
     fine = replace(made, samples=1 << 13).linearise(gap)
     assert relative(fine.force, exact.force) < 1e-5
@@ -1041,7 +1051,7 @@ def test_each_start_is_needed(
 def test_a_search_ends_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """294 unknowns, hardly damped, by a quarter of the iterations, besides those of five smaller
     numbers of harmonics: what was tried, what to do."""
-    monkeypatch.setattr("fenics_crack.balance.problem.MAX_KERNEL_ITERATIONS", 1250)
+    monkeypatch.setattr("fenics_crack.balance.problem.MAX_SEARCH_ITERATIONS", 1250)
     structure, law = stopped_chain(6, 2e-4), fc.UnilateralPenalty(1e3)
     solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=24, throw=False)
     assert not solution.converged

@@ -182,7 +182,7 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
 
 
 TWO = ActiveSetSolver(np.eye(2))
-BEHIND = CoupledIntegrals(fc.UnilateralPenalty(1.0), 1, residual=np.eye(2))
+BEHIND = CoupledIntegrals(fc.UnilateralPenalty(1.0), 1, residual_compliance=np.eye(2))
 SYSTEM = CompiledEquations(None, np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
 WRONG = {
     "complementarity, a matrix too small": lambda: solve_complementarity(np.eye(2), np.ones(3)),
@@ -719,7 +719,7 @@ def test_largest_compliance(name: str) -> None:
     for parameter in (-0.2, 0.0, 0.4, 1.0):
         matrices = family.system(family.value(parameter)).compliance.matrices
         expected = np.abs(matrices).sum(axis=2).max()
-        assert family.compiled_equations.largest_compliance(parameter) == pytest.approx(
+        assert family.compiled_equations.max_dynamic_row_sum(parameter) == pytest.approx(
             expected, rel=1e-12
         )
 
@@ -893,11 +893,11 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
     """With three pairs on lips without mass, in every family: the steps that Python's loop takes,
     to rounding where J is formed, to what products leave where it is not."""
     if not formed:
-        monkeypatch.setattr(contact_system, "MATRIX_FREE", 0)
+        monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", 0)
     family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
     system = family.system(family.start)
     assert system.integrals.has_coupled_pairs and system.matrix_free != formed
-    start = solve_at(Plain(family), system.linear, 0.0, tolerance=1e-12)
+    start = solve_at(Plain(family), system.linear_gap, 0.0, tolerance=1e-12)
     close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
     options = PathOptions(0.01, max_step=0.2, min_step=1e-10)
     ways = [
@@ -915,7 +915,7 @@ def test_coupled_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.Mo
 def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid path through its folds, its solutions found by products and its sign by factors, or
     not at all: its points are solutions, and it ends where Python's ends."""
-    monkeypatch.setattr(contact_system, "MATRIX_FREE", limit)
+    monkeypatch.setattr(contact_system, "MAX_UNKNOWNS_WITH_JACOBIAN", limit)
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)

@@ -10,7 +10,7 @@ import pytest
 from helpers import chain, chain_stiffness, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.harmonic_balance import initial_orbit, wave_of
+from fenics_crack.balance.harmonic_balance import search_initial_orbit, truncated_orbit_solution
 
 RIGID = fc.UnilateralConstraint()
 
@@ -53,7 +53,7 @@ def check_single(many: fc.ManyOrbits, share: float) -> None:
             value = getattr(many, name)[case]
             assert value == pytest.approx(getattr(expected, name), rel=1e-4), name
         known = own.coefficients(many.harmonics)
-        error = wave_of(problem, own, known).assessment.distance
+        error = truncated_orbit_solution(problem, own, known).assessment.distance
         assert many.truncation[case] == pytest.approx(error, rel=0.02, abs=1e-6)
     assert same >= share * len(many.omega)
 
@@ -135,9 +135,9 @@ def test_undamped_cases_take_their_neighbours_orbits(monkeypatch: pytest.MonkeyP
 
     def search(problem: Any) -> Any:
         searches.append(problem.omega)
-        return initial_orbit(problem)
+        return search_initial_orbit(problem)
 
-    monkeypatch.setattr("fenics_crack.balance.many.initial_orbit", search)
+    monkeypatch.setattr("fenics_crack.balance.many.search_initial_orbit", search)
     found = fc.solve_many(masses, np.linspace(0.3, 2.0, 40), fc.UnilateralPenalty(10.0))
     assert np.all(found.verdict != "") and len(searches) <= 10
     assert np.sum(found.status == "neighbour") >= 30

@@ -26,7 +26,7 @@ def test_the_orbit_of_a_search_is_error_and_verdict(plate: fc.Structure) -> None
     distance to an orbit that is found without harmonic balance."""
     found = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=48)
     stability = fc.floquet(plate, found)
-    assert "prediction" not in vars(found.assessment)
+    assert "orbit_prediction" not in vars(found.assessment)
     orbit = fc.solve_harmonic_balance(plate, 2000.0, RIGID, tolerance=0.5).orbit
     assert orbit is not None and stability.verdict != "undecided"
     assert found.report.truncation == pytest.approx(distance(found, orbit), rel=1e-3)
@@ -46,7 +46,7 @@ def test_friction_ends_by_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without iterations for a single guess, and with no orbit: "no solution" and a remedy, the
     iterations as many as the budget has, besides one for each guess."""
     structure, law = rubbing_masses()
-    monkeypatch.setattr("fenics_crack.balance.problem.MAX_FRICTION_WORK", 1.0)
+    monkeypatch.setattr("fenics_crack.balance.problem.MAX_FRICTION_SEARCH_WORK", 1.0)
     monkeypatch.setattr("fenics_crack.balance.problem.is_affordable", lambda *given: False)
     found = fc.solve_harmonic_balance(structure, 0.9, law, harmonics=10, throw=False)
     assert not found.converged and found.report.unknown
@@ -91,7 +91,7 @@ def test_orbits_that_lie_dense(paper_scene: fc.Scene, monkeypatch: pytest.Monkey
             if flows == 20:
                 usual.append(solution.stability.verdict)
                 continue
-            orbit = solution.assessment.orbit
+            orbit = solution.assessment.nearest_orbit
             assert orbit is not None and solution.assessment.distance < 0.01
             assert np.abs(orbit.multipliers).max() > 2.0
     assert set(usual) <= {"unstable", "irregular"}

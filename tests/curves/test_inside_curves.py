@@ -495,7 +495,7 @@ def test_several_changes_are_parted_below_the_floor() -> None:
 
 def integrated(law: Any, found: fc.PeriodicSolution) -> np.ndarray:
     """M of the modes that move by SciPy's integrator, the law evaluated at its own instants."""
-    modes, residual = all_modes(found.structure), found.residual
+    modes, residual = all_modes(found.structure), found.residual_compliance
     if found.static_above is not None:
         modes = modes.with_static_modes(found.static_above)
     n, unit = len(modes.squares), np.eye(found.structure.n_pairs)
@@ -761,7 +761,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no orbit is found at the start, by a curve from the end; or it says that there is
     none."""
     whole = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, tolerance=1e-2)
-    search = continuation.initial_orbit
+    search = continuation.search_initial_orbit
 
     def lost(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return search(problem, initial)._replace(orbit=None, outcome_text="lost")
@@ -769,11 +769,11 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     def lost_at_start(problem: fc.Problem, initial: fc.PeriodicSolution | None = None) -> object:
         return (lost if problem.omega == 0.6 else search)(problem, initial)
 
-    monkeypatch.setattr(continuation, "initial_orbit", lost_at_start)
+    monkeypatch.setattr(continuation, "search_initial_orbit", lost_at_start)
     curve = fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
     assert curve.complete and curve.values[-1] == 0.9 and "not by the first" in curve.status
     assert curve.points[0] == pytest.approx(whole.points[0], rel=1e-6)
-    monkeypatch.setattr(continuation, "initial_orbit", lost)
+    monkeypatch.setattr(continuation, "search_initial_orbit", lost)
     with pytest.raises(fc.ConvergenceError, match=r"no exact orbit at 0.6 rad/s: lost"):
         fc.continue_frequency(whole.structure, 0.6, 0.9, STOP, tolerance=1e-2)
 
@@ -783,7 +783,7 @@ def test_without_a_matrix_the_same_curve(monkeypatch: pytest.MonkeyPatch) -> Non
     plate = fc.reduce_structure(steel("all"), modes=5, method="massless")
     curves = []
     for limit in (10_000, 10):
-        monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", limit)
+        monkeypatch.setattr("fenics_crack.balance.contact_system.MAX_UNKNOWNS_WITH_JACOBIAN", limit)
         curves.append(fc.continue_frequency(plate, *SPAN, fc.UnilateralConstraint(), harmonics=6))
     formed, other = curves
     assert other.complete and len(folds(formed)) == 2

@@ -36,7 +36,7 @@ def test_disturbance_grows_as_two_motions_part() -> None:
     assert stability.verdict == "irregular" and "the exact motion is irregular" in stability.reason
     [motion] = fc.attractors(plate(), solution)
     assert motion.growth == stability.multipliers[0] and motion.orbit is None
-    flow, states = exact_flow_or_error(plate(), LAW), [solution.assessment.states[0]]
+    flow, states = exact_flow_or_error(plate(), LAW), [solution.assessment.states_over_period[0]]
     states.append(states[0] * (1.0 + 1e-10 * np.random.default_rng(2).normal(size=flow.size)))
     apart = []
     for _ in range(11):
@@ -65,7 +65,7 @@ def test_stable_motion_is_not_irregular() -> None:
     assert fc.floquet(structure, solution).verdict == "stable"
     known = solution.assessment
     for factor in (1.0, 1.3):
-        assert find_irregular_motion(known.flow, 0.8, factor * known.states[0]) is None
+        assert find_irregular_motion(known.flow, 0.8, factor * known.states_over_period[0]) is None
 
 
 def test_curve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

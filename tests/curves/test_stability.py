@@ -214,7 +214,7 @@ def test_two_ways_to_the_multipliers(light_lips: fc.Structure) -> None:
         light_lips, 1500.0, fc.UnilateralPenalty(1e9), harmonics=60
     )
     marched = fc.floquet(light_lips, solution)
-    prediction = solution.assessment.prediction
+    prediction = solution.assessment.orbit_prediction
     assert marched.refined and prediction is not None
     largest = np.abs(np.linalg.eigvals(prediction.monodromy)).max()
     assert abs(marched.multipliers[0]) == pytest.approx(largest, abs=0.03)

@@ -63,14 +63,17 @@ def test_residual_beside_a_load_like_a_pair() -> None:
     made = reduced(structure, 9)
     expected = gap.T @ flexibility(structure, 9) @ gap
     assert relative(made.residual, expected) < 1e-11
-    assert relative(fc.Problem(made, 1.0, fc.UnilateralConstraint(), 3).residual, expected) < 1e-11
+    assert (
+        relative(fc.Problem(made, 1.0, fc.UnilateralConstraint(), 3).residual_compliance, expected)
+        < 1e-11
+    )
 
 
 def test_no_penetration_takes_what_modes_leave_out() -> None:
     """Where that is nothing, the law is named as a scene does, and what to do."""
     problem = fc.Problem(reduced(chain("none", 20), 20), 1.0, fc.UnilateralConstraint(), 3)
     with pytest.raises(fc.InputError, match="cracks farther apart") as caught:
-        assert problem.residual
+        assert problem.residual_compliance
     assert (caught.value.key, caught.value.value) == ("contact law", "unilateral")
 
 

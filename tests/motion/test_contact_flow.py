@@ -384,8 +384,8 @@ RIGID = fc.UnilateralConstraint()
 def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     """What is predicted of a solution, and the orbit next to it."""
     found = solution.assessment
-    assert found.prediction is not None and found.orbit is not None
-    return found.prediction, found.orbit
+    assert found.orbit_prediction is not None and found.nearest_orbit is not None
+    return found.orbit_prediction, found.nearest_orbit
 
 
 def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
@@ -457,8 +457,8 @@ def test_by_products_as_by_factors(seed: int, monkeypatch: pytest.MonkeyPatch) -
     change = np.random.default_rng(seed).normal(size=orbit.flow.size)
     assert relative(orbit.motion.track @ change, orbit.monodromy @ change) < 1e-12
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_MODES_FOR_MONODROMY", 0)
-    found = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states)
-    again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states[0])
+    found = predict_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period)
+    again = find_orbit(orbit.flow, orbit.omega, solution.assessment.states_over_period[0])
     assert found is not None and found.relative_gap_error == pytest.approx(
         expected.relative_gap_error, rel=0.05
     )

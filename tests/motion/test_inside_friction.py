@@ -139,12 +139,14 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     draw, harmonics = np.random.default_rng(6), 4
     root = draw.normal(size=(2 * pairs, 2 * pairs))
     residual = 0.3 * root @ root.T / (2 * pairs) + np.eye(2 * pairs)
-    own = FrictionIntegrals(CoulombFriction(RIGID, 0.4), harmonics, residual=residual, samples=512)
+    own = FrictionIntegrals(
+        CoulombFriction(RIGID, 0.4), harmonics, residual_compliance=residual, samples=512
+    )
     gap = draw.normal(size=(2 * harmonics + 1, 2 * pairs))
     gap /= np.arange(1, 2 * harmonics + 2)[:, None]
     gap[0, :pairs] = 0.2
     known = own.linearise(gap)
-    assert {0, 1, 2, 3} <= set(np.unique(known.states))
+    assert {0, 1, 2, 3} <= set(np.unique(known.contact_states))
     change, step = draw.normal(size=gap.shape), 1e-7
     ends = [own.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     expected = (ends[0] - ends[1]) / (2.0 * step)
@@ -161,11 +163,16 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
 def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None:
     """Its place goes with the gap of the first instant, or of that at which it slipped last, half
     a period later: against differences, by the tangential gap."""
-    integrals = FrictionIntegrals(CoulombFriction(RIGID, 0.4), 2, residual=np.eye(2), samples=64)
+    integrals = FrictionIntegrals(
+        CoulombFriction(RIGID, 0.4), 2, residual_compliance=np.eye(2), samples=64
+    )
     gap = np.zeros((5, 2))
     gap[0, 0], gap[1, 1] = 1.0, size
     at_wave = integrals.linearise(gap)
-    assert np.all(at_wave.states == 1) and integrals.march(sample_period(gap, 64))[3][0] == origin
+    assert (
+        np.all(at_wave.contact_states == 1)
+        and integrals.march(sample_period(gap, 64))[3][0] == origin
+    )
     change, step = np.zeros((5, 2)), 1e-7
     change[:, 1] = np.random.default_rng(3).normal(size=5)
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
@@ -196,12 +203,12 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     phase = 2.0 * np.pi / 3.0 * np.arange(3)
     compliance = np.eye(6)
     compliance[3:, 3:] += 0.25 * (1.0 - np.eye(3))
-    own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual=compliance)
+    own = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual_compliance=compliance)
     time = 2.0 * np.pi / 128 * np.arange(128)[:, None] - phase
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
     forces, states, places, _ = own.march(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
-    again = own.sets.solve(gap, places[-1])[0]
+    again = own.set_solver.solve(gap, places[-1])[0]
     assert again == pytest.approx(forces, abs=1e-10)
-    short = own.sets.solve(gap, gap[0, 3:], max_periods=2)[0]
+    short = own.set_solver.solve(gap, gap[0, 3:], max_periods=2)[0]
     assert np.abs(short - forces).max() > 0.01

@@ -20,7 +20,7 @@ def differences(number: int) -> tuple[float, float] | None:
     found = fc.solve_harmonic_balance(
         case.structure, case.omega, case.law, harmonics=20, throw=False
     )
-    orbit = found.assessment.orbit if found.converged else None
+    orbit = found.assessment.nearest_orbit if found.converged else None
     if orbit is None:
         return None
     flow = case.flow(case.structure)

@@ -318,17 +318,17 @@ def equations(kind: str) -> Any:
         structure = fc.reduce_structure(structure, modes=6, method="massless")
         rigid = fc.Problem(structure, 0.6, fc.UnilateralConstraint(), 8)
         system: Any = rigid.system(rigid.compliance())
-        return system.along_softness()
+        return system.system_along_softness()
     law = fc.SmoothedPenalty(5.0, 20.0) if kind == "smooth" else PENALTY
     problem = fc.Problem(structure, 0.6, law, 6, samples=128 if kind == "sampled" else None)
-    return problem.system(problem.compliance()).along_softness()
+    return problem.system(problem.compliance()).system_along_softness()
 
 
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smooth", "coupled"])
 def test_snes_finds_the_end_of_a_path(kind: str) -> None:
     """Full steps of SNES from near the path's end, and that end, in the kernel and called back."""
     system = equations(kind)
-    begun = solve_at(system, system.linear, 0.0, tolerance=1e-12)
+    begun = solve_at(system, system.linear_gap, 0.0, tolerance=1e-12)
     start = point_on_path(system, begun.unknown, 0.0)
     found = Path(
         system, start, PathOptions(0.1, max_step=0.5), [Target(1.0)]

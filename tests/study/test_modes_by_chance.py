@@ -36,7 +36,7 @@ RUBBING: dict[str, Any] = {
 
 def true_changes(run: fc.Run[fc.PeriodicSolution]) -> dict[str, float]:
     """Change of each number from the exact orbit to that of four times the modes."""
-    result, orbit = run.result, run.result.assessment.orbit
+    result, orbit = run.result, run.result.assessment.nearest_orbit
 
     def numbers(orbit: PeriodicOrbit) -> dict[str, float]:
         return of_orbit(replace(run, structure=orbit.structure), result, orbit, 1)

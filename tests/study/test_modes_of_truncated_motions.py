@@ -75,9 +75,12 @@ def test_modes_without_any_orbit(
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PIECES", 10)
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
     found = solved(study, 10)
-    assert found.assessment.orbit is None
+    assert found.assessment.nearest_orbit is None
     said = "an exact orbit ended at its budget of"
-    assert said in found.assessment.reason and said in fc.floquet(found.structure, found).reason
+    assert (
+        said in found.assessment.rejection_reason
+        and said in fc.floquet(found.structure, found).reason
+    )
     assert true < 1.5 * found.report.reduction and found.report.reduction < 1.0
     stated = stated_errors(study, found)
     assert not {"modes", "harmonics"} & stated.unknown.keys()
@@ -96,7 +99,7 @@ def test_modes_whose_reference_has_no_orbit(
 
     def part() -> float:
         run = fc.solve(scene)
-        assert run.result.harmonics < 20 and run.result.assessment.orbit is not None
+        assert run.result.harmonics < 20 and run.result.assessment.nearest_orbit is not None
         return stated_errors(run, run.result, causes=["modes"]).contributions("opening")["modes"]
 
     true = part()
@@ -116,7 +119,7 @@ def test_modes_where_no_solution_converges(
         )
         return found.report.reduction
 
-    true, attempt = reduction(), Solver.attempt
+    true, attempt = reduction(), Solver.search_and_solution
 
     def fail(self: Solver, *starts: Any, **options: Any) -> Any:
         search, found = attempt(self, *starts, **options)
@@ -124,7 +127,7 @@ def test_modes_where_no_solution_converges(
             return search, found
         return search, replace(found, converged=False).reported(fc.ErrorReport(truncation=1.0))
 
-    monkeypatch.setattr(Solver, "attempt", fail)
+    monkeypatch.setattr(Solver, "search_and_solution", fail)
     monkeypatch.setattr("fenics_crack.balance.more_modes.find_orbit", lambda *_, **__: None)
     assert 0.3 * true < reduction() < 3.0 * true
 
@@ -147,6 +150,6 @@ def test_modes_that_change_the_orbit_too_much() -> None:
     stated = stated_errors(study, few)
     assert "modes" not in stated.unknown and stated.stated("opening")[1] == "modes"
     many = orbit_of(study, 20)
-    true = abs(many.faces["opening"] / few.assessment.orbit.faces["opening"] - 1.0)
+    true = abs(many.faces["opening"] / few.assessment.nearest_orbit.faces["opening"] - 1.0)
     assert true / study.structure.share < stated.stated("opening")[0] < 1.0
     assert 0.1 < solved(study, 40).report.reduction < 0.25
