@@ -318,7 +318,7 @@ def _find_orbit_of_case(
         orbit, orbit_table.status[case], orbit_table.reason[case] = (
             search.orbit,
             "alone",
-            search.reason,
+            search.outcome_text,
         )
     if orbit is None:
         raise ConvergenceError(search.outcome_text)
