@@ -15,9 +15,9 @@ from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed
-from fenics_crack.cli.drawn import Drawn
+from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
-from fenics_crack.cli.kinds import KINDS, draw, report_of
+from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result
 from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.sharing import SHELVES
@@ -43,14 +43,14 @@ def compute(
     options = {name: offered[name] for name in signature(function).parameters if name in offered}
     with console.stage(given.command, bars="folder" in options):
         result = function(**options)
-    name, report = KINDS[result.KIND].name, None
+    name, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
     stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
     try:
         with console.stage("errors"):
             if run is not None and not stopped:
                 result = replace(run, stated=run.errors)
-            report = report_of(result)
+            report = build_report(result)
     except KeyboardInterrupt:
         stopped = True
     with uninterrupted():
@@ -92,7 +92,7 @@ def tell(
 
         on_root(console.comm, write)
     if pictures:
-        on_root(console.comm, lambda: draw(result, Drawn(path.parent, pictures)))
+        on_root(console.comm, lambda: draw_result(result, PictureFiles(path.parent, pictures)))
     console.table(printed(report) if console.form == "text" else report.table)
     for heading, further in report.further.items():
         console.note(f"{heading}:\n{further.formatted('text')}".rstrip())
@@ -117,7 +117,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, path = inputs.scene, inputs.folder / "sweep"
     with console.stage("sweep", bars=True):
         found = run_sweep(scene, f"{path}.h5", console.comm, progress=console.progress)
-    return tell(report_of(found), path, console)
+    return tell(build_report(found), path, console)
 
 
 def clean(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -143,12 +143,12 @@ def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
     with console.stage("nodal diameters"):
         found = nodal_diameters(scene, comm)
-    ended = tell(report_of(found), folder / "disk", console, found, given.pictures)
+    ended = tell(build_report(found), folder / "disk", console, found, given.pictures)
     if not given.patterns:
         return ended
     with console.stage("patterns of mistuning"):
         many = amplification(scene, given.patterns, given.deviation, comm=comm)
-    return tell(report_of(many), folder / "amplification", console, many, given.pictures)
+    return tell(build_report(many), folder / "amplification", console, many, given.pictures)
 
 
 def _measured_by(
@@ -218,6 +218,6 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     console.table(found.table())
     names = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
     console.note(f"{folder / 'identify.h5'}, .json; {names}", replaced)
-    report = report_of(Identified(scene, found.summary(), folder / "posterior.png"))
+    report = build_report(Identified(scene, found.summary(), folder / "posterior.png"))
     remarks = [*report.remarks, *remarks_on_scene(scene)]
     return say(replace(report, remarks=remarks, done=not found.doubts), console)

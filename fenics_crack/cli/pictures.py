@@ -22,7 +22,7 @@ from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import FEW_MODES, InputError
 from fenics_crack.basics.tables import percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
-from fenics_crack.cli.drawn import Drawn
+from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import PERIOD
 from fenics_crack.cli.results import Waves, waves_of
 from fenics_crack.curves.curve import ResponseCurve
@@ -61,20 +61,20 @@ def draw_scene(
     return file
 
 
-def draw_modes_of(run: Run[Modes], file: Drawn) -> None:
+def draw_modes_of(run: Run[Modes], file: PictureFiles) -> None:
     """Draw the shapes of modes that have a mesh."""
     if run.structure.whole.drawable_nodes is None:
         file.notes.append(NO_MESH)
         return
     words = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
     plot_mesh.draw_modes(run.result, path=file("modes", words))
-    if file.meshes:
+    if file.has_vtk_files:
         from fenics_crack.draw.vtk import write_modes  # VTK
 
         write_modes(run.result, file("modes", "", "vtu"))
 
 
-def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
+def draw_solution(run: Run[PeriodicSolution], file: PictureFiles) -> None:
     """Draw a period of a solution, its harmonics, and where it moves."""
     found, dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
@@ -108,7 +108,7 @@ def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
     _tips(run, file, "solution_tips")
 
 
-def _on_mesh(run: Run[PeriodicSolution], file: Drawn) -> None:
+def _on_mesh(run: Run[PeriodicSolution], file: PictureFiles) -> None:
     """Draw what needs a mesh: contact along the crack, and the motion."""
     from fenics_crack.draw.animation import animate_period  # VTK
 
@@ -119,13 +119,13 @@ def _on_mesh(run: Run[PeriodicSolution], file: Drawn) -> None:
         plot.draw_contact_map(found, path=file("solution_contact_map", words), title=heading)
     words = "One period, slowed down and magnified as stated above the plate."
     animate_period(found, file("solution_breathing_crack", words, "gif"), material=material)
-    if file.meshes:
+    if file.has_vtk_files:
         from fenics_crack.draw.vtk import write_period
 
         write_period(found, file(PERIOD, "", "pvd"), material=material)
 
 
-def draw_history(run: Run[TimeHistory], file: Drawn) -> None:
+def draw_history(run: Run[TimeHistory], file: PictureFiles) -> None:
     """Draw a motion in time."""
     table, load, omega = run.scene.integration, run.scene.excitation.omega, None
     title = "Free decay"
@@ -137,7 +137,7 @@ def draw_history(run: Run[TimeHistory], file: Drawn) -> None:
     _tips(run, file, "integration_tips")
 
 
-def _tips(run: Run[Any], file: Drawn, name: str) -> None:
+def _tips(run: Run[Any], file: PictureFiles, name: str) -> None:
     """Draw the stress intensity at the tips of a plate's cracks, where it is known."""
     with suppress(InputError):  # a tip next to an edge, or no plate
         found = stress_intensity(run)
@@ -145,7 +145,7 @@ def _tips(run: Run[Any], file: Drawn, name: str) -> None:
         title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
         words = "Stress intensity at the crack tips over the period."
         plot.draw_stress_intensity(found, path=file(name, words), title=title)
-        if found.three is not None and file.meshes:
+        if found.three is not None and file.has_vtk_files:
             from fenics_crack.draw.vtk import write_fronts
 
             write_fronts(found, file(f"{name}_along_fronts", "", "vtu"))
@@ -163,7 +163,7 @@ def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:
     plot.draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
 
 
-def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
+def draw_curve_of(run: Run[ResponseCurve], file: PictureFiles) -> None:
     """Draw a curve, its harmonics and its multipliers."""
     found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
     title, without = f"{run.watched_name}, {found.method}", _without_contact(run)
@@ -223,7 +223,7 @@ def _linear_line(
 # --- a sweep --------------------------------------------------------------------------------------
 
 
-def draw_sweep(found: SweepResult, file: Drawn) -> None:
+def draw_sweep(found: SweepResult, file: PictureFiles) -> None:
     """Draw the quantities of a sweep over the swept numbers.
 
     To the right goes the frequency, else the longest axis. The next in length gets a line for each
@@ -275,7 +275,7 @@ def draw_swept(
     values: np.ndarray,
     doubtful: np.ndarray,
     quantity: tuple[str, str],
-    file: Drawn,
+    file: PictureFiles,
     base: str,
     where: Sequence[str] = (),
 ) -> None:
@@ -318,13 +318,13 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     return factor * values, with_unit(key_in_words(axis.key), unit)
 
 
-def draw_growth_of(found: Growth, file: Drawn) -> None:
+def draw_growth_of(found: Growth, file: PictureFiles) -> None:
     """Draw the growth of a crack in the units of its scene."""
     words = "The crack over the cycles; dots are the lengths that were solved."
     plot_study.draw_growth(found, path=file("growth", words), in_hertz=found.scene.in_hertz)
 
 
-def draw_campbell_of(found: Campbell, file: Drawn) -> None:
+def draw_campbell_of(found: Campbell, file: PictureFiles) -> None:
     """Draw a Campbell diagram in the units of its scene."""
     scene = found.scene
     orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
@@ -333,7 +333,7 @@ def draw_campbell_of(found: Campbell, file: Drawn) -> None:
     plot_study.draw_campbell(found, orders, path=file("campbell", words), **how)
 
 
-def draw_timing(found: Timing, file: Drawn) -> None:
+def draw_timing(found: Timing, file: PictureFiles) -> None:
     """Draw the resonances that each blade passes, a run-up, or the blade that vibrates most."""
     words = "Displacements at the probes over the speed; resonances with their engine orders."
     for number, (blade, arrivals) in enumerate(found.arrivals.items()):
@@ -351,7 +351,7 @@ def draw_timing(found: Timing, file: Drawn) -> None:
         plot_study.draw_tip_fit(fit, found.arrivals[largest], path=file("timing", words))
 
 
-def draw_identified(found: Identified, file: Drawn) -> None:
+def draw_identified(found: Identified, file: PictureFiles) -> None:
     """Take the picture that ``identify`` has drawn, which may be written to its own place."""
     path = file("posterior", "Probability of cracks, given the measurements.")
     source = found.picture.with_suffix(path.suffix)

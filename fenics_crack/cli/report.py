@@ -24,9 +24,9 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.account import printed
-from fenics_crack.cli.drawn import Drawn
+from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import Console, make_writable
-from fenics_crack.cli.kinds import KINDS, draw, report_of, result_of
+from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result, restore_result
 from fenics_crack.cli.pictures import draw_scene
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
@@ -64,10 +64,10 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
         result_files, note = _read_result_files(arguments.results)
         if not path.is_dir() and (len(result_files) > 1 or labels):
             return [str(_draw_curves(result_files, labels, folder, console.pictures))]
-        pictures = Drawn(folder, console.pictures, meshes=True)
+        pictures = PictureFiles(folder, console.pictures, has_vtk_files=True)
         for file in result_files:
-            draw(result_of(file), pictures)
-        return [*map(str, pictures.files), *dict.fromkeys(pictures.notes), note]
+            draw_result(restore_result(file), pictures)
+        return [*map(str, pictures.captions_by_path), *dict.fromkeys(pictures.notes), note]
 
     with console.stage("pictures"):
         lines = on_root(console.comm, work)
@@ -143,7 +143,7 @@ def _draw_curves(
     if {file.kind for file in result_files} != {ResponseCurve.KIND}:
         kinds = [file.kind for file in result_files]
         raise InputError("result", kinds, "curves, where several are drawn in one picture")
-    runs: list[Any] = [*map(result_of, result_files)]
+    runs: list[Any] = [*map(restore_result, result_files)]
     names = list(labels) or differences([run.scene for run in runs])
     if len(set(names)) < len(names):
         places = [str(Path(path).with_suffix("")) for path in paths]
@@ -186,8 +186,10 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
         raise InputError("--output", str(target), "a .html file")
     from jinja2 import Environment  # which plots do without
 
-    order = list(KINDS)
-    entries = [(file, result_of(file)) for file in {file.path: file for file in files}.values()]
+    order = list(RESULT_KINDS)
+    entries = [
+        (file, restore_result(file)) for file in {file.path: file for file in files}.values()
+    ]
     entries.sort(key=lambda entry: (order.index(entry[0].kind), entry[1].scene is None))
     scene_results = [result for _, result in entries if result.scene is not None]  # or a record
     scene_differences = iter(
@@ -221,9 +223,9 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
 
 def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
     """Return parts of the page about a result, by the template's names."""
-    summary, pictures = report_of(result), Drawn(folder)
+    summary, pictures = build_report(result), PictureFiles(folder)
     try:
-        draw(result, pictures)
+        draw_result(result, pictures)
     except WriteError:
         raise
     except InputError as error:  # a sweep over words
@@ -234,13 +236,15 @@ def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
     )
     tables = summary.tables or {"In numbers": printed(summary)}
     return {
-        "heading": KINDS[file.kind].heading,
+        "heading": RESULT_KINDS[file.kind].heading,
         "closing": f"{_sentence(summary.closing)}.",
         "box": box,
         "notes": [*map(_sentence, filter(None, (*summary.notes, *dict.fromkeys(pictures.notes))))],
         "doubts": [*map(_sentence, summary.warnings), *map(str, summary.remarks)],  # with keys
         "pictures": [
-            _picture(path, words) for path, words in pictures.files.items() if path.exists()
+            _picture(path, words)
+            for path, words in pictures.captions_by_path.items()
+            if path.exists()
         ],
         "tables": {**tables, **summary.further},
         "path": file.path,

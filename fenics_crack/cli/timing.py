@@ -23,7 +23,7 @@ from fenics_crack.basics.tables import counted, speed_in_words
 from fenics_crack.cli.account import of_error, of_stability
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
-from fenics_crack.cli.kinds import report_of
+from fenics_crack.cli.kinds import build_report
 from fenics_crack.draw.plot_study import draw_arrivals
 from fenics_crack.monitoring import scene_timing
 from fenics_crack.monitoring.timing import Timing
@@ -103,7 +103,7 @@ def _fit_blades(
 
 
 def _report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
-    return tell(report_of(tip_timing), folder / "timing", console, tip_timing, console.pictures)
+    return tell(build_report(tip_timing), folder / "timing", console, tip_timing, console.pictures)
 
 
 def _size_in_words(arrivals: ArrivalTimes) -> str:
