@@ -361,9 +361,9 @@ def new(given: Namespace, _: None, console: Console) -> None:
         raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
     rows = path.with_name(f"{path.stem}_measured.csv")
     if given.cad:
-        from fenics_crack.cli.part import part_scene  # gmsh and VTK
+        from fenics_crack.cli.part import propose_part_scene  # gmsh and VTK
 
-        text, picture = on_root(console.comm, lambda: part_scene(given.cad, path))
+        text, picture = on_root(console.comm, lambda: propose_part_scene(given.cad, path))
         console.note(f"{picture}: the faces of {given.cad}, with numbers")
         files = {path: text}
     elif alone:
