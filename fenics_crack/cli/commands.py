@@ -14,7 +14,7 @@ from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError,
 from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
-from fenics_crack.cli.account import printed
+from fenics_crack.cli.account import printed_table
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
 from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result
@@ -93,7 +93,7 @@ def tell(
         on_root(console.comm, write)
     if pictures:
         on_root(console.comm, lambda: draw_result(result, PictureFiles(path.parent, pictures)))
-    console.table(printed(report) if console.form == "text" else report.table)
+    console.table(printed_table(report) if console.form == "text" else report.table)
     for heading, further in report.further.items():
         console.note(f"{heading}:\n{further.formatted('text')}".rstrip())
     drawn = f".{pictures}" if pictures else f"pictures: {command('plot', f'{path}.h5')}"

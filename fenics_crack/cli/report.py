@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import content_of
-from fenics_crack.cli.account import printed
+from fenics_crack.cli.account import printed_table
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import Console, make_writable
 from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result, restore_result
@@ -234,7 +234,7 @@ def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
     box = (
         "bad" if not summary.done else "doubtful" if summary.missed or summary.warnings else "good"
     )
-    tables = summary.tables or {"In numbers": printed(summary)}
+    tables = summary.tables or {"In numbers": printed_table(summary)}
     return {
         "heading": RESULT_KINDS[file.kind].heading,
         "closing": f"{_sentence(summary.closing)}.",

@@ -25,7 +25,7 @@ from fenics_crack.basics.tables import (
     with_unit,
 )
 from fenics_crack.cli import account
-from fenics_crack.cli.account import IN_A_TEST, OTHERS
+from fenics_crack.cli.account import MEANING_BY_BIFURCATION, OTHER_QUANTITIES_BY_NAME
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import Top
@@ -69,15 +69,18 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     """The report of a run, with what all of them have: notes where friction acts along lines and
     where watched nodes are away from their points, remarks, and the last sentence, also as a
     quantity where the table has those (collective)."""
-    lines, turning = account.of_lines(run)
+    lines, turning = account.describe_friction_lines(run)
     incomplete_numbers = () if run.stated is None else run.stated.incomplete
     how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run), *incomplete_numbers]
     how["warnings"] = [*how.get("warnings", ()), *turning]
     if table.columns[0] != "name":
         return Report(table, conclusion_of(run), remarks=run.remarks, **how)
-    how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
+    how |= {
+        "shown": account.select_printed_quantities(table, run.scene, PRINTED),
+        "tables": _in_numbers(run, table),
+    }
     report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
-    row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
+    row = ["conclusion", OTHER_QUANTITIES_BY_NAME["conclusion"][0], report.closing, "-"]
     row += ["" for _ in table.columns[len(row) :]]
     return replace(report, table=Table(table.columns, [*table.rows, row]))
 
@@ -113,7 +116,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     if not found.converged or missed:
         warnings.append(f"{'' if found.converged else 'not converged: '}{found.status}")
     elif run.structure.n_pairs:
-        warnings += account.of_error(scene, found.report, found.harmonics)
+        warnings += account.describe_large_error(scene, found.report, found.harmonics)
     if found.still:
         warnings.append("nothing vibrates: no load changes in time")
     if found.converged:
@@ -121,10 +124,10 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         if judged is not None:
             if judged.verdict in ("unstable", "irregular"):
                 seen = _seen_instead(found, run.watched_dof)
-            warnings += account.of_more_modes(run.scene, found, judged.verdict)
-        warnings += account.of_stability(scene, run, judged, seen)
-        warnings += account.of_size(run, account.largest_seen(run))
-        warnings += account.of_friction(found)
+            warnings += account.describe_mode_dependence(run.scene, found, judged.verdict)
+        warnings += account.describe_instability(scene, run, judged, seen)
+        warnings += account.describe_large_motion(run, account.largest_displacements(run))
+        warnings += account.describe_ambiguous_contact(found)
         warnings += run.stated.dents if run.stated is not None else ()
     return _report(
         run,
@@ -175,8 +178,8 @@ def _in_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
     """All numbers, of which a page shows the first ones; before them those that are requested."""
     chosen = run.scene.quantities or ()
     rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
-    first = {"Requested by the scene": account.readable_rows(Table(table.columns, rows))}
-    return (first if rows else {}) | {"In numbers": account.readable_rows(table)}
+    first = {"Requested by the scene": account.format_known_quantities(Table(table.columns, rows))}
+    return (first if rows else {}) | {"In numbers": account.format_known_quantities(table)}
 
 
 def _seen_instead(found: PeriodicSolution, dof: int) -> str:
@@ -218,7 +221,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     if not done and not asked.free:
         unsettled = f"the motion has not settled after {found.periods} of {asked.periods} periods"
         warnings.append(f"{unsettled}{_longer_period(found)}")
-    warnings += account.of_size(run, np.abs(waves.motion).max(axis=0))
+    warnings += account.describe_large_motion(run, np.abs(waves.motion).max(axis=0))
     return _report(run, table, rows=_waves(run, waves), warnings=warnings, done=done)
 
 
@@ -247,7 +250,11 @@ def _quantities(run: Run[Any], omega: float, values: Mapping[str, object]) -> Ta
             (name, f"{words}, mode {near['mode']}", float(value), unit)
             for name, words, unit, value in _with_hertz(near)
         )
-    rows += [(n, words, values[n], unit) for n, (words, unit, _) in OTHERS.items() if n in values]
+    rows += [
+        (n, words, values[n], unit)
+        for n, (words, unit, _) in OTHER_QUANTITIES_BY_NAME.items()
+        if n in values
+    ]
     columns = ["name", "quantity", "value", "unit"]
     rows = [(*row[:3], "-" if row[3] == "1" else row[3]) for row in rows]
     if run.stated is None:
@@ -341,8 +348,15 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     if hidden:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
-    notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
-    warnings = [*_warnings_of_curve(run), *account.of_size(run, account.largest_seen(run))]
+    notes += [
+        f"{kind_in_words(kind)}: {MEANING_BY_BIFURCATION[kind]}"
+        for kind in kinds
+        if kind in MEANING_BY_BIFURCATION
+    ]
+    warnings = [
+        *_warnings_of_curve(run),
+        *account.describe_large_motion(run, account.largest_displacements(run)),
+    ]
     shown = found.indicators(run.watched_dof)
     peak = int(np.argmax(shown.amplitude))
     if shown.largest_order[peak] > 3:
@@ -360,10 +374,10 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         run,
         special,
         rows=curve_points(run, along),
-        shown=account.in_short(few, scene, SPECIAL),
+        shown=account.select_printed_quantities(few, scene, SPECIAL),
         notes=notes,
         warnings=warnings,
-        tables={"Special points": account.in_short(special, scene, SPECIAL)},
+        tables={"Special points": account.select_printed_quantities(special, scene, SPECIAL)},
         further=_of_blades(run, "Blades, each at its largest response"),
         done=bool(found.complete) and found.status != INTERRUPTED,
         missed=bool(unknown_error(run)),
@@ -407,9 +421,13 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     reports = {index: one.report for index, one in solutions.items()}
     worst = max(reports, key=lambda index: reports[index].total)
     where = f" at {_place(run, found.values[worst])}"
-    yield from account.of_error(scene, reports[worst], solutions[worst].harmonics, where)
+    yield from account.describe_large_error(
+        scene, reports[worst], solutions[worst].harmonics, where
+    )
     if found.multipliers is not None and _passed(found, peak):
-        for said in account.of_more_modes(run.scene, solutions[peak], found.verdicts[peak]):
+        for said in account.describe_mode_dependence(
+            run.scene, solutions[peak], found.verdicts[peak]
+        ):
             yield f"at the largest response, {said}"
     stretches = _undecided_stretches(found)
     for first, last in stretches[:1]:

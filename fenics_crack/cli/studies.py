@@ -10,7 +10,7 @@ from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorRep
 from fenics_crack.basics.observables import SPECIAL, names_of
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
-from fenics_crack.cli.account import ON_MODES, of_error
+from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, describe_large_error
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -70,7 +70,9 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
     elif shares := " and ".join(f"{count} {name}" for name, count in counts.items() if count):
         yield f"{shares} of {counted(verdicts.size, 'case')}"
     yield from by_reason(found, found.undecided, "undecided")
-    for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
+    for said in by_reason(
+        found, found.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
+    ):
         yield f"{said}; raise {found.scene.modes_key}"
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
@@ -89,7 +91,9 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
         scene = found.scene.replace({"sweep": None} | values)
         report = ErrorReport(**dict(zip(ERROR_PARTS, errors[:, *place].tolist(), strict=True)))
         count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
-        for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
+        for text in describe_large_error(
+            scene, report, int(found["harmonics"][place]), error_limit=limit
+        ):
             yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"
 
 

@@ -20,7 +20,7 @@ from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import counted, speed_in_words
-from fenics_crack.cli.account import of_error, of_stability
+from fenics_crack.cli.account import describe_instability, describe_large_error
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
 from fenics_crack.cli.kinds import build_report
@@ -129,8 +129,8 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
     yield from filter(None, doubts)
     if scene_timing.curve_of(run) is None:
         result = run.result
-        yield from of_error(run.scene, result.report, result.harmonics)
-        yield from of_stability(run.scene, run, result.stability)
+        yield from describe_large_error(run.scene, result.report, result.harmonics)
+        yield from describe_instability(run.scene, run, result.stability)
 
 
 def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:

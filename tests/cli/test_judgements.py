@@ -23,7 +23,7 @@ from fenics_crack import ErrorReport, SweepResult
 from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import DECIDES, of_error, of_stability
+from fenics_crack.cli.account import TOLERANCE_OPTION, describe_instability, describe_large_error
 from fenics_crack.cli.results import _undecided_stretches, few_special_points
 from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
 from fenics_crack.draw import plot
@@ -67,13 +67,13 @@ def test_advice_is_by_the_largest_part(
 ) -> None:
     """And is not what the scene does already."""
     report = ErrorReport(**(ZERO | {part: 0.2}))
-    [text] = of_error(scene.replace(changes), report, harmonics, " at 800 Hz")
+    [text] = describe_large_error(scene.replace(changes), report, harmonics, " at 800 Hz")
     assert "gap is 20 % at 800 Hz, mostly due to" in text and advice in text
     unknown = ErrorReport(**(ZERO | {part: 1.5}))
-    [text] = of_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
+    [text] = describe_large_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
     assert "unknown at 800 Hz, its estimate for" in text and advice in text
     small = ErrorReport(**(ZERO | {part: 0.02}))
-    assert not [*of_error(scene, small, harmonics)]
+    assert not [*describe_large_error(scene, small, harmonics)]
 
 
 def test_undecided_stretches_of_a_curve() -> None:
@@ -95,7 +95,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
         (1.0 + 1j, "does not repeat each period"),
     ):  # fmt: skip
         unstable = fc.Stability(np.array([multiplier + 0j]), "unstable", 0.0)
-        [told] = of_stability(scene, run, unstable)
+        [told] = describe_instability(scene, run, unstable)
         assert way in told
     told = replace(undecided, reason="no exact orbit was found next to it")
     words = "the stability of the orbit is undecided"
@@ -104,7 +104,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     for given, one, said in (
         (scene, undecided, words), (scene, told, because), (scene.replace(FIXED), told, advised)
     ):  # fmt: skip
-        assert [*of_stability(given, run, one)] == [said]
+        assert [*describe_instability(given, run, one)] == [said]
 
 
 def test_five_bifurcations_at_most() -> None:
@@ -449,7 +449,9 @@ def test_hint_to_damp_more_modes(
     monkeypatch.setattr("fenics_crack.study.solve.floquet", lambda structure, solution: undecided)
     sets = ["contact.stiffness=1e9", "mesh.error=false", *changes.split()]
     answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
-    assert "the stability of the orbit is undecided" in answer and f"; {DECIDES} " in answer
+    assert (
+        "the stability of the orbit is undecided" in answer and f"; {TOLERANCE_OPTION} " in answer
+    )
     assert ("or damping of all modes" in answer) == expected
 
 
