@@ -24,7 +24,7 @@ from fenics_crack.basics.tables import percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import PERIOD
-from fenics_crack.cli.results import Waves, waves_of
+from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
 from fenics_crack.fatigue.growth import Growth
@@ -87,7 +87,7 @@ def draw_solution(run: Run[PeriodicSolution], file: PictureFiles) -> None:
     if not found.converged:
         title += ", NOT CONVERGED"
     words = "Displacement at the output point, and closing of the crack faces."
-    _waves(run, waves_of(run), found.omega, path=file("solution_waves", words), title=title)
+    _waves(run, sample_waveforms(run), found.omega, path=file("solution_waves", words), title=title)
     words = "Amplitudes of the harmonics; enough are kept if the last are small."
     plot.draw_spectrum(found, dof, path=file("solution_spectrum", words), title=title)
     words = "The motion in the phase plane; thick where the crack faces touch."
@@ -133,7 +133,7 @@ def draw_history(run: Run[TimeHistory], file: PictureFiles) -> None:
         title = f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load)}"
         omega = load
     words = "The motion in time, its last periods or a free decay."
-    _waves(run, waves_of(run), omega, path=file("integration_waves", words), title=title)
+    _waves(run, sample_waveforms(run), omega, path=file("integration_waves", words), title=title)
     _tips(run, file, "integration_tips")
 
 
@@ -151,13 +151,16 @@ def _tips(run: Run[Any], file: PictureFiles, name: str) -> None:
             write_fronts(found, file(f"{name}_along_fronts", "", "vtu"))
 
 
-def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:
+def _waves(run: Run, found: Waveforms, omega: float | None, **where: Any) -> None:
     """Draw the displacement of the load's dof and the gap at the mouths over time, in periods of a
     frequency [rad/s], else in seconds."""
     styles = itertools.cycle(STYLES)
-    time, touch = found.time - found.time[0], "crack faces touch" if found.closings else None
-    waves = [plot.Wave(run.watched_name, time, found.motion[:, 0])]
-    for place, wave in found.closings.items():
+    time, touch = (
+        found.time - found.time[0],
+        "crack faces touch" if found.closings_by_place else None,
+    )
+    waves = [plot.Wave(run.watched_name, time, found.displacement[:, 0])]
+    for place, wave in found.closings_by_place.items():
         waves.append(plot.Wave(f"closing {place}", time, wave, *next(styles)))
     period = None if omega is None else 2.0 * np.pi / omega
     plot.draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)

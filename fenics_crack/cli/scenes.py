@@ -267,7 +267,7 @@ def _impossible(scene: Scene) -> str:
 # --- harmonics that nothing damps -----------------------------------------------------------------
 
 
-def remark_on(structure: Structure, highest: float) -> str:
+def describe_undamped_harmonics(structure: Structure, highest: float) -> str:
     """Return a remark on harmonics up to a frequency [rad/s]; empty where all of them are damped,
     and without contact, which excites them (collective)."""
     damped = damped_range(structure) if structure.n_pairs else None
@@ -288,4 +288,4 @@ def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
     if table is not None and table.method == "massless" and ratio is not None:
         if np.ravel(ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
-    return remark_on(whole, highest)
+    return describe_undamped_harmonics(whole, highest)

@@ -24,7 +24,7 @@ from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import TOLERANCE_OPTION, describe_instability, describe_large_error
-from fenics_crack.cli.results import _undecided_stretches, few_special_points
+from fenics_crack.cli.results import _find_undecided_ranges, shorten_special_points
 from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
 from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
@@ -80,10 +80,10 @@ def test_undecided_stretches_of_a_curve() -> None:
     """The longest first, also at the ends; none of what is not judged."""
     left = np.array([True, False, True, True, True, False, True])
     curve: Any = SimpleNamespace(undecided=left)
-    found = _undecided_stretches(curve)
+    found = _find_undecided_ranges(curve)
     assert found == [(2, 4), (0, 0), (6, 6)]
     curve.undecided = None
-    assert _undecided_stretches(curve) == []
+    assert _find_undecided_ranges(curve) == []
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
@@ -115,11 +115,11 @@ def test_five_bifurcations_at_most() -> None:
     curve = SimpleNamespace(bifurcations=14 * [SimpleNamespace(kind="fold")], multipliers=1)
     curve.verdicts = np.array(["stable", "unstable"])
     run: Any = SimpleNamespace(result=curve)
-    shown, hidden = few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
+    shown, hidden = shorten_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
     assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (9, 10, 11, 12, 13)]
     assert hidden == 13
     few = Table(("point", "omega", "amplitude [m]"), rows[:4])
-    assert few_special_points(run, few) == (few, 0)
+    assert shorten_special_points(run, few) == (few, 0)
 
 
 def swept(scene: fc.Scene, path: Path) -> SweepResult:
