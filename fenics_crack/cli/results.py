@@ -484,8 +484,8 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     """Report a curve, its special points, errors and stability (collective)."""
     curve, scene = run.result, run.scene
     indicator_columns = _indicator_columns(run, curve)
-    special_points = tabulate_special_points(run, indicator_columns)
-    printed_points, n_hidden_points = shorten_special_points(run, special_points)
+    special_point_table = tabulate_special_points(run, indicator_columns)
+    shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
     notes = [
         _describe_unstable_peak(run),
         describe_undamped_harmonics(run.structure, highest_omega(scene, "curve")),
@@ -519,13 +519,13 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         notes.append(f"windows of instability narrower than {width_text} may lie between points")
     return _make_report(
         run,
-        special_points,
+        special_point_table,
         rows=tabulate_curve_points(run, indicator_columns),
-        shown=account.select_printed_quantities(printed_points, scene, SPECIAL),
+        shown=account.select_printed_quantities(shortened_table, scene, SPECIAL),
         notes=notes,
         warnings=warnings,
         tables={
-            "Special points": account.select_printed_quantities(special_points, scene, SPECIAL)
+            "Special points": account.select_printed_quantities(special_point_table, scene, SPECIAL)
         },
         further=_tabulate_blades(run, "Blades, each at its largest response"),
         done=bool(curve.complete) and curve.status != INTERRUPTED,

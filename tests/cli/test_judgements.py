@@ -25,7 +25,11 @@ from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import TOLERANCE_OPTION, describe_instability, describe_large_error
 from fenics_crack.cli.results import _find_undecided_ranges, shorten_special_points
-from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
+from fenics_crack.cli.studies import (
+    describe_skipped_peak,
+    describe_sweep_warnings,
+    shorten_sweep_table,
+)
 from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
@@ -187,7 +191,7 @@ def test_sweep_of_few_modes(
     found = SweepResult.load(tmp_path / "sweep.h5")
     assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
     asked = swept.replace({"harmonic_balance.tolerance": 0.01})
-    told, depends = warnings_of(replace(found, scene=asked))
+    told, depends = describe_sweep_warnings(replace(found, scene=asked))
     assert "whose verdict depends on truncated modes" in depends
     assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
     drawn = Mock(wraps=plot.draw_response)
@@ -196,16 +200,16 @@ def test_sweep_of_few_modes(
     marked = [call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawn.call_args_list]
     assert marked and all(rings == [False, True, True] for rings in marked)
     unasked = fc.run_sweep(swept, judged=False)
-    assert not unasked.inexact.any() and not [*warnings_of(unasked)]
+    assert not unasked.inexact.any() and not [*describe_sweep_warnings(unasked)]
 
 
 def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
     """All cases undecided: a line instead of a column."""
     found = swept(scene, tmp_path / "sweep.h5")
     found.columns["verdict"][:] = "undecided"
-    assert "verdict" not in few_cases(found)[0].columns
+    assert "verdict" not in shorten_sweep_table(found)[0].columns
     found.columns["status"][:] = "full Newton steps; undecided: no exact orbit was found"
-    told = [*warnings_of(found)]
+    told = [*describe_sweep_warnings(found)]
     assert "the stability is undecided in all cases" in told
     assert [text for text in told if text.startswith("182 cases")] == [
         "182 cases undecided, the first at frequency = 480.0, length = 0.01: no exact orbit was "
@@ -222,7 +226,7 @@ def test_a_peak_between_two_frequencies(scene: fc.Scene, tmp_path: Path) -> None
     for damping, power, told in ((0.001, -1, 1), (0.03, -1, 0), (0.001, 1, 0)):
         wave = (1.0 - (frequency / 729.0) ** 2 + 2j * damping * frequency / 729.0) ** power
         found.columns["sine_1"][:], found.columns["cosine_1"][:] = wave.real, wave.imag
-        texts = stepped_over(found)
+        texts = describe_skipped_peak(found)
         assert len(texts) == told
         for text in texts:
             assert "between 720 and 736 Hz, length = 0.01, and at 5 other places, the" in text
@@ -245,7 +249,7 @@ def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
         """
     )
     speeds = {"sweep.over": {"rotation.rpm": [12000.0, 3000.0, 9000.0]}}
-    [text] = stepped_over(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
+    [text] = describe_skipped_peak(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
     assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
 
 
