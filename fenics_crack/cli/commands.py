@@ -35,9 +35,9 @@ def compute(
     the arguments, the folder and the ranks; write and print its result."""
     folder = inputs.folder
     if given.command == "curve" and inputs.scene.curve is None:
-        from fenics_crack.cli.scenes import without_curve
+        from fenics_crack.cli.scenes import missing_curve_error
 
-        raise without_curve(inputs.scene, console)
+        raise missing_curve_error(inputs.scene, console)
     offered = {"comm": console.comm, "progress": console.progress, "few": FEW_MODES}
     offered |= vars(given) | vars(inputs) | {"scene": inputs.prepared or inputs.scene}
     options = {name: offered[name] for name in signature(function).parameters if name in offered}

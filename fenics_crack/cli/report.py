@@ -28,7 +28,7 @@ from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import Console, make_writable
 from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result, restore_result
 from fenics_crack.cli.pictures import draw_scene
-from fenics_crack.cli.scenes import harmonics_in_words
+from fenics_crack.cli.scenes import describe_harmonics
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
@@ -267,7 +267,7 @@ def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
     rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, values_by_key[k])) for k in keys]
     if scene.excitation.order is not None:
         rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
-    rows.append(("harmonics", harmonics_in_words(scene)))
+    rows.append(("harmonics", describe_harmonics(scene)))
     return {"mesh": mesh, "scene": Table(("quantity", "value"), rows), "toml": scene.as_toml()}
 
 
