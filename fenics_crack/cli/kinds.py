@@ -46,7 +46,7 @@ class ResultKind(NamedTuple):
 RESULT_KINDS = {
     "set of modes": ResultKind(
         "modes", "Modes", "cli.results:report_of_modes", "runs.load:read_run",
-        "cli.pictures:draw_modes_of",
+        "cli.pictures:draw_mode_shapes",
     ),
     "periodic solution": ResultKind(
         "solution", "Steady vibration", "cli.results:report_of_solution", "runs.load:read_run",
@@ -54,7 +54,7 @@ RESULT_KINDS = {
     ),
     "response curve": ResultKind(
         "curve", "Response curve", "cli.results:report_of_curve", "runs.load:read_run",
-        "cli.pictures:draw_curve_of",
+        "cli.pictures:draw_curve_pictures",
     ),
     "sweep": ResultKind(
         "sweep", "Sweep", "cli.studies:report_of_sweep", "sweep.result:SweepResult.of",
@@ -66,12 +66,12 @@ RESULT_KINDS = {
     ),
     "crack growth": ResultKind(
         "growth", "Growth of the crack", "fatigue.growth:report_of_growth",
-        "fatigue.growth:Growth.of", "cli.pictures:draw_growth_of",
+        "fatigue.growth:Growth.of", "cli.pictures:draw_crack_growth",
     ),
     "identification": ResultKind(
         "identify", "Identification",
         "monitoring.identification.report:report_of_identification",
-        "monitoring.identification.report:Identified.of", "cli.pictures:draw_identified",
+        "monitoring.identification.report:Identified.of", "cli.pictures:copy_posterior_picture",
     ),
     "verification": ResultKind(
         "verify", "Convergence study", "cli.studies:report_of_verification",
@@ -80,7 +80,7 @@ RESULT_KINDS = {
     ),
     "Campbell diagram": ResultKind(
         "campbell", "Campbell diagram", "study.campbell:report_of_campbell",
-        "study.campbell:Campbell.of", "cli.pictures:draw_campbell_of",
+        "study.campbell:Campbell.of", "cli.pictures:draw_campbell_diagram",
     ),
     "nodal diameters": ResultKind(
         "disk", "Nodal diameters", "disk.bladed_disk:report_of_diameters",
@@ -118,7 +118,7 @@ def draw_result(result: Any, picture_files: PictureFiles) -> None:
     path_keywords = (
         {"path": picture_files(result_kind.file_stem, result_kind.caption)}
         if result_kind.caption
-        else {"file": picture_files}
+        else {"picture_files": picture_files}
     )
     load_function(result_kind.drawing_function)(result, **path_keywords)
 

@@ -60,7 +60,7 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
 
     def work() -> list[str]:
         if is_scene and len(arguments.results) == 1 and not labels:
-            return [str(draw_scene(Scene.load(path), folder, kind=console.pictures))]
+            return [str(draw_scene(Scene.load(path), folder, file_format=console.pictures))]
         result_files, note = _read_result_files(arguments.results)
         if not path.is_dir() and (len(result_files) > 1 or labels):
             return [str(_draw_curves(result_files, labels, folder, console.pictures))]
