@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import FEW_MODES, InputError
 from fenics_crack.basics.tables import percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import PERIOD
+from fenics_crack.cli.given import PERIOD_FOLDER
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
@@ -145,7 +145,7 @@ def _draw_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     if picture_files.has_vtk_files:
         from fenics_crack.draw.vtk import write_period
 
-        write_period(solution, picture_files(PERIOD, "", "pvd"), material=material)
+        write_period(solution, picture_files(PERIOD_FOLDER, "", "pvd"), material=material)
 
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:

@@ -60,21 +60,21 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
 
     def work() -> list[str]:
         if is_scene and len(arguments.results) == 1 and not labels:
-            return [str(draw_scene(Scene.load(path), folder, file_format=console.pictures))]
+            return [str(draw_scene(Scene.load(path), folder, file_format=console.picture_format))]
         result_files, note = _read_result_files(arguments.results)
         if not path.is_dir() and (len(result_files) > 1 or labels):
-            return [str(_draw_curves(result_files, labels, folder, console.pictures))]
-        pictures = PictureFiles(folder, console.pictures, has_vtk_files=True)
+            return [str(_draw_curves(result_files, labels, folder, console.picture_format))]
+        pictures = PictureFiles(folder, console.picture_format, has_vtk_files=True)
         for file in result_files:
             draw_result(restore_result(file), pictures)
         return [*map(str, pictures.captions_by_path), *dict.fromkeys(pictures.notes), note]
 
     with console.stage("pictures"):
         lines = on_root(console.comm, work)
-    console.note(*lines)
+    console.print_notes(*lines)
 
 
-def report(arguments: Namespace, _: None, console: Console) -> None:
+def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
     """Write the page of some results, on rank 0."""
     path = arguments.results[0]
     target = arguments.output or (path if path.is_dir() else path.parent) / "report.html"
@@ -82,12 +82,12 @@ def report(arguments: Namespace, _: None, console: Console) -> None:
 
     def work() -> str:
         result_files, note = _read_result_files(arguments.results)
-        _write_report(result_files, target, words)
+        _write_page(result_files, target, words)
         return note
 
     with console.stage("report"):
         note = on_root(console.comm, work)
-    console.note(str(target), note)
+    console.print_notes(str(target), note)
 
 
 def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
@@ -165,7 +165,7 @@ def _draw_curves(
 # --- the page -------------------------------------------------------------------------------------
 
 
-def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str]) -> None:
+def _write_page(files: Sequence[Stored], target: Path, command: Sequence[str]) -> None:
     """Write the page of some results.
 
     Parameters
@@ -212,7 +212,7 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
         "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
         "parts": parts,
         "doubts": [f"{part['heading']}: {text}" for part in parts for text in part["doubts"]],
-        "versions": _versions([file for file, _ in entries]),
+        "versions": _tabulate_versions([file for file, _ in entries]),
         "command": shlex.join(command),
     }
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -237,12 +237,14 @@ def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
     tables = summary.tables or {"In numbers": printed_table(summary)}
     return {
         "heading": RESULT_KINDS[file.kind].heading,
-        "closing": f"{_sentence(summary.closing)}.",
+        "closing": f"{_capitalize(summary.closing)}.",
         "box": box,
-        "notes": [*map(_sentence, filter(None, (*summary.notes, *dict.fromkeys(pictures.notes))))],
-        "doubts": [*map(_sentence, summary.warnings), *map(str, summary.remarks)],  # with keys
+        "notes": [
+            *map(_capitalize, filter(None, (*summary.notes, *dict.fromkeys(pictures.notes))))
+        ],
+        "doubts": [*map(_capitalize, summary.warnings), *map(str, summary.remarks)],  # with keys
         "pictures": [
-            _picture(path, words)
+            _encode_picture(path, words)
             for path, words in pictures.captions_by_path.items()
             if path.exists()
         ],
@@ -252,7 +254,7 @@ def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
     }
 
 
-def _sentence(text: str) -> str:
+def _capitalize(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
@@ -261,24 +263,28 @@ def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
     scene, mesh = result.scene, None
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
-        mesh = _picture(draw_scene(scene, folder, structure), "The mesh with its named parts.")
+        mesh = _encode_picture(
+            draw_scene(scene, folder, structure), "The mesh with its named parts."
+        )
     values_by_key = given_values(scene)
     keys = [key for table in LISTED_TABLES for key in values_by_key if key.startswith(f"{table}.")]
-    rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, values_by_key[k])) for k in keys]
+    rows: list[tuple[str, object]] = [
+        (key_in_words(k), _format_value(k, values_by_key[k])) for k in keys
+    ]
     if scene.excitation.order is not None:
         rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", describe_harmonics(scene)))
     return {"mesh": mesh, "scene": Table(("quantity", "value"), rows), "toml": scene.as_toml()}
 
 
-def _value(key: str, value: object) -> str:
+def _format_value(key: str, value: object) -> str:
     """Return a scene's value in words, of a vector with all components."""
     if isinstance(value, list):
         return f"{value} {unit_of(key)}".rstrip()
     return value_in_words(key, value)
 
 
-def _versions(files: Sequence[Stored]) -> Table:
+def _tabulate_versions(files: Sequence[Stored]) -> Table:
     """List the versions that made the results, and those that made the page."""
     rows = []
     for file in files:
@@ -289,7 +295,7 @@ def _versions(files: Sequence[Stored]) -> Table:
     return Table(("file", "made with"), rows)
 
 
-def _picture(path: Path, words: str) -> dict[str, str]:
+def _encode_picture(path: Path, words: str) -> dict[str, str]:
     """Return a picture as data for the page, with the sentence below it."""
     data = base64.b64encode(content_of(path, None)).decode("ascii")
     return {"words": words, "data": f"data:image/{path.suffix[1:]};base64,{data}"}

@@ -14,7 +14,7 @@ from fenics_crack.balance.problem import check_memory
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
-from fenics_crack.cli.given import Console, Inputs
+from fenics_crack.cli.given import CommandInputs, Console
 from fenics_crack.errors.stated import errors_of_natural
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
@@ -43,7 +43,7 @@ from fenics_crack.study.sharing import SHELVES
 from fenics_crack.study.solve import modes_chosen
 
 
-def check(_: Namespace, inputs: Inputs, console: Console) -> None:
+def print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
     """Mesh and assemble a scene; print key figures, natural frequencies and remarks."""
     scene = inputs.scene
     with console.stage("mesh and matrices"):
@@ -107,9 +107,9 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
     for shelf in SHELVES:
         shelf.keep(console.comm)
-    console.table(Table(("what", "value"), [*values_by_label.items()]))
-    console.note(damping_remark)
-    console.remark(*scene_remarks)
+    console.print_table(Table(("what", "value"), [*values_by_label.items()]))
+    console.print_notes(damping_remark)
+    console.print_remarks(*scene_remarks)
 
 
 def missing_curve_error(scene: Scene, console: Console) -> InputError:

@@ -21,8 +21,15 @@ from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import counted, speed_in_words
 from fenics_crack.cli.account import describe_instability, describe_large_error
-from fenics_crack.cli.commands import tell
-from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
+from fenics_crack.cli.commands import write_report_files
+from fenics_crack.cli.given import (
+    CommandInputs,
+    Console,
+    keep_previous_result,
+    make_writable,
+    parse_changes,
+    select_blades,
+)
 from fenics_crack.cli.kinds import build_report
 from fenics_crack.draw.plot_study import draw_arrivals
 from fenics_crack.monitoring import scene_timing
@@ -42,124 +49,155 @@ PROBES_REQUIREMENT = (
 )
 
 
-def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
+def fit_tip_vibration(arguments: Namespace, inputs: CommandInputs | None, console: Console) -> Exit:
     """Fit a vibration to arrival times, computed unless they are measured."""
     if inputs is None:
-        return _find_vibration_of_record(given, console)
-    scene, folder, source = inputs.scene, inputs.folder, inputs.arrivals
-    table, path = scene.given("tip_timing"), folder / "arrivals.csv"
+        return _find_vibration_of_record(arguments, console)
+    scene, folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
+    timing_table, arrivals_path = scene.given("tip_timing"), folder / "arrivals.csv"
     with console.stage("arrival times"):
-        blades, run = scene_timing.arrivals_of_blades(scene, source, console.comm)
-    first_blade = next(iter(blades.values()))
+        arrivals_by_blade, run = scene_timing.arrivals_of_blades(
+            scene, arrival_source, console.comm
+        )
+    first_arrivals = next(iter(arrivals_by_blade.values()))
     if scene.disk is None:
-        _write_arrivals(first_blade, path, scene, run, console)
+        _write_arrivals(first_arrivals, arrivals_path, scene, run, console)
     elif run is not None:
-        on_root(console.comm, lambda: write_record(blades, path, np.radians(table.probes)))
-        console.note(f"arrivals of {counted(len(blades), 'blade')}: {path}")
-    fits = _fit_blades(table, blades, console, scene, run)
-    if scene.disk is not None and not all(isinstance(fit, TipFit) for fit in fits.values()):
+        on_root(
+            console.comm,
+            lambda: write_record(arrivals_by_blade, arrivals_path, np.radians(timing_table.probes)),
+        )
+        console.print_notes(
+            f"arrivals of {counted(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
+        )
+    fits_by_blade = _fit_blades(timing_table, arrivals_by_blade, console, scene, run)
+    if scene.disk is not None and not all(
+        isinstance(fit, TipFit) for fit in fits_by_blade.values()
+    ):
         requirement = "arrivals at one speed of a bladed disk"
-        raise InputError("arrivals", str(source or "a curve"), requirement)
-    doubts = tuple(_warnings_of(first_blade, scene, run))
-    return _report(Timing(scene, blades, fits, doubts), folder, console)
+        raise InputError("arrivals", str(arrival_source or "a curve"), requirement)
+    doubt_texts = tuple(_describe_warnings(first_arrivals, scene, run))
+    return _write_report(
+        Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), folder, console
+    )
 
 
 def _write_arrivals(
-    arrivals: ArrivalTimes, path: Path, scene: Scene, run: Run[Any] | None, console: Console
+    arrivals: ArrivalTimes,
+    arrivals_path: Path,
+    scene: Scene,
+    run: Run[Any] | None,
+    console: Console,
 ) -> None:
     """Write, draw and describe the arrivals of one blade."""
 
-    def write() -> None:
-        arrivals.to_csv(path)
-        picture = path.with_suffix(f".{console.pictures}")
-        draw_arrivals(arrivals, path=picture, in_rpm=scene.in_rpm)
+    def write_files() -> None:
+        arrivals.to_csv(arrivals_path)
+        picture_path = arrivals_path.with_suffix(f".{console.picture_format}")
+        draw_arrivals(arrivals, path=picture_path, in_rpm=scene.in_rpm)
 
-    rows = arrivals.table().formatted("csv")
-    console.note(keep_before(path, rows, console.comm))
-    on_root(console.comm, write)
+    table_text = arrivals.table().formatted("csv")
+    console.print_notes(keep_previous_result(arrivals_path, table_text, console.comm))
+    on_root(console.comm, write_files)
     first_speed, last_speed = (
         speed_in_words(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
     )
     speed_range = (
         f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
     )
-    console.note(
-        f"arrivals of {_size_in_words(arrivals)}, {speed_range}: {path}, .{console.pictures}"
+    console.print_notes(
+        f"arrivals of {_describe_size(arrivals)}, {speed_range}: {arrivals_path}, "
+        f".{console.picture_format}"
     )
     if run is not None:
-        console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
+        console.print_notes(scene_timing.tip_in_words(scene.given("tip_timing"), run))
 
 
 def _fit_blades(
-    table: TipTiming, blades: Mapping[int, ArrivalTimes], console: Console, *scene_and_run: Any
+    timing_table: TipTiming,
+    arrivals_by_blade: Mapping[int, ArrivalTimes],
+    console: Console,
+    *scene_and_run: Any,
 ) -> dict[int, Any]:
     """Fit the vibration of each blade, with or without scene and run."""
-    fits = {}
+    fits_by_blade = {}
     with console.stage("vibration"):
-        for blade, arrivals in blades.items():
-            with within(f"blade {blade}"):
-                fits[blade] = scene_timing.fit_vibration(table, arrivals, *scene_and_run)
-    return fits
+        for blade_number, arrivals in arrivals_by_blade.items():
+            with within(f"blade {blade_number}"):
+                fits_by_blade[blade_number] = scene_timing.fit_vibration(
+                    timing_table, arrivals, *scene_and_run
+                )
+    return fits_by_blade
 
 
-def _report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
-    return tell(build_report(tip_timing), folder / "timing", console, tip_timing, console.pictures)
+def _write_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
+    return write_report_files(
+        build_report(tip_timing), folder / "timing", console, tip_timing, console.picture_format
+    )
 
 
-def _size_in_words(arrivals: ArrivalTimes) -> str:
+def _describe_size(arrivals: ArrivalTimes) -> str:
     return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
 
 
-def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
+def _describe_warnings(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
         yield from scene_timing.remarks_on_arrivals(arrivals)
-        speeds = arrivals.mean_speed, scene.speed
-        if scene.speed > 0.0 and not 0.5 <= speeds[0] / speeds[1] <= 2.0:
-            record_speed, scene_speed = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+        mean_speeds = arrivals.mean_speed, scene.speed
+        if scene.speed > 0.0 and not 0.5 <= mean_speeds[0] / mean_speeds[1] <= 2.0:
+            record_speed, scene_speed = (
+                speed_in_words(speed, scene.in_rpm) for speed in mean_speeds
+            )
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
                 "are they in seconds?"
             )
         return
-    doubts = (
+    doubt_texts = (
         scene_timing.describe_scene_difference(scene, run),
         scene_timing.describe_run_up_end(scene, run),
     )
-    yield from filter(None, doubts)
+    yield from filter(None, doubt_texts)
     if scene_timing.curve_of(run) is None:
-        result = run.result
-        yield from describe_large_error(run.scene, result.report, result.harmonics)
-        yield from describe_instability(run.scene, run, result.stability)
+        motion = run.result
+        yield from describe_large_error(run.scene, motion.report, motion.harmonics)
+        yield from describe_instability(run.scene, run, motion.stability)
 
 
 def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     """Find the vibration of a measured record's blades without a scene."""
-    table_values = {}
-    for key, value in changes(arguments.set).items():
-        table, _, name = key.partition(".")
-        if table != "tip_timing" or name not in RECORD_KEYS:
-            key_names = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
-            requirement = f"left out with a record in place of a scene, or {key_names}"
+    values_by_name = {}
+    for key, value in parse_changes(arguments.set).items():
+        table_name, _, key_name = key.partition(".")
+        if table_name != "tip_timing" or key_name not in RECORD_KEYS:
+            allowed_keys = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
+            requirement = f"left out with a record in place of a scene, or {allowed_keys}"
             raise InputError(key, value, requirement)
-        table_values[name] = TipTiming.checked(name, value)
+        values_by_name[key_name] = TipTiming.checked(key_name, value)
     with console.stage("arrival times"):
-        probes = np.radians(table_values["probes"]) if "probes" in table_values else None
-        blades = read_record(
-            arguments.scene, tip_radius=table_values.get("tip_radius"), probes=probes
+        probe_angles = np.radians(values_by_name["probes"]) if "probes" in values_by_name else None
+        arrivals_by_blade = read_record(
+            arguments.scene, tip_radius=values_by_name.get("tip_radius"), probes=probe_angles
         )
-        blades = one_of(blades, arguments.blade, arguments.scene)
+        arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
     folder = arguments.output or Path("output") / arguments.scene.stem
     make_writable(folder, console.comm)
-    first_blade = next(iter(blades.values()))
-    console.note(f"{counted(len(blades), 'blade')}, {_size_in_words(first_blade)}")
-    needs_probes = first_blade.steady and not {"probes", "frequencies"} & table_values.keys()
+    first_arrivals = next(iter(arrivals_by_blade.values()))
+    console.print_notes(
+        f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_size(first_arrivals)}"
+    )
+    needs_probes = first_arrivals.steady and not {"probes", "frequencies"} & values_by_name.keys()
     if needs_probes and not has_probe_angles(arguments.scene):
         raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT)
-    record_values = {
-        "probes": np.degrees(first_blade.probes).tolist(),
-        "tip_radius": first_blade.tip_radius,
+    record_values_by_name = {
+        "probes": np.degrees(first_arrivals.probes).tolist(),
+        "tip_radius": first_arrivals.tip_radius,
     }
-    fits = _fit_blades(TipTiming(**record_values | table_values), blades, console)
-    doubts = tuple(scene_timing.remarks_on_arrivals(first_blade))
-    return _report(Timing(None, blades, fits, doubts), folder, console)
+    fits_by_blade = _fit_blades(
+        TipTiming(**record_values_by_name | values_by_name), arrivals_by_blade, console
+    )
+    doubt_texts = tuple(scene_timing.remarks_on_arrivals(first_arrivals))
+    return _write_report(
+        Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), folder, console
+    )
