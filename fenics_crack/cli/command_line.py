@@ -1,4 +1,4 @@
-"""The program ``fenics-crack``: arguments, exit codes, and what happens to errors."""
+"""The program ``fenics-crack``: arguments, exit codes and printed errors."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from fenics_crack.cli.given import CommandInputs, Console
 
 PETSC_PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
-"""Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
+"""Prefixes of PETSc options that reach a solver: SNES, GMRES, SLEPc or a factorisation."""
 OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
-"""Texts by which PETSc, and the loader of a library, report too little memory."""
+"""Texts in errors of PETSc and the library loader that report too little memory."""
 ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -58,7 +58,7 @@ SCENE_KEY_BY_ARGUMENT = {
     "record_periods": "integration.periods",
     "start, end": "curve.start, curve.stop",
 }
-"""Keys of a scene for the arguments of the library that errors name."""
+"""Key of a scene, or option, for each argument of the library that an error may name."""
 MAX_ENGINE_ORDER = 1000
 """Maximum engine order of ``--orders``."""
 EPILOG = """\
@@ -81,13 +81,16 @@ stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 
 
 def main(command_words: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code; the same on every rank."""
+    """Run a command and return the exit code, the same on every rank.
+
+    ``command_words`` replace the words of the command line.
+    """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
     if any(os.environ.get(name, "0") != "0" for name in threads.LAUNCHERS):
         _silence_output()
     if sys.stdout is None:
-        _print_last_line("standard output is closed")
+        _print_message("standard output is closed")
         return Exit.FAULT
     try:
         arguments = _parse_arguments(command_words)
@@ -98,15 +101,15 @@ def main(command_words: Sequence[str] | None = None) -> int:
         _print_input_errors((error, *error.others))
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
-        _print_last_line(
+        _print_message(
             str(error) if isinstance(error, StoppedError) else f"did not converge: {error}"
         )
         return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
-        # Say nothing of what a library cannot end well, as it was stopped in the middle of a step;
-        # the last to be registered is the first to be called.
+        # Print no errors of libraries that were stopped in the middle of a step. The hook
+        # registered last is called first.
         atexit.register(setattr, sys, "unraisablehook", lambda _: None)
-        _print_last_line("stopped")
+        _print_message("stopped")
         _abort_all_ranks(Exit.STOPPED)
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
@@ -120,7 +123,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
             )
             return Exit.BAD_INPUT
         if shortage_text := _describe_shortage(error):
-            _print_last_line(shortage_text, sys.__stderr__)
+            _print_message(shortage_text, sys.__stderr__)
             _discard_output()
         else:
             traceback.print_exc(file=sys.__stderr__)
@@ -129,7 +132,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
 
 
 def _abort_all_ranks(exit_code: Exit) -> None:
-    """End the other ranks, which may wait for this one, and this one, with an exit code."""
+    """End all ranks with an exit code, as others may wait for this rank."""
     if threads.launched():
         from mpi4py import MPI
 
@@ -138,8 +141,10 @@ def _abort_all_ranks(exit_code: Exit) -> None:
 
 
 def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
-    """Read the arguments, of the program's own those before PETSc's; SystemExit after --help, and
-    for words that the parser refuses."""
+    """Parse the program's arguments, which stand before PETSc's options.
+
+    Raises SystemExit after --help, and for words that the parser refuses.
+    """
     try:
         arguments = build_parser().parse_args(
             _program_arguments() if command_words is None else command_words
@@ -156,8 +161,11 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _program_arguments() -> list[str]:
-    """The program's arguments up to the first ``-crack_``, from which on PETSc takes them as in
-    scripts (``basics/ranks.py``); InputError for a prefix that no solver has."""
+    """Return the words of the command line before the first ``-crack_``.
+
+    PETSc reads all later words itself, as in scripts (``basics/ranks.py``). Raises InputError for a
+    prefix that no solver has.
+    """
     for word in (petsc_arguments := _petsc_arguments()):
         if word.startswith("-crack_") and not word.startswith(PETSC_PREFIXES):
             raise InputError(
@@ -167,46 +175,48 @@ def _program_arguments() -> list[str]:
 
 
 def _petsc_arguments() -> list[str]:
-    """Return the words of the command line from the first of PETSc's options on."""
+    """Return the words of the command line from the first ``-crack_`` on."""
     return [*dropwhile(lambda word: not word.startswith("-crack_"), sys.argv[1:])]
 
 
 def _silence_output() -> None:
-    """Discard what this rank prints; faults of the program go to the true standard error."""
+    """Discard the output of this rank; tracebacks still reach the true standard error."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
 
-def _print_last_line(text: str, stream: TextIO | None = None) -> None:
-    """Print the last line, if that is possible."""
+def _print_message(text: str, stream: TextIO | None = None) -> None:
+    """Print a message of the program, by default to standard error, if it can be written."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
 
 
 def _print_input_errors(errors: Sequence[InputError]) -> None:
-    """Print a line for each error, of a missing key with an example, and lines to be pasted where
-    tables are missing."""
+    """Print a line for each error, and examples of missing keys and tables.
+
+    An example of a key ends its line; examples of tables follow all errors.
+    """
     example_blocks = []
     for error in errors:
         key, example_text = SCENE_KEY_BY_ARGUMENT.get(error.key, error.key), ""
         if error.value is None:
             from fenics_crack.cli.given import example_line, example_table
 
-            example_line_text = "" if key in error.allowed else example_line(key, error.allowed)
-            example_text = f"; for example {example_line_text}" if example_line_text else ""
+            example_assignment = "" if key in error.allowed else example_line(key, error.allowed)
+            example_text = f"; for example {example_assignment}" if example_assignment else ""
             example_blocks.append(example_table(key) if error.example is None else error.example)
-        _print_last_line(f"{type(error)(key, error.value, error.allowed)}{example_text}")
+        _print_message(f"{type(error)(key, error.value, error.allowed)}{example_text}")
     if example_lines := "\n\n".join(filter(None, example_blocks)):
         print(f"for example:\n\n{example_lines}", file=sys.stderr)
 
 
 def _discard_output() -> None:
-    """Spare Python the attempt to write at its end what could not be written before."""
+    """Redirect standard output to the null device, so that Python's exit writes nothing."""
     with contextlib.suppress(OSError):  # it may be no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _describe_shortage(error: Exception) -> str:
-    """Describe the resource that ran out if an error is due to that, else return ""."""
+    """Describe the lack of memory or disk space behind an error; empty for other errors."""
     is_reported = any(memory_text in str(error) for memory_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
     is_near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
@@ -218,12 +228,12 @@ def _describe_shortage(error: Exception) -> str:
 
 
 def _run_command(arguments: argparse.Namespace) -> Exit:
-    """Read what a command is given, prepare this process, and call it.
+    """Read the inputs of a command, prepare this process, and call the command.
 
-    MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
-    process, rank 0 reads for all.
+    Inputs are read before MPI and PETSc are loaded, so that wrong input is refused at once. Under
+    mpirun, rank 0 reads for all ranks.
     """
-    if arguments.command == "doctor":  # which asks what is there
+    if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
     threads.check_modules()
     from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared
@@ -271,7 +281,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
 def _call_command(
     arguments: argparse.Namespace, inputs: CommandInputs | None, console: Console | None
 ) -> Exit | None:
-    """Call a command; return how it ended where that may differ."""
+    """Call a command with its folder and kept structure; None means exit code 0."""
     function_path, *_ = COMMANDS[arguments.command][1].split()
     command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
     if not function_path.startswith("cli."):
@@ -308,12 +318,12 @@ def _call_command(
 
 
 class OrderRangeAction(argparse.Action):
-    """Changes ``tip_timing.orders`` to the whole numbers of a range."""
+    """Set ``tip_timing.orders`` to the whole numbers of a range."""
 
     def __call__(
         self, _: Any, arguments: argparse.Namespace, order_range: Any, option_string: Any = None
     ) -> None:
-        """Called by argparse with the first order and the last one."""
+        """Add the orders to the changes of --set; argparse calls this with both ends."""
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
             requirement = f"whole numbers, 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
@@ -322,8 +332,11 @@ class OrderRangeAction(argparse.Action):
         arguments.set = [*arguments.set, f"tip_timing.orders={orders}"]
 
 
-def parse_path(text: str) -> Path:
-    """A path that can be opened, and written in the files of results; argparse refuses others."""
+def path(text: str) -> Path:
+    """Convert an argument to a path; argparse names this function in errors.
+
+    Raises ValueError for paths that cannot be opened, or written into files of results.
+    """
     if b"\0" in text.encode("utf-8"):
         raise ValueError
     return Path(text)
@@ -409,10 +422,13 @@ COMMANDS = {
         "cli.doctor:print_checks",
     ),
 }
-"""Description of each command; its function and its own arguments. A function of ``cli`` takes
-these, any other one a scene and what else it takes of them."""
+"""Description, function and arguments of each command, by the command's name.
+
+A function of ``cli`` takes arguments, inputs and console. Any other function takes a scene, and
+the arguments that its parameters name.
+"""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
-    "file": ("the file to write, for example plate.toml", {"type": parse_path, "metavar": "scene"}),
+    "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
     "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
     "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
@@ -420,7 +436,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--disk": ("of a bladed disk with one cracked blade", {"action": "store_true"}),
     "--cad": (
         "of a part from a CAD file, .step, .stp or .brep, with a picture of its faces",
-        {"type": parse_path, "metavar": "PART"},
+        {"type": path, "metavar": "PART"},
     ),
     "--patterns": (
         "number of random patterns of mistuning, without contact (default: 0)",
@@ -433,18 +449,18 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "scene": (
         "the scene, a TOML file; of solve and curve also a file of reduce, of timing a measured "
         "record, a CSV file",
-        {"type": parse_path},
+        {"type": path},
     ),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
         "phase [rad], rpm, temperature; or frequency responses (.uff, .unv: dataset 58), whose "
         "peaks are modes 1, 2, ... or --modes; or both; may be left out with --arrivals",
-        {"type": parse_path, "nargs": "*"},
+        {"type": path, "nargs": "*"},
     ),
     "--before": (
         "frequency responses of the same structure before it had a crack (.uff, .unv), or the "
         "arrivals of a run-up of it, as of --arrivals",
-        {"type": parse_path, "metavar": "FILE"},
+        {"type": path, "metavar": "FILE"},
     ),
     "--modes": (
         "numbers of the modes that frequency responses show, from the lowest frequency up",
@@ -454,7 +470,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         "arrivals at probes, at constant speed or in a run-up through resonances: a CSV file "
         "(docs/tip_timing.md) or the .h5 file of a solution or a curve; [tip_timing] describes the "
         "probes",
-        {"type": parse_path, "metavar": "FILE"},
+        {"type": path, "metavar": "FILE"},
     ),
     "--blade=N": (
         "number of the blade whose arrivals are taken from a file of several",
@@ -468,12 +484,12 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "arrivals": (
         "source of the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
         "measured or computed (default: the scene, solved)",
-        {"type": parse_path, "nargs": "?", "metavar": "source"},
+        {"type": path, "nargs": "?", "metavar": "source"},
     ),
     "results": (
         "a .h5 file that another command has written, a folder of them, several curves to be drawn "
         "in one picture, or a scene",
-        {"type": parse_path, "nargs": "+", "metavar": "result"},
+        {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (
         "name of a result among several (default: what differs between their scenes)",
@@ -485,7 +501,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--output": (
         "for the results (default: output/NAME of the scene; for plot, the folder of the result)",
-        {"type": parse_path, "metavar": "FOLDER"},
+        {"type": path, "metavar": "FOLDER"},
     ),
     "--fresh": (
         "compute the structure anew, and do not take that of an earlier command from the folder",
@@ -499,11 +515,11 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--output=FILE": (
         "the .html file (default: report.html in the folder of the first result)",
-        {"type": parse_path, "metavar": "FILE.html"},
+        {"type": path, "metavar": "FILE.html"},
     ),
     "--output=FILE.h5": (
         "the .h5 file (default: output/NAME/NAME.h5, NAME being that of the scene)",
-        {"type": parse_path, "metavar": "FILE.h5"},
+        {"type": path, "metavar": "FILE.h5"},
     ),
     "--pictures": (
         "kind of the pictures; pdf and svg are vector graphics, for papers (default: png)",
@@ -523,17 +539,17 @@ PATH_COMPLETION_BY_SHELL = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
-"""Completion of ``--set`` and of paths, by shell, as shtab takes it; the function behind the first,
-whose body has the keys of scenes."""
+"""Completion of ``--set`` and of paths for shtab, by shell."""
 KEY_FUNCTION_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
 }
+"""Definition of the function that completes ``--set``, by shell; {} are the keys of scenes."""
 
 
 class SuggestingParser(argparse.ArgumentParser):
-    """Asks what may be meant by a command, or an option, that there is not."""
+    """Parse arguments, and suggest commands or options for unknown ones."""
 
     def error(self, message: str) -> NoReturn:
         """Print the error and suggestions, and exit."""
@@ -560,7 +576,7 @@ class CompletionAction(argparse.Action):
     """Print what a shell needs to complete the program's words, and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *call_arguments: Any) -> NoReturn:
-        """Called by argparse: the namespace, the shell, and the option."""
+        """Print the completion; argparse passes the namespace, the shell and the option."""
         from fenics_crack.scene.scene import known_keys
 
         try:
@@ -576,14 +592,14 @@ class CompletionAction(argparse.Action):
 
 
 def list_options(*commands: str) -> list[str]:
-    """The options of some commands, each once."""
+    """Return the options of some commands, each once."""
     argument_names = " ".join(COMMANDS[name][1] for name in commands).split()
     command_options = [word.partition("=")[0] for word in argument_names if word.startswith("--")]
     return list(dict.fromkeys([*command_options, "--format", "--quiet", "--verbose", "--help"]))
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The arguments of all commands."""
+    """Build the parser of all commands and their arguments."""
     program_parser = SuggestingParser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",
@@ -610,7 +626,7 @@ def build_parser() -> argparse.ArgumentParser:
             argument_action = command_parser.add_argument(
                 argument.partition("=")[0], help=argument_help, **argument_options
             )
-            if argument == "--set" or argument_options.get("type") is parse_path:
+            if argument == "--set" or argument_options.get("type") is path:
                 completion_by_shell = (
                     KEY_COMPLETION_BY_SHELL if argument == "--set" else PATH_COMPLETION_BY_SHELL
                 )

@@ -1,4 +1,4 @@
-"""The commands that solve a scene: each computes, writes its files and reports."""
+"""Commands that compute a result of a scene, write its files and print its report."""
 
 from __future__ import annotations
 
@@ -37,8 +37,12 @@ if TYPE_CHECKING:
 def run_package_function(
     function: Callable[..., Any], arguments: Namespace, inputs: CommandInputs, console: Console
 ) -> Exit:
-    """A command that is a function of the package: call it with the scene and what else it takes of
-    the arguments, the folder and the ranks; write and print its result."""
+    """Run a function of the package as a command, write its result and print its report.
+
+    The function gets the scene (or the study of a file of ``reduce``), and the arguments, folder,
+    ranks and progress that its parameters name. Ctrl-C is ignored while files are written. An
+    interrupted result replaces no earlier one: its name then ends in "_interrupted".
+    """
     folder = inputs.folder
     if arguments.command == "curve" and inputs.scene.curve is None:
         from fenics_crack.cli.scenes import missing_curve_error
@@ -74,7 +78,7 @@ def run_package_function(
             console.print_notes(
                 f"{folder / file_stem}.* is unchanged: the interrupted result has a name of its own"
             )
-            file_stem = f"{file_stem}_interrupted"  # a part takes the place of no result
+            file_stem = f"{file_stem}_interrupted"
         if report is None:
             _save_result(result, folder / f"{file_stem}.h5", console)
             raise StoppedError(f"stopped; {folder / file_stem}.h5 has the result so far")
@@ -84,7 +88,7 @@ def run_package_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Write the file of a result; a run is saved by the ranks that share it."""
+    """Save a result; a run knows its own ranks, other results are saved with the console's."""
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
@@ -95,9 +99,22 @@ def write_report_files(
     result: Any = None,
     picture_format: str | None = None,
 ) -> Exit:
-    """Write a result, unless it is there already, the tables of its report, and its pictures if
-    their kind is given, under a path without its ending; print what there is to say. Returns how
-    that ended."""
+    """Write a result, the tables of its report and its pictures; print the report.
+
+    Parameters
+    ----------
+    stem_path : Path
+        Path of the files without their endings.
+    result
+        Result to be saved; None if its file exists already.
+    picture_format : str or None
+        Ending of the pictures; None: no pictures.
+
+    Returns
+    -------
+    Exit
+        Exit code of the command.
+    """
     replacement_note = ""
     for shelf in SHELVES:
         shelf.keep(console.comm)
@@ -136,7 +153,7 @@ def write_report_files(
 
 
 def print_report_sentences(report: Report, console: Console) -> Exit:
-    """Print the sentences of a report; return how its command ended."""
+    """Print notes, remarks, warnings and conclusion of a report; return the exit code."""
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
     console.print_warnings(*report.warnings)
@@ -145,7 +162,7 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
 
 
 def run_sweep_cases(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """All cases of a sweep, or those that an earlier run has left."""
+    """Run the cases of a sweep that no earlier run has solved, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
     scene, stem_path = inputs.scene, inputs.folder / "sweep"
@@ -157,12 +174,12 @@ def run_sweep_cases(_: Namespace, inputs: CommandInputs, console: Console) -> Ex
 
 
 def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Remove the structure that earlier commands have kept."""
+    """Remove the structure that earlier commands have kept in the folder."""
     on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE, "--output"))
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Write what the mesh of a scene gives to a file."""
+    """Write the study of a scene to a file, with which no mesh is needed later."""
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 
@@ -175,7 +192,7 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
 
 
 def run_disk_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """Frequencies over the nodal diameter, and amplification by patterns of mistuning."""
+    """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
@@ -206,8 +223,16 @@ def _convert_arrivals(
     *,
     is_uncracked: bool = False,
 ) -> Measurements:
-    """Return measurements from arrivals: displacements, or in a run-up the natural frequencies
-    of the resonances passed, with ``before`` of the blade before it had a crack."""
+    """Convert arrivals to measurements for an identification.
+
+    At constant speed they are displacements; in a run-up, natural frequencies of the resonances
+    passed. ``is_uncracked`` marks arrivals of the blade before it had a crack: only a run-up.
+
+    Raises
+    ------
+    InputError
+        The arrivals have no resonance, or do not fit the scene.
+    """
     from fenics_crack.arrivals.arrival_times import STEADY
     from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
@@ -248,7 +273,7 @@ def _convert_arrivals(
 
 
 def identify_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """A crack from measurements: what it is, how sure, and where to measure next."""
+    """Identify a crack from measurements, and propose where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy
     from fenics_crack.monitoring.identification.report import Identified
