@@ -1,6 +1,6 @@
-"""The command ``doctor``: what an installation consists of, and whether it computes known numbers.
+"""The command ``doctor``: parts of an installation, and checks of computed numbers.
 
-It takes nothing for granted: each check imports what it needs, and what goes wrong is its fault.
+Each check imports the libraries that it needs itself, so that a fault has the name of its check.
 """
 
 from __future__ import annotations
@@ -28,10 +28,13 @@ from fenics_crack.basics.threads import check_modules, loaded_libraries, one_pro
 from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
-"""Debian 12's."""
+"""Oldest supported version of NumPy, that of Debian 12."""
 REFERENCE_DISPLACEMENTS = (2.19791942, -2.94941155)
-"""Maximum and minimum of x'' + 0.1 x' + x + max(x, 0) = cos t in one period, integrated from one
-switching instant to the next by another program (docs/verification, bilinear oscillator)."""
+"""Maximum and minimum of x in a period of x'' + 0.1 x' + x + max(x, 0) = cos t.
+
+Another program integrated from one switching instant to the next (docs/verification, bilinear
+oscillator).
+"""
 PLATE_TABLES = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
     "crack": {"edge": "left", "height": 0.05, "length": 0.05},
@@ -41,12 +44,14 @@ PLATE_TABLES = {
     "contact": {"stiffness": 1e9},
     "mesh": {"layout": "grid", "cells": "quadrilateral", "columns": 2, "rows": 8, "order": 2},
 }
-"""A plate of 0.1 m whose Poisson's ratio is zero: without its crack it has the longitudinal modes
-of a bar, sin((2 n - 1) pi y / (2 L))."""
+"""Tables of a scene: a plate of 0.1 m with Poisson's ratio zero.
+
+Without its crack it has the longitudinal modes of a bar, sin((2 n - 1) pi y / (2 L)).
+"""
 
 
 def print_checks(arguments: Namespace, *_: object) -> Exit:
-    """Print a table of the checks; return whether all is well."""
+    """Print a table of all checks; the exit code says whether there is a fault."""
     with loading():
         from fenics_crack.basics.tables import Table  # NumPy
     rows = [
@@ -60,9 +65,14 @@ def print_checks(arguments: Namespace, *_: object) -> Exit:
 
 
 def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[str, str, bool]]:
-    """Yield the name of each check, its finding in one line, and whether that is a fault.
+    """Run checks, which return their finding as text.
 
-    Warnings of the program are faults, too. A fault that an earlier check has met is not repeated.
+    Warnings of the program are faults, too. A fault of an earlier check is "as above".
+
+    Yields
+    ------
+    name, finding : str
+    is_fault : bool
     """
     warning_texts: list[str] = []
     log_handler = logging.Handler(logging.WARNING)
@@ -85,6 +95,7 @@ def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[s
 
 
 def _describe_program() -> str:
+    """Return versions and folders of the program and of Python."""
     package_folder = Path(__file__).parents[1]
     return (
         f"fenics_crack {VERSION}, {package_folder}; Python {platform.python_version()}, "
@@ -93,6 +104,7 @@ def _describe_program() -> str:
 
 
 def _check_numpy() -> str:
+    """Return the versions of NumPy and SciPy; InputError if NumPy is too old."""
     check_modules()
     with loading():
         import numpy
@@ -103,6 +115,7 @@ def _check_numpy() -> str:
 
 
 def _check_mpi() -> str:
+    """Return MPI library and launcher; InputError if they do not fit together."""
     with one_process_settings():
         from fenics_crack.basics.ranks import MPI
     mpi_vendor, mpi_version = MPI.get_vendor()
@@ -119,6 +132,7 @@ def _check_mpi() -> str:
 
 
 def _check_petsc() -> str:
+    """Return the versions of PETSc and SLEPc; InputError without MUMPS."""
     from fenics_crack.basics.ranks import check_scalars, slepc
 
     check_scalars()
@@ -131,6 +145,7 @@ def _check_petsc() -> str:
 
 
 def _check_gmsh() -> str:
+    """Return the version of gmsh."""
     from fenics_crack.basics import gmsh_process  # noqa: F401
 
     with loading():
@@ -139,6 +154,7 @@ def _check_gmsh() -> str:
 
 
 def _check_dolfinx() -> str:
+    """Return the version of DOLFINx."""
     from fenics_crack.fem import compat  # noqa: F401
 
     with loading():
@@ -147,53 +163,63 @@ def _check_dolfinx() -> str:
 
 
 def _check_compiler() -> str:
+    """Return path and version of the C compiler."""
     compiler = c_compiler()
     return f"{compiler}: {version_of(compiler)}"
 
 
 def _check_caches() -> str:
+    """Settle the folder for compiled forms, and return it."""
     settle_caches()
     cache_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return f"{cache_folder}/fenics takes compiled forms"
 
 
 def _check_pictures() -> str:
+    """Return the versions of Matplotlib and pyvista."""
     with loading():
         matplotlib, pyvista = map(import_module, ("matplotlib", "pyvista"))
     return f"Matplotlib {matplotlib.__version__}, pyvista {pyvista.__version__}"
 
 
 def _check_two_masses() -> str:
+    """Compare the largest gaps of two masses at their stops with known values."""
     import numpy as np
 
-    package = import_module("fenics_crack")
+    fenics_crack = import_module("fenics_crack")
     stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])  # in phase they are two single oscillators
-    structure = package.Structure.from_matrices(
+    structure = fenics_crack.Structure.from_matrices(
         np.eye(2), stiffness, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
     )
-    orbit = package.solve_harmonic_balance(
-        structure, 1.0, package.UnilateralPenalty(1.0), harmonics=40
+    orbit = fenics_crack.solve_harmonic_balance(
+        structure, 1.0, fenics_crack.UnilateralPenalty(1.0), harmonics=40
     )
     gaps = orbit.gap(np.linspace(0.0, orbit.period, 4096))
     relative_error = np.max(
         np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_DISPLACEMENTS - 1.0)
     )
-    return _describe_error("two masses at their stops", relative_error, 1e-3)
+    return _check_error("two masses at their stops", relative_error, 1e-3)
 
 
 def _check_plate() -> str:
+    """Compare a plate's frequency with a bar's, and its vibration by two solvers."""
     import numpy as np
 
-    package = import_module("fenics_crack")
-    scene = package.Scene.from_mapping(PLATE_TABLES)
-    uncracked_structure = package.build_structure(scene.replace({"crack": None, "contact": None}))
+    fenics_crack = import_module("fenics_crack")
+    scene = fenics_crack.Scene.from_mapping(PLATE_TABLES)
+    uncracked_structure = fenics_crack.build_structure(
+        scene.replace({"crack": None, "contact": None})
+    )
     bar_omega = 0.5 * np.pi / 0.1 * np.sqrt(2e9 / 7800.0)
     frequency_error = np.min(
-        np.abs(package.solve_modes(uncracked_structure, 4).omega / bar_omega - 1.0)
+        np.abs(fenics_crack.solve_modes(uncracked_structure, 4).omega / bar_omega - 1.0)
     )
-    cracked_structure, contact_law = package.build_structure(scene), package.UnilateralPenalty(1e9)
+    cracked_structure, contact_law = (
+        fenics_crack.build_structure(scene),
+        fenics_crack.UnilateralPenalty(1e9),
+    )
     condensed_coefficients, block_coefficients = (
-        package.solve_harmonic_balance(
+        fenics_crack.solve_harmonic_balance(
             cracked_structure, 2000.0, contact_law, harmonics=5, form=solver_form
         ).gap_coefficients
         for solver_form in ("condensed", "block")
@@ -202,13 +228,13 @@ def _check_plate() -> str:
         np.abs(block_coefficients)
     )
     return (
-        f"{_describe_error('natural frequency of a bar', frequency_error, 1e-5)}; "
-        f"{_describe_error('vibration by two solvers', difference, 1e-8)}"
+        f"{_check_error('natural frequency of a bar', frequency_error, 1e-5)}; "
+        f"{_check_error('vibration by two solvers', difference, 1e-8)}"
     )
 
 
-def _describe_error(quantity_name: str, relative_error: float, tolerance: float) -> str:
-    """Say how far a quantity is from its known value; ArithmeticError if too far."""
+def _check_error(quantity_name: str, relative_error: float, tolerance: float) -> str:
+    """Return a sentence on the error of a quantity; ArithmeticError above the tolerance."""
     text = f"{quantity_name}: {relative_error:.0e} from the known value"
     if not relative_error <= tolerance:
         raise ArithmeticError(f"{text}, at most {tolerance:g} is allowed")
@@ -228,4 +254,4 @@ CHECKS_BY_NAME = {
     "two masses": _check_two_masses,
     "plate": _check_plate,
 }
-"""By their names, in an order in which each needs those before it at most."""
+"""Checks by name; a check needs at most the libraries of earlier checks."""
