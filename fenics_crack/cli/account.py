@@ -85,7 +85,9 @@ def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> 
     list of str
         At most one warning.
     """
-    clamp_distances = from_clamp(run.structure.whole, [watched.dof for watched in run.watched])
+    clamp_distances = from_clamp(
+        run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
+    )
     worst_index = int(np.argmax(rotation_angles := np.asarray(max_displacements) / clamp_distances))
     if not rotation_angles[worst_index] > SMALL_MOTION:
         return []
@@ -102,7 +104,9 @@ def largest_displacements(run: Run[Any]) -> list[float]:
 
     It is |mean| + half the peak-to-peak displacement; of a curve, the maximum over the points.
     """
-    watched_indicators = run.result.measure([watched.dof for watched in run.watched])
+    watched_indicators = run.result.measure(
+        [watched_displacement.dof for watched_displacement in run.watched]
+    )
     return [
         float(np.max(np.abs(indicators.mean) + indicators.amplitude))
         for indicators in watched_indicators

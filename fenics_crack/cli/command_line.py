@@ -236,7 +236,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
     threads.check_modules()
-    from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared
+    from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared_study
 
     is_launched = threads.launched()
     is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
@@ -264,7 +264,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         signal.signal(signal_number, signal.default_int_handler)
     with threads.alone(), Messages(quiet=arguments.quiet):
         if is_prepared_file:
-            inputs = read_prepared(arguments, comm)
+            inputs = read_prepared_study(arguments, comm)
         elif is_launched:
             inputs = on_root(comm, lambda: read_inputs(arguments))
         picture_format = vars(arguments).get("pictures", "png")

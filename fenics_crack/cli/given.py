@@ -102,11 +102,11 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
     is_record = arguments.command == "timing" and arguments.scene.suffix.lower() == ".csv"
     if "scene" not in arguments or is_record:
         return None
-    changed_values = parse_changes(arguments.set)
+    changes_by_key = parse_changes(arguments.set)
     try:
-        scene = Scene.load(arguments.scene, changed_values)
+        scene = Scene.load(arguments.scene, changes_by_key)
     except InputError as error:
-        error.others = tuple(_find_further_errors(error, arguments.scene, changed_values))
+        error.others = tuple(_find_further_errors(error, arguments.scene, changes_by_key))
         raise
     _check_option_numbers(arguments, scene)
     output_path = vars(arguments).get("output")
@@ -132,7 +132,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
     return CommandInputs(scene, folder, measurements, arrival_source, uncracked_source)
 
 
-def read_prepared(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
+def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
     """Read a file of ``reduce`` in place of a scene (collective).
 
     Raises
@@ -154,7 +154,7 @@ def read_prepared(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
 
 
 def _find_further_errors(
-    error: InputError, scene_path: Path, changes: dict[str, Any]
+    error: InputError, scene_path: Path, changes_by_key: dict[str, Any]
 ) -> Iterator[InputError]:
     """Yield the errors of further keys of a scene with changes.
 
@@ -163,12 +163,8 @@ def _find_further_errors(
     suggestion. Once the template's value is in the scene, only missing and unknown keys are
     reported: other errors may be due to that value. A key that fails again ends the search.
     """
-    changed_values, reported_keys, suggestions_text, has_no_template_value = (
-        {**changes},
-        {"scene"},
-        "",
-        True,
-    )
+    corrected_changes, reported_keys = {**changes_by_key}, {"scene"}
+    suggestions_text, has_no_template_value = "", True
     tables_by_name = {} if error.key == "scene" else tomllib.loads(text_of(scene_path))
     while error.key not in reported_keys:
         reported_keys.add(error.key)
@@ -176,7 +172,7 @@ def _find_further_errors(
         suggestion = re.search(r"; did you mean (.+)\?$", error.allowed)
         if error.allowed.startswith("left out; "):
             suggestions_text += error.allowed.partition(" known ")[0]
-            changed_values.pop(error.key, None)
+            corrected_changes.pop(error.key, None)
             target_table = tables_by_name.get(table_name) if key_name else tables_by_name
             if isinstance(target_table, dict):
                 target_table.pop(key_name or table_name, None)
@@ -191,10 +187,10 @@ def _find_further_errors(
                     target_table if key_name else target_table.get(table_name, {})
                 ).items():
                     if error.value is None or suggestion or not isinstance(template_value, str):
-                        changed_values[f"{table_name}.{key}"] = template_value
+                        corrected_changes[f"{table_name}.{key}"] = template_value
             has_no_template_value = has_no_template_value and suggestion is not None
         try:
-            Scene.from_mapping(tables_by_name, scene_path.parent, changed_values)
+            Scene.from_mapping(tables_by_name, scene_path.parent, corrected_changes)
             return
         except InputError as next_error:
             error = next_error
@@ -320,10 +316,10 @@ def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
             raise InputError("--set", assignment, "key=value, for example contact.stiffness=1e9")
         value_text = value_text.strip()
         try:
-            parsed_value = tomllib.loads(f"value = {value_text}")["value"]
+            key_value = tomllib.loads(f"value = {value_text}")["value"]
         except (ValueError, RecursionError):
-            parsed_value = None if value_text == "none" else value_text
-        values_by_key[key.strip()] = parsed_value
+            key_value = None if value_text == "none" else value_text
+        values_by_key[key.strip()] = key_value
     return values_by_key
 
 

@@ -200,8 +200,8 @@ def _draw_waveforms(
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
     drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
-    for place, closing in waveforms.closings_by_place.items():
-        drawn_waves.append(plot.Wave(f"closing {place}", time, closing, *next(line_styles)))
+    for place, crack_closing in waveforms.closings_by_place.items():
+        drawn_waves.append(plot.Wave(f"closing {place}", time, crack_closing, *next(line_styles)))
     period = None if omega is None else 2.0 * np.pi / omega
     plot.draw_waves(
         drawn_waves, quantity="displacement", period=period, zero=zero_label, **picture_options
@@ -320,7 +320,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     """
     drawn_indices = _select_axes(sweep_result)
     drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_indices]
-    other_indices = [
+    fixed_indices = [
         axis_index
         for axis_index in range(len(sweep_result.axes))
         if axis_index not in drawn_indices
@@ -329,28 +329,28 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     def split_pictures(picture_values: np.ndarray) -> np.ndarray:
         """Reshape values to (n_pictures, n_x, n_y); n_y is 1 with one axis."""
         axis_lengths = [*(len(axis.values) for axis in drawn_axes), 1][:2]
-        return picture_values.transpose(*other_indices, *drawn_indices).reshape(-1, *axis_lengths)
+        return picture_values.transpose(*fixed_indices, *drawn_indices).reshape(-1, *axis_lengths)
 
     is_doubtful = split_pictures(
         sweep_result.converged & (sweep_result.not_stable | sweep_result.inexact)
     )
-    other_combinations = itertools.product(
-        *(sweep_result.axes[axis_index].values for axis_index in other_indices)
+    fixed_combinations = itertools.product(
+        *(sweep_result.axes[axis_index].values for axis_index in fixed_indices)
     )
-    for picture_index, other_values in enumerate(
-        itertools.islice(other_combinations, 12)
+    for picture_index, fixed_values in enumerate(
+        itertools.islice(fixed_combinations, 12)
     ):  # of each quantity
-        other_keys = [sweep_result.axes[axis_index].key for axis_index in other_indices]
+        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
         value_texts = [
             f"{key_in_words(key)} {value_in_words(key, value)}"
-            for key, value in zip(other_keys, other_values, strict=True)
+            for key, value in zip(fixed_keys, fixed_values, strict=True)
         ]
         for name, quantity in sweep_result.quantities.items():
             picture_values = split_pictures(
                 np.where(sweep_result.converged, sweep_result[name], np.nan)
             )[picture_index]
             if np.any(np.isfinite(picture_values)):
-                stem = f"sweep_{name}{f'_{picture_index + 1}' if other_indices else ''}"
+                stem = f"sweep_{name}{f'_{picture_index + 1}' if fixed_indices else ''}"
                 draw_swept(
                     drawn_axes,
                     picture_values,

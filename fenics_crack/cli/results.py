@@ -106,9 +106,9 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
 def _describe_node_distances(run: Run[Any]) -> list[str]:
     """Note how far watched nodes are from their points; empty without a distance."""
     distance_by_point = {
-        watched.name.partition(".")[0]: watched.distance
-        for watched in run.watched
-        if watched.distance > 0
+        watched_displacement.name.partition(".")[0]: watched_displacement.distance
+        for watched_displacement in run.watched
+        if watched_displacement.distance > 0
     }
     distances_text = ", ".join(
         f"{point_name} {quantity(distance, 'm')}"
@@ -449,7 +449,7 @@ def sample_waveforms(run: Run[Any]) -> Waveforms:
     A solution is sampled over one period; a motion in time is recorded already.
     """
     motion, structure = run.result, run.structure.whole
-    watched_dofs = [watched.dof for watched in run.watched]
+    watched_dofs = [watched_displacement.dof for watched_displacement in run.watched]
     if isinstance(motion, TimeHistory):
         time, displacement = motion.time, motion.displacement(watched_dofs)
         gap, contact_force = motion.gap, motion.contact_force
@@ -464,7 +464,10 @@ def sample_waveforms(run: Run[Any]) -> Waveforms:
 
 def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
     """Tabulate watched displacements, crack closings and the sum of contact forces over time."""
-    headings = ["time [s]", *(f"{watched.words} [m]" for watched in run.watched)]
+    headings = [
+        "time [s]",
+        *(f"{watched_displacement.words} [m]" for watched_displacement in run.watched),
+    ]
     headings += [f"closing {place} [m]" for place in waveforms.closings_by_place]
     column_arrays = [
         waveforms.time,

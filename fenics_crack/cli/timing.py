@@ -42,7 +42,7 @@ RECORD_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
-"""Keys of [tip_timing] for a record in place of a scene."""
+"""Keys of the table [tip_timing] that a record without a scene may set."""
 PROBES_REQUIREMENT = (
     "given for a record at constant speed: without them a probe stands at its median arrival, "
     "where an engine order of constant amplitude is not seen"
@@ -50,7 +50,7 @@ PROBES_REQUIREMENT = (
 
 
 def fit_tip_vibration(arguments: Namespace, inputs: CommandInputs | None, console: Console) -> Exit:
-    """Fit a vibration to arrival times, computed unless they are measured."""
+    """Fit a vibration to measured or computed arrival times, and report it."""
     if inputs is None:
         return _find_vibration_of_record(arguments, console)
     scene, folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
@@ -131,12 +131,14 @@ def _fit_blades(
 
 
 def _write_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
+    """Write and print the result of tip timing; return the exit code."""
     return write_report_files(
         build_report(tip_timing), folder / "timing", console, tip_timing, console.picture_format
     )
 
 
 def _describe_size(arrivals: ArrivalTimes) -> str:
+    """Return the numbers of revolutions and probes in words."""
     return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
 
 
@@ -144,10 +146,13 @@ def _describe_warnings(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | Non
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
         yield from scene_timing.remarks_on_arrivals(arrivals)
-        mean_speeds = arrivals.mean_speed, scene.speed
-        if scene.speed > 0.0 and not 0.5 <= mean_speeds[0] / mean_speeds[1] <= 2.0:
+        record_and_scene_speeds = arrivals.mean_speed, scene.speed
+        if (
+            scene.speed > 0.0
+            and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
+        ):
             record_speed, scene_speed = (
-                speed_in_words(speed, scene.in_rpm) for speed in mean_speeds
+                speed_in_words(speed, scene.in_rpm) for speed in record_and_scene_speeds
             )
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
@@ -166,19 +171,21 @@ def _describe_warnings(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | Non
 
 
 def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
-    """Find the vibration of a measured record's blades without a scene."""
-    values_by_name = {}
+    """Fit the vibration of a measured record without a scene, and report it."""
+    table_values_by_name = {}
     for key, value in parse_changes(arguments.set).items():
         table_name, _, key_name = key.partition(".")
         if table_name != "tip_timing" or key_name not in RECORD_KEYS:
             allowed_keys = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
             requirement = f"left out with a record in place of a scene, or {allowed_keys}"
             raise InputError(key, value, requirement)
-        values_by_name[key_name] = TipTiming.checked(key_name, value)
+        table_values_by_name[key_name] = TipTiming.checked(key_name, value)
     with console.stage("arrival times"):
-        probe_angles = np.radians(values_by_name["probes"]) if "probes" in values_by_name else None
+        probe_angles = (
+            np.radians(table_values_by_name["probes"]) if "probes" in table_values_by_name else None
+        )
         arrivals_by_blade = read_record(
-            arguments.scene, tip_radius=values_by_name.get("tip_radius"), probes=probe_angles
+            arguments.scene, tip_radius=table_values_by_name.get("tip_radius"), probes=probe_angles
         )
         arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
     folder = arguments.output or Path("output") / arguments.scene.stem
@@ -187,7 +194,9 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     console.print_notes(
         f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_size(first_arrivals)}"
     )
-    needs_probes = first_arrivals.steady and not {"probes", "frequencies"} & values_by_name.keys()
+    needs_probes = (
+        first_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
+    )
     if needs_probes and not has_probe_angles(arguments.scene):
         raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT)
     record_values_by_name = {
@@ -195,7 +204,7 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
         "tip_radius": first_arrivals.tip_radius,
     }
     fits_by_blade = _fit_blades(
-        TipTiming(**record_values_by_name | values_by_name), arrivals_by_blade, console
+        TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
     )
     doubt_texts = tuple(scene_timing.remarks_on_arrivals(first_arrivals))
     return _write_report(
