@@ -53,9 +53,9 @@ OTHER_QUANTITIES_BY_NAME = {
     "remarks": ("remarks", "-", PRINT_NEVER),
     "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
-"""Description, unit, and when it is printed, for each quantity that is no indicator of a motion."""
+"""Description, unit and printing level by name, for quantities besides a motion's indicators."""
 TOLERANCE_OPTION = "--set harmonic_balance.tolerance=1e-2"
-"""Option of the program that requests an exact orbit with its error and stability."""
+"""Option for an exact orbit with error and stability."""
 MODE_DEPENDENCE_TEXT = "depends on truncated modes"
 MEANING_BY_BIFURCATION = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
@@ -64,7 +64,7 @@ MEANING_BY_BIFURCATION = {
     "neimark_sacker": "beyond it the vibration will not repeat each period: in a test its size "
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
-"""What each kind of bifurcation means at a test rig."""
+"""Meaning at a test rig, by kind of bifurcation."""
 UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 """Units in which values up to 1e-15 are rounding errors, and written as 0."""
 
@@ -73,12 +73,12 @@ UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 
 
 def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> list[str]:
-    """Warn if a motion is large relative to the distance from the clamp (collective).
+    """Warn if displacements are large relative to clamp distances (collective).
 
     Parameters
     ----------
     max_displacements : (n_watched,) [m]
-        Largest displacement of each watched dof, with the mean.
+        Largest displacements of the watched dofs, means included.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> 
 def largest_displacements(run: Run[Any]) -> list[float]:
     """Return the largest displacement of each watched dof [m] (collective).
 
-    It is |mean| + half the peak-to-peak displacement; of a curve, the maximum over the points.
+    |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
     """
     watched_indicators = run.result.measure(
         [watched_displacement.dof for watched_displacement in run.watched]
@@ -196,12 +196,12 @@ def describe_instability(
 
 
 def describe_friction_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
-    """Note that pairs of a solid slide along lines, and warn if they do not.
+    """Describe friction along lines in a solid, and warn if sliding turns.
 
     Returns
     -------
     notes, warnings : list of str
-        At most one text each; both are empty for plates and without friction.
+        At most one text each; empty lists for plates and without friction.
     """
     if not (sliding_ratio := getattr(friction_of(run.contact), "turning", None)):
         return [], []
@@ -316,7 +316,7 @@ def printed_table(report: Report) -> Table:
 
 
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
-    """Return True for a frequency or speed in the unit that the scene does not use."""
+    """Return True for a frequency or speed in the unit unused by the scene."""
     unused_prefix, unused_unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
     unused_speed_name = "speed" if scene.in_rpm else "rpm"
     return name == unused_speed_name or (name.startswith(unused_prefix) and unit == unused_unit)
@@ -350,7 +350,7 @@ def format_known_quantities(table: Table) -> Table:
 
 
 def _format_quantity(description: str, value: Any, unit: str) -> tuple[str, Any]:
-    """Return the description of a quantity, and its value as text with the unit."""
+    """Return a quantity's description, and the value with unit as text."""
     is_finite_number = isinstance(value, float) and np.isfinite(value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
         return description, quantity(value, unit)

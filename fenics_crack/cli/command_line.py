@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from fenics_crack.cli.given import CommandInputs, Console
 
 PETSC_PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
-"""Prefixes of PETSc options that reach a solver: SNES, GMRES, SLEPc or a factorisation."""
+"""Prefixes of PETSc options for solvers: SNES, GMRES, SLEPc or a factorisation."""
 OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
-"""Texts in errors of PETSc and the library loader that report too little memory."""
+"""Texts by which PETSc and the library loader report too little memory."""
 ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -58,7 +58,7 @@ SCENE_KEY_BY_ARGUMENT = {
     "record_periods": "integration.periods",
     "start, end": "curve.start, curve.stop",
 }
-"""Key of a scene, or option, for each argument of the library that an error may name."""
+"""Scene key or option, by the argument name in an error of the library."""
 MAX_ENGINE_ORDER = 1000
 """Maximum engine order of ``--orders``."""
 EPILOG = """\
@@ -78,6 +78,7 @@ Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ende
 found, if anything, is in the files); 4 solved, but the error is above the tolerance or unknown; 130
 stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 """
+"""Text below the program's help."""
 
 
 def main(command_words: Sequence[str] | None = None) -> int:
@@ -132,7 +133,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
 
 
 def _abort_all_ranks(exit_code: Exit) -> None:
-    """End all ranks with an exit code, as others may wait for this rank."""
+    """End all ranks with an exit code."""
     if threads.launched():
         from mpi4py import MPI
 
@@ -185,15 +186,15 @@ def _silence_output() -> None:
 
 
 def _print_message(text: str, stream: TextIO | None = None) -> None:
-    """Print a message of the program, by default to standard error, if it can be written."""
+    """Print a message, by default to standard error; a closed stream is ignored."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
 
 
 def _print_input_errors(errors: Sequence[InputError]) -> None:
-    """Print a line for each error, and examples of missing keys and tables.
+    """Print a line for each error, with examples for missing input.
 
-    An example of a key ends its line; examples of tables follow all errors.
+    The example for a key ends the error's line; examples for tables follow all errors.
     """
     example_blocks = []
     for error in errors:
@@ -216,7 +217,7 @@ def _discard_output() -> None:
 
 
 def _describe_shortage(error: Exception) -> str:
-    """Describe the lack of memory or disk space behind an error; empty for other errors."""
+    """Describe the lack of memory or disk space behind an error, else ""."""
     is_reported = any(memory_text in str(error) for memory_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
     is_near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
@@ -281,7 +282,10 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
 def _call_command(
     arguments: argparse.Namespace, inputs: CommandInputs | None, console: Console | None
 ) -> Exit | None:
-    """Call a command with its folder and kept structure; None means exit code 0."""
+    """Call a command, with a writable folder and the kept structure.
+
+    Returns None for exit code 0.
+    """
     function_path, *_ = COMMANDS[arguments.command][1].split()
     command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
     if not function_path.startswith("cli."):
@@ -323,7 +327,7 @@ class OrderRangeAction(argparse.Action):
     def __call__(
         self, _: Any, arguments: argparse.Namespace, order_range: Any, option_string: Any = None
     ) -> None:
-        """Add the orders to the changes of --set; argparse calls this with both ends."""
+        """Add the orders to the values of --set, called by argparse."""
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
             requirement = f"whole numbers, 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
@@ -422,10 +426,10 @@ COMMANDS = {
         "cli.doctor:print_checks",
     ),
 }
-"""Description, function and arguments of each command, by the command's name.
+"""Description, function and arguments by command name.
 
 A function of ``cli`` takes arguments, inputs and console. Any other function takes a scene, and
-the arguments that its parameters name.
+arguments by the names of parameters.
 """
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
@@ -535,17 +539,18 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 KEY_COMPLETION_BY_SHELL = {
     "bash": "_fenics_crack_keys", "zsh": "_fenics_crack_keys", "fish": "(_fenics_crack_keys)",
 }  # fmt: skip
+"""Completion of ``--set`` for shtab, by shell: the function defined below."""
 PATH_COMPLETION_BY_SHELL = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
-"""Completion of ``--set`` and of paths for shtab, by shell."""
+"""Completion of paths for shtab, by shell."""
 KEY_FUNCTION_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
 }
-"""Definition of the function that completes ``--set``, by shell; {} are the keys of scenes."""
+"""Shell function for the completion of ``--set``, by shell; {} stands for all scene keys."""
 
 
 class SuggestingParser(argparse.ArgumentParser):
@@ -592,14 +597,14 @@ class CompletionAction(argparse.Action):
 
 
 def list_options(*commands: str) -> list[str]:
-    """Return the options of some commands, each once."""
+    """Return the options of several commands without repetition."""
     argument_names = " ".join(COMMANDS[name][1] for name in commands).split()
     command_options = [word.partition("=")[0] for word in argument_names if word.startswith("--")]
     return list(dict.fromkeys([*command_options, "--format", "--quiet", "--verbose", "--help"]))
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Build the parser of all commands and their arguments."""
+    """Build the parser for all commands and arguments."""
     program_parser = SuggestingParser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",

@@ -1,4 +1,4 @@
-"""Commands that compute a result of a scene, write its files and print its report."""
+"""Commands that compute a result, write files and print a report."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 def run_package_function(
     function: Callable[..., Any], arguments: Namespace, inputs: CommandInputs, console: Console
 ) -> Exit:
-    """Run a function of the package as a command, write its result and print its report.
+    """Run a package function as a command, write the result, print the report.
 
-    The function gets the scene (or the study of a file of ``reduce``), and the arguments, folder,
-    ranks and progress that its parameters name. Ctrl-C is ignored while files are written. An
-    interrupted result replaces no earlier one: its name then ends in "_interrupted".
+    The function gets the scene (or the study from a file of ``reduce``), and arguments, folder,
+    ranks and progress by the names of parameters. Ctrl-C is ignored while files are written. An
+    interrupted result replaces no earlier file: the new name then ends in "_interrupted".
     """
     folder = inputs.folder
     if arguments.command == "curve" and inputs.scene.curve is None:
@@ -88,7 +88,7 @@ def run_package_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result; a run knows its own ranks, other results are saved with the console's."""
+    """Save a result; the console's ranks are passed unless the result is a run."""
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
@@ -99,21 +99,21 @@ def write_report_files(
     result: Any = None,
     picture_format: str | None = None,
 ) -> Exit:
-    """Write a result, the tables of its report and its pictures; print the report.
+    """Write a result with tables and pictures, and print the report.
 
     Parameters
     ----------
     stem_path : Path
-        Path of the files without their endings.
+        Path of all files without ending.
     result
-        Result to be saved; None if its file exists already.
+        Result to be saved; None if the file exists already.
     picture_format : str or None
-        Ending of the pictures; None: no pictures.
+        Ending of pictures; None: no pictures.
 
     Returns
     -------
     Exit
-        Exit code of the command.
+        Exit code.
     """
     replacement_note = ""
     for shelf in SHELVES:
@@ -162,7 +162,7 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
 
 
 def run_sweep_cases(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """Run the cases of a sweep that no earlier run has solved, and report all cases."""
+    """Run the unsolved cases of a sweep, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
     scene, stem_path = inputs.scene, inputs.folder / "sweep"
@@ -179,7 +179,7 @@ def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console)
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Write the study of a scene to a file, with which no mesh is needed later."""
+    """Write a scene's prepared study to a file, which replaces the mesh."""
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 

@@ -1,6 +1,6 @@
-"""The command ``doctor``: parts of an installation, and checks of computed numbers.
+"""The command ``doctor``: versions in an installation, and checks against known numbers.
 
-Each check imports the libraries that it needs itself, so that a fault has the name of its check.
+Each check imports all libraries that it needs, so a missing library is a fault of the check.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from fenics_crack.basics.threads import check_modules, loaded_libraries, one_pro
 from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
-"""Oldest supported version of NumPy, that of Debian 12."""
+"""Oldest supported NumPy, from Debian 12."""
 REFERENCE_DISPLACEMENTS = (2.19791942, -2.94941155)
 """Maximum and minimum of x in a period of x'' + 0.1 x' + x + max(x, 0) = cos t.
 
@@ -44,14 +44,14 @@ PLATE_TABLES = {
     "contact": {"stiffness": 1e9},
     "mesh": {"layout": "grid", "cells": "quadrilateral", "columns": 2, "rows": 8, "order": 2},
 }
-"""Tables of a scene: a plate of 0.1 m with Poisson's ratio zero.
+"""Scene tables for a plate, 0.1 m wide and high, with Poisson's ratio zero.
 
-Without its crack it has the longitudinal modes of a bar, sin((2 n - 1) pi y / (2 L)).
+Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y / (2 L)).
 """
 
 
 def print_checks(arguments: Namespace, *_: object) -> Exit:
-    """Print a table of all checks; the exit code says whether there is a fault."""
+    """Print a table of all checks; return FAULT if any check fails."""
     with loading():
         from fenics_crack.basics.tables import Table  # NumPy
     rows = [
@@ -65,9 +65,9 @@ def print_checks(arguments: Namespace, *_: object) -> Exit:
 
 
 def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[str, str, bool]]:
-    """Run checks, which return their finding as text.
+    """Run checks, and yield the findings.
 
-    Warnings of the program are faults, too. A fault of an earlier check is "as above".
+    Warnings from the program are faults, too. A fault known from an earlier check is "as above".
 
     Yields
     ------
@@ -95,7 +95,7 @@ def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[s
 
 
 def _describe_program() -> str:
-    """Return versions and folders of the program and of Python."""
+    """Return version and folder of the program and Python."""
     package_folder = Path(__file__).parents[1]
     return (
         f"fenics_crack {VERSION}, {package_folder}; Python {platform.python_version()}, "
@@ -183,7 +183,7 @@ def _check_pictures() -> str:
 
 
 def _check_two_masses() -> str:
-    """Compare the largest gaps of two masses at their stops with known values."""
+    """Compare the gap extrema of two masses at stops with known values."""
     import numpy as np
 
     fenics_crack = import_module("fenics_crack")

@@ -1,4 +1,4 @@
-"""Paths and captions of the pictures of a result."""
+"""Paths and captions for the pictures of a result."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class PictureFiles:
     notes: list[str] = field(default_factory=list)
 
     def __call__(self, stem: str, caption: str, file_format: str = "") -> Path:
-        """Return the path of a new picture, and record its caption.
+        """Return the path of a new picture, and record the caption.
 
-        ``file_format`` replaces the format of the other pictures.
+        ``file_format`` replaces the common format for this picture.
         """
         path = self.folder / f"{stem}.{file_format or self.file_format}"
         self.captions_by_path[path] = caption

@@ -1,4 +1,4 @@
-"""Inputs and output of a command, and the scenes that ``new`` writes.
+"""Inputs and output of a command, and new scenes.
 
 Inputs are a scene with changes, measurements and arrivals, all read from text. Output goes to a
 folder and a console. This module loads NumPy alone, in a tenth of the time of the libraries that
@@ -45,24 +45,24 @@ if TYPE_CHECKING:
 
 PLATE_TEMPLATE = "cli/new_scene.toml"
 RECORD_SUFFIXES = (".csv", ".h5")
-"""Endings of measured arrivals, and of results from which arrivals are computed."""
+"""Endings of files with measured arrivals, or with results for computed arrivals."""
 STRUCTURE_FILE = "prepared.h5"
-"""Name of the file that keeps a command's structure for later commands."""
+"""Name of the file with the structure kept for later commands."""
 PERIOD_FOLDER = "solution_period"
 """Folder for the frames of a period, inside the folder for results."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
-"""Endings of the files of a result."""
+"""Endings of result files."""
 COMMANDS_FOR_PREPARED = ("solve", "curve")
-"""Commands that accept a file of ``reduce`` in place of a scene."""
+"""Commands that accept a file from ``reduce`` in place of a scene."""
 COMBINABLE_OPTIONS = ("blade", "timing", "identify")
-"""Options of ``new`` that change the template of a plate; they may be combined."""
+"""Options of ``new`` that change the plate's template, also together."""
 EXCLUSIVE_OPTIONS = ("solid", "disk")
-"""Options of ``new`` with a template of its own; they are used alone."""
+"""Options of ``new`` with a separate template, never combined."""
 
 
 @dataclass(frozen=True)
 class CommandInputs:
-    """Hold the inputs of a command; None for inputs that it does not have.
+    """Hold the inputs of a command; None for absent inputs.
 
     Attributes
     ----------
@@ -71,13 +71,13 @@ class CommandInputs:
         Folder for results.
     measurements : Measurements or None
     arrival_source : dict of ArrivalTimes, Path or None
-        Measured arrivals by blade, or a result from which arrivals are computed.
+        Measured arrivals by blade, or the path to a result for computed arrivals.
     uncracked_source : dict of ArrivalTimes, Path or None
-        The same of the blade before it had a crack.
+        Same for the blade before the crack.
     speeds : (n_speeds,) [rad/s] or None
         Speeds of a Campbell diagram.
     prepared_study : Study or None
-        Study from a file of ``reduce``.
+        Study from a ``reduce`` file.
     """
 
     scene: Scene
@@ -206,7 +206,7 @@ def _find_further_errors(
 
 
 def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
-    """Raise InputError if a numerical option of a command is out of range."""
+    """Raise InputError if a numerical option is out of range."""
     if (count := vars(arguments).get("count")) is not None:
         check_count("--count", count, 1)
     if arguments.command == "disk":
@@ -217,7 +217,7 @@ def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
 
 
 def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
-    """Return the speeds of a Campbell diagram [rad/s]; None for other commands."""
+    """Return the Campbell diagram's speeds [rad/s]; None for other commands."""
     if arguments.command != "campbell":
         return None
     scene.given("rotation")
@@ -265,9 +265,9 @@ def _read_measurements(
 
 
 def _read_arrivals(scene: Scene, arguments: Namespace, path: Path | None) -> ArrivalSource:
-    """Read measured arrivals by blade number; a result's path is returned as it is.
+    """Read measured arrivals by blade number; return a result's path unchanged.
 
-    A bladed disk has arrivals of all blades. Otherwise the option --blade selects one of several.
+    A bladed disk has arrivals from all blades. Otherwise the option --blade selects a blade.
     """
     if path is None or path.suffix.lower() == ".h5":
         return path
@@ -290,9 +290,9 @@ def select_blades(
     *,
     allows_several: bool = True,
 ) -> dict[int, ArrivalTimes]:
-    """Select one blade of a record by its number.
+    """Select a blade of a record by number.
 
-    Without a number, all blades are returned if ``allows_several``, or if there is only one.
+    Without a number, all blades are returned if ``allows_several``, or if the record has only one.
     """
     if blade_number is None and (allows_several or len(arrivals_by_blade) == 1):
         return arrivals_by_blade
@@ -385,9 +385,9 @@ class Console:
 
     @contextmanager
     def stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
-        """Print the stages of a part while it runs, and its duration if verbose.
+        """Print the stages of running code, and the duration if verbose.
 
-        Stages are not printed if quiet, or if the part shows progress bars (``has_bars``). Without
+        Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). Without
         a terminal, stages are printed now and then.
         """
         start_time, is_silent = (
@@ -508,10 +508,10 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
 
 
 def build_scene_text(scene_name: str, measurements_name: str, options: Collection[str]) -> str:
-    """Build the text of a new scene from the template of a plate.
+    """Build a new scene's text from the template of a plate.
 
-    ``options`` are some of :data:`COMBINABLE_OPTIONS`. The names are those of the scene's file and
-    of its file of measurements.
+    ``options`` are from :data:`COMBINABLE_OPTIONS`. Both names are file names that the text
+    mentions.
     """
     line_marks = [
         f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
@@ -525,9 +525,10 @@ def build_scene_text(scene_name: str, measurements_name: str, options: Collectio
 
 
 def example_line(key: str, requirement: str) -> str:
-    """Return the line of a template that sets a key; empty if there is none.
+    """Return the template line that sets a key, or "" without any.
 
-    If the requirement of an error names other keys of the table, their lines are accepted, too.
+    If an error's ``requirement`` names other keys of the table, lines with these keys are accepted,
+    too.
     """
     table_name, _, key_name = key.partition(".")
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement)
@@ -538,14 +539,14 @@ def example_line(key: str, requirement: str) -> str:
 
 
 def example_table(table_name: str) -> str:
-    """Return the lines of a template that set a table; empty if there are none."""
+    """Return the template lines that set a table, or "" without any."""
     return "\n".join(next(_template_blocks(table_name), ()))
 
 
 def _template_blocks(table_name: str) -> Iterator[list[str]]:
-    """Yield the lines of each template that set a table, without marks.
+    """Yield the lines that set a table, without marks, template by template.
 
-    If the table is commented out, its lines are commented in.
+    A table that is commented out is commented in.
     """
     template_texts = map(
         packaged, (PLATE_TEMPLATE, *(f"cli/new_{name}.toml" for name in EXCLUSIVE_OPTIONS))
@@ -569,7 +570,7 @@ def _remove_mark(line: str) -> str:
 
 
 def _toggle_comment(line: str) -> str:
-    """Comment a line out, or in; the remark at the end keeps its column."""
+    """Comment a line out, or in; a remark at the end keeps the column."""
     if line.startswith("# "):
         return line.removeprefix("# ").replace("  #", "    #", 1)
     return "# " + line.replace("    #", "  #", 1)

@@ -97,7 +97,7 @@ RESULT_KINDS = {
         "monitoring.timing:Timing.of", "cli.pictures:draw_timing",
     ),
 }  # fmt: skip
-"""Kinds of results by their ``KIND``, in the order of a report."""
+"""Kinds of results by the class attribute ``KIND``, in a report's order."""
 
 
 def load_function(function_path: str) -> Callable[..., Any]:
@@ -124,7 +124,7 @@ def draw_result(result: Any, picture_files: PictureFiles) -> None:
 
 
 def restore_result(stored_file: Stored) -> Any:
-    """Build a result from a file that one rank has read.
+    """Build a result from a file read on one rank.
 
     Raises
     ------

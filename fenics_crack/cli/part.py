@@ -15,21 +15,21 @@ from fenics_crack.fem.solid import ray_length, read_part_faces
 from fenics_crack.version import packaged
 
 MAX_LISTED_FACES = 40
-"""Maximum number of faces that a scene lists and a picture numbers, the largest first."""
+"""Maximum number of faces in the scene and the picture, largest first."""
 CRACK_HEIGHT_FRACTION = 0.2
-"""Height of the proposed crack above the clamp, relative to the length of the part."""
+"""Height of the proposed crack above the clamp, relative to the part's length."""
 
 
 @dataclass(frozen=True)
 class _PartSurface:
-    """Hold the triangles of a part's faces, and a point on each face.
+    """Hold a part's triangles, and a point on each face.
 
     Attributes
     ----------
     triangles : (n, 3, 3) [m]
         Corners.
     face_numbers : (n,)
-        Number of the face of each triangle.
+        Face number of each triangle.
     triangle_areas : (n,) [m^2]
     triangle_normals : (n, 3)
         Outward unit vectors.
@@ -53,7 +53,7 @@ class _PartSurface:
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
     def find_end_face(self, axis: int, *, at_top: bool) -> int:
-        """Find the largest face at an end of the part, by the points of the faces.
+        """Find the largest face whose point lies at an end of the part.
 
         Returns the face's index in ``sorted_face_numbers``.
         """
@@ -108,9 +108,9 @@ def _propose_crack(surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.nda
     -------
     crack_point : (3,) [m]
     face_normal : (3,)
-        Outward normal of the face at the point.
+        Outward normal at the point.
     part_depth : float [m]
-        Length of the ray from the point through the part.
+        Distance through the part along the inward normal.
     """
     axis_direction = np.eye(3)[axis]
     min_height = surface.triangles[..., axis].min()
@@ -132,7 +132,7 @@ def _propose_crack(surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.nda
 
 
 def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
-    """Return the scene text for a part, and draw the part's faces.
+    """Return a part's scene text, and draw the faces.
 
     Returns
     -------

@@ -1,6 +1,6 @@
-"""Pictures of one result of each kind, and files for ParaView.
+"""Pictures for all kinds of results, and files for ParaView.
 
-This module loads Matplotlib; functions that draw a mesh load VTK.
+This module loads Matplotlib; functions for meshes load VTK.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def draw_mode_shapes(run: Run[Modes], picture_files: PictureFiles) -> None:
 
 
 def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
-    """Draw a period of a solution: waveforms, harmonics, orbits and the motion on the mesh."""
+    """Draw a solution: waveforms, harmonics, orbits and the moving mesh."""
     solution, watched_dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, solution.omega)}, H = {solution.harmonics}"
     if error_text := describe_error(run):
@@ -209,7 +209,7 @@ def _draw_waveforms(
 
 
 def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
-    """Draw the response, harmonics and multipliers of a curve, and each blade of a disk."""
+    """Draw response, harmonics and multipliers along a curve, and all blades."""
     curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
     title, linear_responses = f"{run.watched_name}, {curve.method}", _compute_linear_responses(run)
     caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
@@ -286,7 +286,7 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
 def _compute_linear_response(
     curve_omega: np.ndarray, structure: Structure, dof: int, lips: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the response of a dof without contact, over the frequencies of a curve.
+    """Compute a dof's response without contact over a curve's frequencies.
 
     Returns
     -------
@@ -396,18 +396,18 @@ def draw_swept(
     stem: str,
     fixed_texts: Sequence[str] = (),
 ) -> None:
-    """Draw lines, a map, or both, of a quantity over one or two axes.
+    """Draw a quantity over one or two axes: lines, a map, or both.
 
     Parameters
     ----------
     values, is_doubtful : (n_x, n_y)
-        Values of the quantity, and True where the error is large or the case is not stable.
+        Values, and True for a large error or a case that is not stable.
     quantity : (str, str)
         Name and unit.
     stem : str
-        Name of the picture files.
+        Name of the pictures.
     fixed_texts : sequence of str
-        Names and values of the other axes.
+        Names and values on all other axes.
     """
     axis_arrays = [np.array(axis.values, dtype=float) for axis in axes]
     value_orders = [np.argsort(axis_array) for axis_array in axis_arrays]
@@ -465,7 +465,7 @@ def draw_swept(
 
 
 def _scale_axis(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return the values of an axis in a readable unit, and the axis label."""
+    """Return an axis's values in a readable unit, and the label."""
     unit, unit_factor = unit_of(axis.key), 1.0
     if unit and unit not in WHOLE:
         unit_factor, unit = readable(float(np.abs(values).max()), unit)
@@ -495,7 +495,7 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
 
 
 def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
-    """Draw tip timing: passages and tracks of each blade, or the largest blade's fit."""
+    """Draw each blade's passages or track, or the largest blade's fit."""
     caption = "Displacements at the probes over the speed; resonances with their engine orders."
     for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):
         fit = tip_timing.fits[blade_number]
@@ -519,7 +519,7 @@ def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
 
 
 def copy_posterior_picture(identified: Identified, picture_files: PictureFiles) -> None:
-    """Copy the picture of the posterior that ``identify`` has drawn.
+    """Copy the posterior's picture that ``identify`` has drawn.
 
     Raises
     ------

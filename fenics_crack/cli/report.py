@@ -45,12 +45,12 @@ LISTED_TABLES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
-"""Tables of a scene whose keys are listed above the text of the scene."""
+"""Scene tables with keys listed above the scene's text."""
 DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 
 def plot_results(arguments: Namespace, _: None, console: Console) -> None:
-    """Draw results, several curves in one picture, or a scene's mesh, on rank 0."""
+    """Draw results, curves in one picture, or a scene's mesh, on rank 0."""
     first_path, labels = arguments.results[0], arguments.label
     is_scene = first_path.suffix.lower() == ".toml"
     folder = arguments.output or (
@@ -102,15 +102,15 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
 
 
 def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
-    """Read result files, also from folders, without sweeps that are parts of other results.
+    """Read result files, also from folders, without parts of other results.
 
     Returns
     -------
     result_files : list of Stored
-        If all files are parts, they stay. Structures kept by commands stay if there is no other
+        Parts stay if all files are parts. Structures kept by commands stay without any other
         file.
     exclusion_note : str
-        Names of the files left out; empty without any.
+        File names left out; empty without any.
 
     Raises
     ------
@@ -143,15 +143,15 @@ def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
 def _draw_curves(
     result_files: Sequence[Stored], labels: Sequence[str], folder: Path, picture_format: str
 ) -> Path:
-    """Draw the responses of several curves on the same axes; return the picture's path.
+    """Draw responses from several curves into one picture; return the path.
 
-    Without ``labels``, curves are labelled by the differences between their scenes. If two labels
-    are equal, the names of the files are added.
+    Without ``labels``, curves are labelled by differences between scenes. If two labels are equal,
+    file names are added.
 
     Raises
     ------
     InputError
-        The files are no curves in the same parameter, or the number of labels is wrong.
+        The files are no curves over the same parameter, or the label count is wrong.
     """
     if labels and len(labels) != len(result_files):
         requirement = f"given {len(result_files)} times, once for each result"
@@ -192,16 +192,16 @@ def _draw_curves(
 def _write_page(
     stored_files: Sequence[Stored], page_path: Path, command_words: Sequence[str]
 ) -> None:
-    """Write the page of some results.
+    """Write the page on results.
 
     Parameters
     ----------
     stored_files : sequence of Stored
-        Results with their scenes, which the page sorts by :data:`RESULT_KINDS`.
+        Results with scenes, which the page sorts by :data:`RESULT_KINDS`.
     page_path : Path
         The .html file.
     command_words : sequence of str
-        Words of the command, printed on the page.
+        Command line, printed on the page.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def _write_page(
 
 
 def _describe_result(stored_file: Stored, result: Any, picture_folder: Path) -> dict[str, Any]:
-    """Return the fields of the page's template about a result, and draw its pictures."""
+    """Draw a result, and return template fields about the result."""
     report, picture_files = build_report(result), PictureFiles(picture_folder)
     try:
         draw_result(result, picture_files)
@@ -309,7 +309,7 @@ def _capitalize_sentence(sentence: str) -> str:
 
 
 def _describe_scene(result: Any, picture_folder: Path) -> dict[str, Any]:
-    """Return the fields of the page's template about a scene: values, mesh and text."""
+    """Return template fields about a scene: values, mesh and text."""
     scene, mesh_picture = result.scene, None
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
@@ -339,7 +339,7 @@ def _format_value(key: str, value: object) -> str:
 
 
 def _tabulate_versions(stored_files: Sequence[Stored]) -> Table:
-    """Tabulate versions of the programs behind each result and the page."""
+    """Tabulate program versions behind each result and the page."""
     rows = []
     for stored_file in stored_files:
         file_versions = (
@@ -353,6 +353,6 @@ def _tabulate_versions(stored_files: Sequence[Stored]) -> Table:
 
 
 def _encode_picture(picture_path: Path, caption: str) -> dict[str, str]:
-    """Return the data URL of a picture, and its caption."""
+    """Return the data URL and the caption of a picture."""
     base64_text = base64.b64encode(content_of(picture_path, None)).decode("ascii")
     return {"words": caption, "data": f"data:image/{picture_path.suffix[1:]};base64,{base64_text}"}

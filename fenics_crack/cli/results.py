@@ -48,9 +48,9 @@ from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.time.march import TimeHistory
 
 ERROR_HEADING = "error [%]"
-"""Heading of the stated error of a number, in percent of its value."""
+"""Heading for stated errors of numbers, in percent."""
 UNKNOWN_ERROR_NAMES = ("total_error", "displacement_error")
-"""Parts of an error report that are left empty if the error is unknown."""
+"""Names of errors that are nan if the error is unknown."""
 QuantityRow = tuple[str, str, object, str]
 """Name, description, value and unit of a quantity."""
 
@@ -72,10 +72,10 @@ def report_of_modes(run: Run[Modes]) -> Report:
 
 
 def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
-    """Build the report of a run, with notes and remarks common to all runs (collective).
+    """Build a run's report, with notes common to all runs (collective).
 
-    Notes state that friction acts along lines, that watched nodes differ from their points, and
-    which errors are incomplete. In a table of quantities, the conclusion becomes the last row.
+    Notes describe friction along lines, watched nodes away from their points, and incomplete
+    errors. In a table of quantities, the conclusion becomes the last row.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def _describe_node_distances(run: Run[Any]) -> list[str]:
 
 
 def report_of_solution(run: Run[PeriodicSolution]) -> Report:
-    """Report a solution, its error and its stability (collective)."""
+    """Report a solution with error and stability (collective)."""
     solution, scene = run.result, run.scene
     table = _tabulate_quantities(run, solution.omega, solution.to_dict() | _collect_doubts(run))
     notes = [describe_undamped_harmonics(run.structure, highest_omega(scene, "solve"))]
@@ -243,7 +243,7 @@ def _collect_doubts(run: Run[PeriodicSolution]) -> dict[str, object]:
 
 
 def _tabulate_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
-    """Tabulate all numbers of a run as text; before them, those that the scene requests."""
+    """Tabulate all numbers as text, after the numbers requested by the scene."""
     requested_names = run.scene.quantities or ()
     requested_rows = [
         row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
@@ -285,7 +285,7 @@ def _describe_departing_motions(solution: PeriodicSolution, dof: int) -> str:
 
 
 def _describe_range(amplitudes: np.ndarray) -> str:
-    """Describe the range of amplitudes [m]: "1.2 mm", or "between 1.2 mm and 1.5 mm"."""
+    """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm"."""
     end_texts = dict.fromkeys(
         quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
     )
@@ -321,7 +321,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
 
 
 def _describe_longer_period(history: TimeHistory) -> str:
-    """Describe why a motion has not settled: its period may be several load periods."""
+    """Describe why a motion has not settled, such as a longer period."""
     for n_periods in range(2, len(history.by_period(history.time))):
         if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
             return (
@@ -401,7 +401,7 @@ def _stated_error(run: Run[Any], name: str) -> tuple[float, str]:
 def _list_natural_frequencies(
     frequencies_by_name: Mapping[str, np.ndarray],
 ) -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Yield natural frequencies in rad/s and in Hz, with their ratios to the load frequency.
+    """Yield natural frequencies, in rad/s and Hz, and frequency ratios.
 
     Yields
     ------
@@ -425,15 +425,15 @@ def _list_natural_frequencies(
 
 
 class Waveforms(NamedTuple):
-    """Hold one period of a solution, or the record of a motion in time.
+    """Hold a solution's period, or a motion's record in time.
 
     Attributes
     ----------
     time : (n,) [s]
     displacement : (n, n_watched) [m]
-        Displacements of the watched dofs.
+        Watched displacements.
     closings_by_place : dict of str to (n,) [m]
-        Gap of the watched pair of each crack, by the description of the pair.
+        Gaps at watched pairs, by description of the pair.
     contact_force : (n, n_pairs) [N]
     """
 
@@ -539,8 +539,8 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     """State that the largest response is unstable or irregular (collective).
 
-    The text adds the motion that a test would show in its place. It is empty for a stable or
-    undecided response, or if the curve ended early there.
+    The text adds the motion that a test would show instead. Without instability, or if the curve
+    ended early at this point, the text is empty.
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
@@ -553,12 +553,12 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
 
 
 def _is_peak(curve: ResponseCurve, point_index: int) -> bool:
-    """Return False if the largest response is the point at which the curve ended early."""
+    """Return False if the curve ended early at the largest response."""
     return bool(curve.complete) or point_index < len(curve) - 1
 
 
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
-    """Return values of the curve's parameter with their unit: "50.1 and 50.3 Hz"."""
+    """Return parameter values with unit: "50.1 and 50.3 Hz"."""
     return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *parameter_values)
 
 
@@ -616,9 +616,9 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
 
 
 def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
-    """Find ranges of points whose stability is undecided.
+    """Find ranges of points with undecided stability.
 
-    Returns pairs of the first and last index; the longest range comes first.
+    Returns pairs (first index, last index), longest range first.
     """
     if curve.undecided is None:
         return []
@@ -637,15 +637,15 @@ def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
 
 
 ColumnsByHeading = dict[str, np.ndarray]
-"""A column of values, one for each point of a curve, by its heading."""
+"""Columns by heading, with a value for each point of a curve."""
 
 
 def tabulate_curve_points(
     run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
 ) -> Table:
-    """Tabulate every point of a curve with its indicators.
+    """Tabulate every point of a curve with indicators.
 
-    ``columns_by_heading`` are the indicators, if they are known already.
+    ``columns_by_heading`` are the indicators, if known already.
     """
     quantity_names = [name for name in run.result.to_dict() if name not in QUANTITIES]
     table = run.result.table(*quantity_names)
@@ -665,7 +665,7 @@ def tabulate_special_points(
 
     The largest response is that of the first watched dof. A curve over the load frequency has
     columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
-    ``columns_by_heading`` are the indicators of all points, if they are known already.
+    ``columns_by_heading`` are the indicators at all points, if known already.
     """
     curve = run.result
     columns_by_heading = _parameter_columns(curve) | (
@@ -702,10 +702,10 @@ def tabulate_special_points(
 def _interpolate_peak(
     run: Run[ResponseCurve], peak: Top, columns_by_heading: ColumnsByHeading
 ) -> ColumnsByHeading:
-    """Return one row of columns at the largest response of the first watched dof.
+    """Return a row of columns at the first watched dof's largest response.
 
-    The parameter and its ratios to natural frequencies are linear between neighbouring points. The
-    amplitude is the peak's; all other columns have the values of the nearest point.
+    The parameter and the ratios to natural frequencies are linear between neighbouring points. The
+    amplitude is the peak's; all other columns have values from the nearest point.
     """
     neighbours = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_order = np.argsort(run.result.values[neighbours])
@@ -771,9 +771,9 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
 
 
 def _indicator_columns(run: Run[ResponseCurve], curve: ResponseCurve) -> ColumnsByHeading:
-    """Return a column of each indicator, and of natural frequencies near the load's.
+    """Return columns with indicators, and natural frequencies near the load's.
 
-    ``curve`` is the run's curve, or some of its points. Headings have units.
+    ``curve`` is the run's curve, or a part with fewer points. Headings have units.
     """
     columns_by_heading = {
         with_unit(observation.column, observation.unit): observation.value

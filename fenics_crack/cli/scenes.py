@@ -135,7 +135,7 @@ def _size_rows(key_figures: KeyFigures) -> dict[str, object]:
 
 
 def _part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
-    """Return rows on faces and crack fronts of a part from a CAD file, else none."""
+    """Return rows on a CAD part's faces and crack fronts, else none."""
     if scene.geometry is None or scene.geometry.file is None:
         return {}
     from fenics_crack.fem.solid import describe_part  # DOLFINx
@@ -144,7 +144,7 @@ def _part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
 
 
 def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on natural frequencies, and on the load's frequency relative to the first."""
+    """Return rows on natural frequencies and the load's relative frequency."""
     faces_text = faces_in_words(scene)
     frequencies_by_condition = {
         f", {faces_text} open": key_figures.omega_open,
@@ -184,7 +184,7 @@ def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
 
 
 def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
-    """Return rows on errors of frequencies due to the mesh; none for given matrices."""
+    """Return rows on frequency errors due to the mesh; none for matrices."""
     if mesh_errors.scene.structure is not None:
         return {}
     if mesh_errors.unknown:
@@ -203,7 +203,7 @@ def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
 
 
 def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on the resonance at the scene's load, or the reason why it is unknown."""
+    """Return rows on the resonance at the load, or why it is unknown."""
     load_resonance, engine_order = key_figures.at_load, scene.excitation.order
     if key_figures.elements is None:
         return {}
@@ -232,7 +232,7 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
 
 
 def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rows on the rotor's speed, and the opening of the crack by rotation."""
+    """Return rows on rotor speed, and the crack's opening by rotation."""
     if scene.speed == 0.0:
         return {}
     values_by_label: dict[str, object] = {
@@ -279,7 +279,7 @@ def _contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
 
 
 def describe_harmonics(scene: Scene) -> int | str:
-    """Return the number of harmonics H; with a tolerance, the lowest H in words."""
+    """Return the number of harmonics H, or the lowest H in words."""
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
         return balance_table.harmonics
@@ -287,7 +287,7 @@ def describe_harmonics(scene: Scene) -> int | str:
 
 
 def _describe_reduction(study: Study) -> str:
-    """Describe the reduction of the structure before it is solved."""
+    """Describe the reduction of a structure in words."""
     scene = study.scene
     reduction, mode_counts = reduction_of(scene, study.structure), modes_chosen(study)
     if reduction is None:
@@ -302,7 +302,7 @@ def _describe_reduction(study: Study) -> str:
 
 
 def _describe_invalid_cases(scene: Scene) -> str:
-    """Return how many cases of a sweep are invalid scenes, and the reason of the first."""
+    """Return the count of invalid cases in a sweep, and a reason."""
     from fenics_crack.sweep.plan import Plan  # gmsh
 
     sweep_plan = Plan(scene)
@@ -324,8 +324,8 @@ def _describe_invalid_cases(scene: Scene) -> str:
 def describe_undamped_harmonics(structure: Structure, max_omega: float) -> str:
     """Remark that no damping acts on harmonics below a frequency [rad/s] (collective).
 
-    The text is empty if all of these harmonics are damped. It is empty without contact, too: only
-    contact excites harmonics.
+    The text is empty if all harmonics are damped, or without contact: only contact excites
+    harmonics.
     """
     damped_modes = damped_range(structure) if structure.n_pairs else None
     if damped_modes is None or max_omega <= damped_modes[1]:

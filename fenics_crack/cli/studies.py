@@ -68,7 +68,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
 
 
 def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
-    """Yield warnings about failed cases, large errors and stability, a line for each kind."""
+    """Yield warnings about failed cases, large errors and stability."""
     yield from by_reason(sweep_result, sweep_result.failed, "failed")
     yield from _describe_large_errors(sweep_result)
     verdicts = sweep_result["verdict"][sweep_result.converged]
@@ -169,16 +169,16 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
 
 
 def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
-    """Tabulate all cases of a small sweep, or those of largest response.
+    """Tabulate all cases of a small sweep, or cases with largest response.
 
-    In a larger sweep, each combination of the other axes has one case: the largest response over
-    the load frequency, or over the longest axis. Of these, the largest are kept.
+    A larger sweep has a case for each combination on all other axes: the largest response over the
+    load frequency, or over the longest axis. Of these cases, the largest are kept.
 
     Returns
     -------
     table : Table
     selection_text : str
-        Which cases the table has; empty if it has all.
+        Selection of cases in words; empty if all cases are kept.
     """
     axis_keys = [axis.key for axis in sweep_result.axes]
     indicator_names = ("response", *names_of(where=SPECIAL))  # the amplitude at the load

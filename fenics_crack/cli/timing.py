@@ -1,4 +1,4 @@
-"""The command ``timing``: arrival times of blade tips, and their vibration."""
+"""The command ``timing``: arrival times and vibration of blade tips."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ RECORD_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
-"""Keys of the table [tip_timing] that a record without a scene may set."""
+"""Keys in [tip_timing] for a record without a scene."""
 PROBES_REQUIREMENT = (
     "given for a record at constant speed: without them a probe stands at its median arrival, "
     "where an engine order of constant amplitude is not seen"
@@ -50,7 +50,7 @@ PROBES_REQUIREMENT = (
 
 
 def fit_tip_vibration(arguments: Namespace, inputs: CommandInputs | None, console: Console) -> Exit:
-    """Fit a vibration to measured or computed arrival times, and report it."""
+    """Fit and report the vibration in measured or computed arrival times."""
     if inputs is None:
         return _find_vibration_of_record(arguments, console)
     scene, folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
@@ -89,7 +89,7 @@ def _write_arrivals(
     run: Run[Any] | None,
     console: Console,
 ) -> None:
-    """Write, draw and describe the arrivals of one blade."""
+    """Write, draw and describe a blade's arrivals."""
 
     def write_files() -> None:
         arrivals.to_csv(arrivals_path)
@@ -171,7 +171,7 @@ def _describe_warnings(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | Non
 
 
 def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
-    """Fit the vibration of a measured record without a scene, and report it."""
+    """Fit and report the vibration in a record without a scene."""
     table_values_by_name = {}
     for key, value in parse_changes(arguments.set).items():
         table_name, _, key_name = key.partition(".")
