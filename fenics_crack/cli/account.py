@@ -19,7 +19,7 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
 
-MAX_SLIDING_RATIO = 0.3
+MAX_TRANSVERSE_SLIDING_RATIO = 0.3
 """Maximum sliding across the lines of friction, relative to sliding along them.
 
 Above it, friction along lines is not trusted.
@@ -93,13 +93,13 @@ def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> 
         return []
     return [
         f"{quantity(max_displacements[worst_index], 'm')} of {run.watched[worst_index].words} is "
-        f"beyond small "
-        f"displacements: the equations neglect the square of the rotation about the clamp, of "
+        "beyond small "
+        "displacements: the equations neglect the square of the rotation about the clamp, of "
         f"{rotation_angles[worst_index]:.2g} rad; the stated errors do not include it"
     ]
 
 
-def largest_displacements(run: Run[Any]) -> list[float]:
+def find_largest_displacements(run: Run[Any]) -> list[float]:
     """Return the largest displacement of each watched dof [m] (collective).
 
     |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
@@ -208,7 +208,7 @@ def describe_friction_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
     warning_text = f"sliding turns ({sliding_ratio:.2g}): what friction does is not to be trusted"
     note_text = "friction acts along one line for each pair; sliding across it is"
     note_text += f" {sliding_ratio:.2g} of that along it, without friction"
-    return [note_text], [warning_text] if sliding_ratio > MAX_SLIDING_RATIO else []
+    return [note_text], [warning_text] if sliding_ratio > MAX_TRANSVERSE_SLIDING_RATIO else []
 
 
 def describe_ambiguous_contact(solution: PeriodicSolution) -> Iterator[str]:
@@ -225,7 +225,7 @@ def describe_ambiguous_contact(solution: PeriodicSolution) -> Iterator[str]:
         )
         yield (
             f"{coefficient_text}, from which on the contact forces of an instant need not be the "
-            f"only ones"
+            "only ones"
         )
 
 

@@ -61,7 +61,7 @@ SCENE_KEY_BY_ARGUMENT = {
 """Scene key or option, by the argument name in an error of the library."""
 MAX_ENGINE_ORDER = 1000
 """Maximum engine order of ``--orders``."""
-EPILOG = """\
+HELP_EPILOG_TEXT = """\
 Start with:
 
   fenics-crack new plate.toml       a scene with every key explained
@@ -89,7 +89,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
     if any(os.environ.get(name, "0") != "0" for name in threads.LAUNCHERS):
-        _silence_output()
+        _discard_rank_output()
     if sys.stdout is None:
         _print_message("standard output is closed")
         return Exit.FAULT
@@ -114,7 +114,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
         _abort_all_ranks(Exit.STOPPED)
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
-        _discard_output()
+        _redirect_stdout_to_null()
         return Exit.READER_GONE
     except Exception as error:
         if "FromOptions()" in (error_message := str(error).rstrip()):  # a value unknown to PETSc
@@ -123,9 +123,9 @@ def main(command_words: Sequence[str] | None = None) -> int:
                 [InputError("PETSc options", " ".join(_petsc_arguments()), requirement)]
             )
             return Exit.BAD_INPUT
-        if shortage_text := _describe_shortage(error):
+        if shortage_text := _describe_resource_shortage(error):
             _print_message(shortage_text, sys.__stderr__)
-            _discard_output()
+            _redirect_stdout_to_null()
         else:
             traceback.print_exc(file=sys.__stderr__)
         _abort_all_ranks(Exit.FAULT)
@@ -148,7 +148,7 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
     """
     try:
         arguments = build_parser().parse_args(
-            _program_arguments() if command_words is None else command_words
+            _arguments_before_petsc() if command_words is None else command_words
         )
     except SystemExit:
         sys.stdout.flush()
@@ -161,7 +161,7 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
     return arguments
 
 
-def _program_arguments() -> list[str]:
+def _arguments_before_petsc() -> list[str]:
     """Return the words of the command line before the first ``-crack_``.
 
     PETSc reads all later words itself, as in scripts (``basics/ranks.py``). Raises InputError for a
@@ -180,7 +180,7 @@ def _petsc_arguments() -> list[str]:
     return [*dropwhile(lambda word: not word.startswith("-crack_"), sys.argv[1:])]
 
 
-def _silence_output() -> None:
+def _discard_rank_output() -> None:
     """Discard the output of this rank; tracebacks still reach the true standard error."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
@@ -210,13 +210,13 @@ def _print_input_errors(errors: Sequence[InputError]) -> None:
         print(f"for example:\n\n{example_lines}", file=sys.stderr)
 
 
-def _discard_output() -> None:
+def _redirect_stdout_to_null() -> None:
     """Redirect standard output to the null device, so that Python's exit writes nothing."""
     with contextlib.suppress(OSError):  # it may be no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _describe_shortage(error: Exception) -> str:
+def _describe_resource_shortage(error: Exception) -> str:
     """Describe the lack of memory or disk space behind an error, else ""."""
     is_reported = any(memory_text in str(error) for memory_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
@@ -237,7 +237,12 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
     threads.check_modules()
-    from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared_study
+    from fenics_crack.cli.given import (
+        STRUCTURE_FILE_NAME,
+        Console,
+        read_inputs,
+        read_prepared_study,
+    )
 
     is_launched = threads.launched()
     is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
@@ -246,7 +251,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     has_structure_file = (
         inputs
         and not vars(arguments).get("fresh", True)
-        and (inputs.folder / STRUCTURE_FILE).exists()
+        and (inputs.folder / STRUCTURE_FILE_NAME).exists()
     )
     needs_mesh = (
         arguments.command not in ("new", "clean")
@@ -259,7 +264,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
-        _silence_output()
+        _discard_rank_output()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     for signal_number in STOPS:
         signal.signal(signal_number, signal.default_int_handler)
@@ -286,16 +291,16 @@ def _call_command(
 
     Returns None for exit code 0.
     """
-    function_path, *_ = COMMANDS[arguments.command][1].split()
+    function_path, *_ = HELP_AND_CALL_BY_COMMAND[arguments.command][1].split()
     command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
     if not function_path.startswith("cli."):
-        from fenics_crack.cli.commands import run_package_function
+        from fenics_crack.cli.commands import run_and_report_function
 
-        command_function = partial(run_package_function, command_function)
+        command_function = partial(run_and_report_function, command_function)
     if inputs is None or ("output" not in arguments and arguments.command != "check"):
         return command_function(arguments, inputs, console)
     from fenics_crack.basics.ranks import on_root
-    from fenics_crack.cli.given import STRUCTURE_FILE, make_writable
+    from fenics_crack.cli.given import STRUCTURE_FILE_NAME, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
     from fenics_crack.study.sharing import SHELVES
 
@@ -305,7 +310,7 @@ def _call_command(
     if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
         from fenics_crack.study.shelf import Shelf
 
-        structure_path = inputs.folder / STRUCTURE_FILE
+        structure_path = inputs.folder / STRUCTURE_FILE_NAME
         is_read = on_root(
             console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
         )
@@ -346,28 +351,29 @@ def path(text: str) -> Path:
     return Path(text)
 
 
-RESULT_ARGUMENTS = "scene --set --output"
-COMMANDS = {
+COMMON_ARGUMENTS_TEXT = "scene --set --output"
+HELP_AND_CALL_BY_COMMAND = {
     "new": (
         "write a commented scene to start from",
         "cli.given:write_new_scene file --blade --timing --identify --solid --disk --cad",
     ),
     "check": (
         "mesh and assemble a scene without solving it",
-        "cli.scenes:print_key_figures scene --set --fresh",
+        "cli.scenes:compute_and_print_figures scene --set --fresh",
     ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
-        f"runs.solve:modes {RESULT_ARGUMENTS} --count",
+        f"runs.solve:modes {COMMON_ARGUMENTS_TEXT} --count",
     ),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
-        f"study.campbell:campbell {RESULT_ARGUMENTS} --count --speeds --pictures",
+        f"study.campbell:campbell {COMMON_ARGUMENTS_TEXT} --count --speeds --pictures",
     ),
     "disk": (
         "natural frequencies of a bladed disk over the nodal diameter, and how much random "
         "mistuning amplifies the response of a blade, with pictures",
-        f"cli.commands:run_disk_study {RESULT_ARGUMENTS} --patterns --deviation --pictures",
+        f"cli.commands:compute_and_report_disk {COMMON_ARGUMENTS_TEXT} --patterns --deviation "
+        "--pictures",
     ),
     "reduce": (
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
@@ -375,38 +381,39 @@ COMMANDS = {
     ),
     "solve": (
         "steady vibration at excitation.omega",
-        f"runs.solve:solve {RESULT_ARGUMENTS} --fresh",
+        f"runs.solve:solve {COMMON_ARGUMENTS_TEXT} --fresh",
     ),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"errors.verify:verify {RESULT_ARGUMENTS} --fresh --pictures",
+        f"errors.verify:verify {COMMON_ARGUMENTS_TEXT} --fresh --pictures",
     ),
     "curve": (
         "response curve of the table [curve]",
-        f"runs.curve:curve {RESULT_ARGUMENTS} --fresh",
+        f"runs.curve:curve {COMMON_ARGUMENTS_TEXT} --fresh",
     ),
     "integrate": (
         "motion in time by the table [integration]",
-        f"runs.integrate:integrate {RESULT_ARGUMENTS}",
+        f"runs.integrate:integrate {COMMON_ARGUMENTS_TEXT}",
     ),
     "sweep": (
         "all cases of the table [sweep.over]; goes on where it stopped",
-        f"cli.commands:run_sweep_cases {RESULT_ARGUMENTS} --fresh",
+        f"cli.commands:run_and_report_sweep {COMMON_ARGUMENTS_TEXT} --fresh",
     ),
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
         "goes on where it stopped",
-        f"fatigue.growth:grow {RESULT_ARGUMENTS} --pictures",
+        f"fatigue.growth:grow {COMMON_ARGUMENTS_TEXT} --pictures",
     ),
     "timing": (
         "arrivals of the blade tip at the probes of [tip_timing], and the vibration in them",
-        "cli.timing:fit_tip_vibration scene arrivals --blade=N --orders --set --output --pictures",
+        "cli.timing:fit_and_report_timing scene arrivals --blade=N --orders --set --output "
+        "--pictures",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
-        "cli.commands:identify_crack scene measurements --arrivals --before --blade=N --modes "
-        "--set --output --pictures",
+        "cli.commands:identify_and_report_crack scene measurements --arrivals --before --blade=N "
+        "--modes --set --output --pictures",
     ),
     "plot": (
         "pictures of a result, of all in a folder, of several curves in one, or of a scene's mesh; "
@@ -419,11 +426,11 @@ COMMANDS = {
     ),
     "clean": (
         "remove the structure that earlier commands have kept in the folder for the results",
-        f"cli.commands:remove_kept_structure {RESULT_ARGUMENTS}",
+        f"cli.commands:remove_kept_structure {COMMON_ARGUMENTS_TEXT}",
     ),
     "doctor": (
         "what this installation consists of, and whether it computes known numbers",
-        "cli.doctor:print_checks",
+        "cli.doctor:run_and_print_checks",
     ),
 }
 """Description, function and arguments by command name.
@@ -431,7 +438,7 @@ COMMANDS = {
 A function of ``cli`` takes arguments, inputs and console. Any other function takes a scene, and
 arguments by the names of parameters.
 """
-ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
+HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
     "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
@@ -545,7 +552,7 @@ PATH_COMPLETION_BY_SHELL = {
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
 """Completion of paths for shtab, by shell."""
-KEY_FUNCTION_BY_SHELL = {
+KEY_FUNCTION_CODE_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
@@ -558,22 +565,28 @@ class SuggestingParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the error and suggestions, and exit."""
-        wrong_word = re.search(r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message)
+        wrong_word_match = re.search(
+            r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message
+        )
         if re.search(r"unrecognized arguments: [\w.]+=", message):
             message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
-        elif wrong_word and wrong_word[2]:
-            option = wrong_word[2].partition("=")[0]
-            commands_with_option = [name for name in COMMANDS if option in list_options(name)]
-            message += (
-                f"; {meant([] if commands_with_option else near(option, list_options(*COMMANDS)))}"
-            )
-            message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
-        elif wrong_word:
-            python_calls = "\n".join(in_other_words(wrong_word[1]))
-            suggested_commands = [
-                name for name in COMMANDS if re.search(rf"fc\.(run_)?{name}\(", python_calls)
+        elif wrong_word_match and wrong_word_match[2]:
+            option = wrong_word_match[2].partition("=")[0]
+            commands_with_option = [
+                name for name in HELP_AND_CALL_BY_COMMAND if option in list_options(name)
             ]
-            message += f"; {meant(near(wrong_word[1], COMMANDS) or suggested_commands)}"
+            all_options = list_options(*HELP_AND_CALL_BY_COMMAND)
+            message += f"; {meant([] if commands_with_option else near(option, all_options))}"
+            message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
+        elif wrong_word_match:
+            python_calls = "\n".join(in_other_words(wrong_word_match[1]))
+            suggested_commands = [
+                name
+                for name in HELP_AND_CALL_BY_COMMAND
+                if re.search(rf"fc\.(run_)?{name}\(", python_calls)
+            ]
+            similar_commands = near(wrong_word_match[1], HELP_AND_CALL_BY_COMMAND)
+            message += f"; {meant(similar_commands or suggested_commands)}"
         super().error(message.rstrip("; "))
 
 
@@ -590,7 +603,7 @@ class CompletionAction(argparse.Action):
             parser.error("--completion needs shtab: python -m pip install shtab")
         keys_text = " ".join(known_keys())
         preamble_by_shell = {
-            shell: text.format(keys_text) for shell, text in KEY_FUNCTION_BY_SHELL.items()
+            shell: text.format(keys_text) for shell, text in KEY_FUNCTION_CODE_BY_SHELL.items()
         }
         print(shtab.complete(parser, call_arguments[1], preamble=preamble_by_shell))
         parser.exit()
@@ -598,7 +611,7 @@ class CompletionAction(argparse.Action):
 
 def list_options(*commands: str) -> list[str]:
     """Return the options of several commands without repetition."""
-    argument_names = " ".join(COMMANDS[name][1] for name in commands).split()
+    argument_names = " ".join(HELP_AND_CALL_BY_COMMAND[name][1] for name in commands).split()
     command_options = [word.partition("=")[0] for word in argument_names if word.startswith("--")]
     return list(dict.fromkeys([*command_options, "--format", "--quiet", "--verbose", "--help"]))
 
@@ -608,7 +621,7 @@ def build_parser() -> argparse.ArgumentParser:
     program_parser = SuggestingParser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",
-        epilog=EPILOG,
+        epilog=HELP_EPILOG_TEXT,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     program_parser.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
@@ -618,16 +631,16 @@ def build_parser() -> argparse.ArgumentParser:
     program_parser.add_argument(
         "--completion",
         action=CompletionAction,
-        choices=(*KEY_FUNCTION_BY_SHELL,),
+        choices=(*KEY_FUNCTION_CODE_BY_SHELL,),
         help=completion_help,
     )
     command_group = program_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command_name, (command_help, call_text) in COMMANDS.items():
+    for command_name, (command_help, call_text) in HELP_AND_CALL_BY_COMMAND.items():
         command_parser = command_group.add_parser(
             command_name, help=command_help, description=command_help[0].upper() + command_help[1:]
         )
         for argument in [*call_text.split()[1:], "--format"]:
-            argument_help, argument_options = ARGUMENTS[argument]
+            argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[argument]
             argument_action = command_parser.add_argument(
                 argument.partition("=")[0], help=argument_help, **argument_options
             )

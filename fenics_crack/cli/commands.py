@@ -17,7 +17,7 @@ from fenics_crack.basics.tables import speed_in_words
 from fenics_crack.cli.account import printed_table
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import (
-    STRUCTURE_FILE,
+    STRUCTURE_FILE_NAME,
     CommandInputs,
     Console,
     format_command,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from fenics_crack.scene.scene import Scene
 
 
-def run_package_function(
+def run_and_report_function(
     function: Callable[..., Any], arguments: Namespace, inputs: CommandInputs, console: Console
 ) -> Exit:
     """Run a package function as a command, write the result, print the report.
@@ -61,13 +61,13 @@ def run_package_function(
         for parameter in signature(function).parameters
         if parameter in values_by_parameter
     }
-    with console.stage(arguments.command, has_bars="folder" in keywords):
+    with console.report_stage(arguments.command, has_bars="folder" in keywords):
         result = function(**keywords)
     file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
     is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
     try:
-        with console.stage("errors"):
+        with console.report_stage("errors"):
             if run is not None and not is_stopped:
                 result = replace(run, stated=run.errors)
             report = build_report(result)
@@ -82,7 +82,7 @@ def run_package_function(
         if report is None:
             _save_result(result, folder / f"{file_stem}.h5", console)
             raise StoppedError(f"stopped; {folder / file_stem}.h5 has the result so far")
-        return write_report_files(
+        return write_and_print_report(
             report, folder / file_stem, console, result, vars(arguments).get("pictures")
         )
 
@@ -92,7 +92,7 @@ def _save_result(result: Any, path: Path, console: Console) -> None:
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
-def write_report_files(
+def write_and_print_report(
     report: Report,
     stem_path: Path,
     console: Console,
@@ -161,21 +161,21 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
     return report.exit
 
 
-def run_sweep_cases(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
     """Run the unsolved cases of a sweep, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
     scene, stem_path = inputs.scene, inputs.folder / "sweep"
-    with console.stage("sweep", has_bars=True):
+    with console.report_stage("sweep", has_bars=True):
         sweep_result = run_sweep(
             scene, f"{stem_path}.h5", console.comm, progress=console.shows_progress
         )
-    return write_report_files(build_report(sweep_result), stem_path, console)
+    return write_and_print_report(build_report(sweep_result), stem_path, console)
 
 
 def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
     """Remove the structure that earlier commands have kept in the folder."""
-    on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE, "--output"))
+    on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE_NAME, "--output"))
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
@@ -184,30 +184,30 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
     from fenics_crack.study.prepare import prepare
 
     prepared_path = arguments.output or inputs.folder / f"{arguments.scene.stem}.h5"
-    with console.stage("mesh, modes and statics"):
+    with console.report_stage("mesh, modes and statics"):
         save_prepared(prepare(inputs.scene, console.comm, whole=True), prepared_path)
     console.print_notes(
         f"{prepared_path}: {inputs.scene!r}; now: {format_command('solve', prepared_path)}"
     )
 
 
-def run_disk_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console: Console) -> Exit:
     """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
-    with console.stage("nodal diameters"):
+    with console.report_stage("nodal diameters"):
         nodal_result = nodal_diameters(scene, comm)
-    exit_code = write_report_files(
+    exit_code = write_and_print_report(
         build_report(nodal_result), folder / "disk", console, nodal_result, arguments.pictures
     )
     if not arguments.patterns:
         return exit_code
-    with console.stage("patterns of mistuning"):
+    with console.report_stage("patterns of mistuning"):
         amplification_result = amplification(
             scene, arguments.patterns, arguments.deviation, comm=comm
         )
-    return write_report_files(
+    return write_and_print_report(
         build_report(amplification_result),
         folder / "amplification",
         console,
@@ -242,7 +242,7 @@ def _convert_arrivals(
     console.print_remarks(*([] if run else scene_timing.remarks_on_arrivals(arrivals)))
     option = "--before" if is_uncracked else "arrivals"
     if scene_timing.is_run_up(arrivals, run):
-        with console.stage("resonances"):
+        with console.report_stage("resonances"):
             blade_scene = scene.replace(without_crack(scene) or {}) if is_uncracked else scene
             passed_modes = scene_timing.modes_passed(blade_scene, arrivals)
         console.print_notes(
@@ -272,7 +272,7 @@ def _convert_arrivals(
     )
 
 
-def identify_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
     """Identify a crack from measurements, and propose where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy
@@ -287,7 +287,7 @@ def identify_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exi
             _convert_arrivals(inputs.uncracked_source, scene, console, is_uncracked=True)
         )
     run_options = {"folder": folder, "comm": console.comm, "progress": console.shows_progress}
-    with console.stage("identification", has_bars=True):
+    with console.report_stage("identification", has_bars=True):
         identification = search_module.identify(
             scene, sum(measurement_sets[1:], measurement_sets[0]), **run_options
         )

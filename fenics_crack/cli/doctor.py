@@ -35,7 +35,7 @@ REFERENCE_DISPLACEMENTS = (2.19791942, -2.94941155)
 Another program integrated from one switching instant to the next (docs/verification, bilinear
 oscillator).
 """
-PLATE_TABLES = {
+PLATE_SCENE_TABLES = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
     "crack": {"edge": "left", "height": 0.05, "length": 0.05},
     "material": {"young": 2e9, "poisson": 0.0, "density": 7800.0},
@@ -50,13 +50,13 @@ Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y 
 """
 
 
-def print_checks(arguments: Namespace, *_: object) -> Exit:
+def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
     """Print a table of all checks; return FAULT if any check fails."""
     with loading():
         from fenics_crack.basics.tables import Table  # NumPy
     rows = [
-        (name, "FAULT" if is_fault else "ok", finding)
-        for name, finding, is_fault in run_checks(CHECKS_BY_NAME)
+        (check_name, "FAULT" if is_fault else "ok", finding_text)
+        for check_name, finding_text, is_fault in run_checks(CHECKS_BY_NAME)
     ]
     print(
         Table(("check", "verdict", "finding"), rows).formatted(arguments.format), end="", flush=True
@@ -71,7 +71,7 @@ def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[s
 
     Yields
     ------
-    name, finding : str
+    check_name, finding_text : str
     is_fault : bool
     """
     warning_texts: list[str] = []
@@ -79,17 +79,19 @@ def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[s
     log_handler.emit = lambda record: warning_texts.append(record.getMessage())  # type: ignore[method-assign]
     LOGGER.addHandler(log_handler)
     try:
-        for name, check in checks_by_name.items():
+        for check_name, check in checks_by_name.items():
             earlier_warnings = [*warning_texts]
             try:
-                finding = check()
+                finding_text = check()
             except Exception as error:
-                finding = " ".join(f"{error}".split()) or type(error).__name__
-                warning_texts.append(finding)
+                finding_text = " ".join(f"{error}".split()) or type(error).__name__
+                warning_texts.append(finding_text)
             is_fault = len(warning_texts) > len(earlier_warnings)
             if is_fault:
-                finding = "as above" if warning_texts[-1] in earlier_warnings else warning_texts[-1]
-            yield name, finding, is_fault
+                finding_text = (
+                    "as above" if warning_texts[-1] in earlier_warnings else warning_texts[-1]
+                )
+            yield check_name, finding_text, is_fault
     finally:
         LOGGER.removeHandler(log_handler)
 
@@ -206,7 +208,7 @@ def _check_plate() -> str:
     import numpy as np
 
     fenics_crack = import_module("fenics_crack")
-    scene = fenics_crack.Scene.from_mapping(PLATE_TABLES)
+    scene = fenics_crack.Scene.from_mapping(PLATE_SCENE_TABLES)
     uncracked_structure = fenics_crack.build_structure(
         scene.replace({"crack": None, "contact": None})
     )

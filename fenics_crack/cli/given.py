@@ -43,20 +43,20 @@ if TYPE_CHECKING:
 
     ArrivalSource = Path | dict[int, ArrivalTimes] | None
 
-PLATE_TEMPLATE = "cli/new_scene.toml"
+PLATE_TEMPLATE_PATH = "cli/new_scene.toml"
 RECORD_SUFFIXES = (".csv", ".h5")
 """Endings of files with measured arrivals, or with results for computed arrivals."""
-STRUCTURE_FILE = "prepared.h5"
+STRUCTURE_FILE_NAME = "prepared.h5"
 """Name of the file with the structure kept for later commands."""
-PERIOD_FOLDER = "solution_period"
+PERIOD_FRAMES_FOLDER = "solution_period"
 """Folder for the frames of a period, inside the folder for results."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of result files."""
-COMMANDS_FOR_PREPARED = ("solve", "curve")
+COMMANDS_FOR_PREPARED_FILES = ("solve", "curve")
 """Commands that accept a file from ``reduce`` in place of a scene."""
-COMBINABLE_OPTIONS = ("blade", "timing", "identify")
+COMBINABLE_NEW_OPTIONS = ("blade", "timing", "identify")
 """Options of ``new`` that change the plate's template, also together."""
-EXCLUSIVE_OPTIONS = ("solid", "disk")
+EXCLUSIVE_NEW_OPTIONS = ("solid", "disk")
 """Options of ``new`` with a separate template, never combined."""
 
 
@@ -140,10 +140,10 @@ def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
     InputError
         The file cannot be used, or the command or a changed key needs a mesh.
     """
-    if arguments.command not in COMMANDS_FOR_PREPARED:
+    if arguments.command not in COMMANDS_FOR_PREPARED_FILES:
         requirement = f"a scene for {arguments.command}; a file of reduce is one for "
         raise InputError(
-            "scene", str(arguments.scene), requirement + " and ".join(COMMANDS_FOR_PREPARED)
+            "scene", str(arguments.scene), requirement + " and ".join(COMMANDS_FOR_PREPARED_FILES)
         )
     from fenics_crack.study.artefact import load_prepared  # the solver
 
@@ -169,7 +169,7 @@ def _find_further_errors(
     while error.key not in reported_keys:
         reported_keys.add(error.key)
         table_name, _, key_name = error.key.partition(".")
-        suggestion = re.search(r"; did you mean (.+)\?$", error.allowed)
+        suggestion_match = re.search(r"; did you mean (.+)\?$", error.allowed)
         if error.allowed.startswith("left out; "):
             suggestions_text += error.allowed.partition(" known ")[0]
             corrected_changes.pop(error.key, None)
@@ -180,15 +180,21 @@ def _find_further_errors(
             template_lines = (
                 example_line(error.key, error.allowed) if key_name else example_table(table_name)
             )
-            template_lines = f"{key_name} = {suggestion[1]}" if suggestion else template_lines
+            template_lines = (
+                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_lines
+            )
             with suppress(ValueError):  # no value is meant
                 target_table = tomllib.loads(template_lines)
                 for key, template_value in (
                     target_table if key_name else target_table.get(table_name, {})
                 ).items():
-                    if error.value is None or suggestion or not isinstance(template_value, str):
+                    if (
+                        error.value is None
+                        or suggestion_match
+                        or not isinstance(template_value, str)
+                    ):
                         corrected_changes[f"{table_name}.{key}"] = template_value
-            has_no_template_value = has_no_template_value and suggestion is not None
+            has_no_template_value = has_no_template_value and suggestion_match is not None
         try:
             Scene.from_mapping(tables_by_name, scene_path.parent, corrected_changes)
             return
@@ -384,7 +390,7 @@ class Console:
             LOGGER.warning("%s", text)
 
     @contextmanager
-    def stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
+    def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
         """Print the stages of running code, and the duration if verbose.
 
         Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). Without
@@ -405,7 +411,7 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     """Create a folder for results; InputError unless files can be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD_FOLDER)))
+    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD_FRAMES_FOLDER)))
 
 
 def keep_previous_result(
@@ -462,8 +468,8 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
-    options = [option for option in COMBINABLE_OPTIONS if vars(arguments)[option]]
-    exclusive_options = [option for option in EXCLUSIVE_OPTIONS if vars(arguments)[option]]
+    options = [option for option in COMBINABLE_NEW_OPTIONS if vars(arguments)[option]]
+    exclusive_options = [option for option in EXCLUSIVE_NEW_OPTIONS if vars(arguments)[option]]
     exclusive_options += ["cad"] if arguments.cad else []
     if exclusive_options and len(exclusive_options + options) > 1:
         other_option = f"with --{(exclusive_options[1:] + options)[0]}"
@@ -510,13 +516,13 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
 def build_scene_text(scene_name: str, measurements_name: str, options: Collection[str]) -> str:
     """Build a new scene's text from the template of a plate.
 
-    ``options`` are from :data:`COMBINABLE_OPTIONS`. Both names are file names that the text
+    ``options`` are from :data:`COMBINABLE_NEW_OPTIONS`. Both names are file names that the text
     mentions.
     """
     line_marks = [
         f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
     ]
-    lines = packaged(PLATE_TEMPLATE).splitlines()
+    lines = packaged(PLATE_TEMPLATE_PATH).splitlines()
     lines = [_toggle_comment(line) if line.endswith(tuple(line_marks)) else line for line in lines]
     scene_text = "\n".join([*map(_remove_mark, lines), ""])
     return scene_text.replace("SCENE", shlex.quote(scene_name)).replace(
@@ -532,10 +538,20 @@ def example_line(key: str, requirement: str) -> str:
     """
     table_name, _, key_name = key.partition(".")
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement)
-    lines = [
-        line.partition("  #")[0].strip() for block in _template_blocks(table_name) for line in block
+    template_lines = [
+        template_line.partition("  #")[0].strip()
+        for block in _template_blocks(table_name)
+        for template_line in block
     ]
-    return next((line for name in key_names for line in lines if line.startswith(f"{name} = ")), "")
+    return next(
+        (
+            template_line
+            for name in key_names
+            for template_line in template_lines
+            if template_line.startswith(f"{name} = ")
+        ),
+        "",
+    )
 
 
 def example_table(table_name: str) -> str:
@@ -549,7 +565,7 @@ def _template_blocks(table_name: str) -> Iterator[list[str]]:
     A table that is commented out is commented in.
     """
     template_texts = map(
-        packaged, (PLATE_TEMPLATE, *(f"cli/new_{name}.toml" for name in EXCLUSIVE_OPTIONS))
+        packaged, (PLATE_TEMPLATE_PATH, *(f"cli/new_{name}.toml" for name in EXCLUSIVE_NEW_OPTIONS))
     )
     for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):
         lines = block_text.splitlines()

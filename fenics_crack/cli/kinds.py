@@ -24,11 +24,11 @@ class ResultKind(NamedTuple):
         Name of the files without ending: "curve" for curve.h5.
     heading : str
         Heading in a report.
-    report_function : str
+    report_function_path : str
         Builds a :class:`Report` from a result.
-    reader_function : str
+    reader_function_path : str
         Builds a result from a :class:`Stored` file.
-    drawing_function : str
+    drawing_function_path : str
         Draws a result: into ``file``, :class:`PictureFiles`; with a ``caption`` one picture, to
         ``path``.
     caption : str
@@ -37,9 +37,9 @@ class ResultKind(NamedTuple):
 
     file_stem: str
     heading: str
-    report_function: str
-    reader_function: str
-    drawing_function: str
+    report_function_path: str
+    reader_function_path: str
+    drawing_function_path: str
     caption: str = ""
 
 
@@ -108,7 +108,7 @@ def load_function(function_path: str) -> Callable[..., Any]:
 
 def build_report(result: Any) -> Report:
     """Return the report of a result (collective)."""
-    report: Report = load_function(RESULT_KINDS[result.KIND].report_function)(result)
+    report: Report = load_function(RESULT_KINDS[result.KIND].report_function_path)(result)
     return report
 
 
@@ -120,7 +120,7 @@ def draw_result(result: Any, picture_files: PictureFiles) -> None:
         if result_kind.caption
         else {"picture_files": picture_files}
     )
-    load_function(result_kind.drawing_function)(result, **path_keywords)
+    load_function(result_kind.drawing_function_path)(result, **path_keywords)
 
 
 def restore_result(stored_file: Stored) -> Any:
@@ -134,4 +134,4 @@ def restore_result(stored_file: Stored) -> Any:
     if stored_file.kind not in RESULT_KINDS:
         requirement = f"a result of one of these kinds: {', '.join(RESULT_KINDS)}"
         raise InputError("result", str(stored_file.path), requirement)
-    return load_function(RESULT_KINDS[stored_file.kind].reader_function)(stored_file)
+    return load_function(RESULT_KINDS[stored_file.kind].reader_function_path)(stored_file)

@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import FEW_MODES, InputError
 from fenics_crack.basics.tables import percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
 from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import PERIOD_FOLDER
+from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
@@ -45,7 +45,7 @@ from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-CLOSING_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+CRACK_CLOSING_LINE_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line style of the closing, crack by crack."""
 
 NO_MESH_NOTE = "no mesh: what would be drawn on one is left out"
@@ -123,11 +123,11 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     if solution.structure.whole.drawable_nodes is None:
         picture_files.notes.append(NO_MESH_NOTE)
     else:
-        _draw_on_mesh(run, picture_files)
+        _draw_solution_on_mesh(run, picture_files)
     _draw_stress_intensity(run, picture_files, "solution_tips")
 
 
-def _draw_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
+def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
     """Draw contact along the crack, and the motion of the mesh."""
     from fenics_crack.draw.animation import animate_period  # VTK
 
@@ -145,7 +145,7 @@ def _draw_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     if picture_files.has_vtk_files:
         from fenics_crack.draw.vtk import write_period
 
-        write_period(solution, picture_files(PERIOD_FOLDER, "", "pvd"), material=material)
+        write_period(solution, picture_files(PERIOD_FRAMES_FOLDER, "", "pvd"), material=material)
 
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
@@ -175,18 +175,21 @@ def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
 def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, stem: str) -> None:
     """Draw stress intensities over the period, if they can be computed."""
     with suppress(InputError):  # a tip next to an edge, or no plate
-        intensities = stress_intensity(run)
-        unit_factor, unit = readable(float(intensities.effective.max()), "Pa m^0.5")
+        stress_intensities = stress_intensity(run)
+        unit_factor, unit = readable(float(stress_intensities.effective.max()), "Pa m^0.5")
         title = (
-            f"Stress intensity, range while open {unit_factor * intensities.effective.max():.4g} "
+            "Stress intensity, range while open "
+            f"{unit_factor * stress_intensities.effective.max():.4g} "
             f"{unit}"
         )
         caption = "Stress intensity at the crack tips over the period."
-        plot.draw_stress_intensity(intensities, path=picture_files(stem, caption), title=title)
-        if intensities.three is not None and picture_files.has_vtk_files:
+        plot.draw_stress_intensity(
+            stress_intensities, path=picture_files(stem, caption), title=title
+        )
+        if stress_intensities.three is not None and picture_files.has_vtk_files:
             from fenics_crack.draw.vtk import write_fronts
 
-            write_fronts(intensities, picture_files(f"{stem}_along_fronts", "", "vtu"))
+            write_fronts(stress_intensities, picture_files(f"{stem}_along_fronts", "", "vtu"))
 
 
 def _draw_waveforms(
@@ -196,7 +199,7 @@ def _draw_waveforms(
 
     Time is in periods of the frequency ``omega`` [rad/s], or in seconds if that is None.
     """
-    line_styles = itertools.cycle(CLOSING_STYLES)
+    line_styles = itertools.cycle(CRACK_CLOSING_LINE_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
     drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
@@ -256,9 +259,9 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
     curve, scene, structure = run.result, run.scene, run.structure
     if curve.parameter != "omega":
         return {}
-    crack_words = {"open": "open", "tied": "bonded"}
+    crack_word_by_lips = {"open": "open", "tied": "bonded"}
     cases_by_label = {
-        f"crack always {crack_words[lips]}": (structure, run.watched_dof, lips)
+        f"crack always {crack_word_by_lips[lips]}": (structure, run.watched_dof, lips)
         for lips in LIP_STATES
     }
     if scene.geometry is not None and scene.geometry.width is not None:
@@ -316,9 +319,10 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
 
     The horizontal axis is the frequency, else the longest axis. The next longest axis has a line
     for each of up to 6 values, or a map from 4 values on. Each combination of the other axes has
-    its own pictures; twelve combinations are drawn. Raises InputError as :func:`_select_axes`.
+    separate pictures; twelve combinations are drawn. Raises InputError as
+    :func:`_select_drawn_axes`.
     """
-    drawn_indices = _select_axes(sweep_result)
+    drawn_indices = _select_drawn_axes(sweep_result)
     drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_indices]
     fixed_indices = [
         axis_index
@@ -341,7 +345,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
         itertools.islice(fixed_combinations, 12)
     ):  # of each quantity
         fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
-        value_texts = [
+        fixed_value_texts = [
             f"{key_in_words(key)} {value_in_words(key, value)}"
             for key, value in zip(fixed_keys, fixed_values, strict=True)
         ]
@@ -358,11 +362,11 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
                     quantity,
                     picture_files,
                     stem,
-                    value_texts,
+                    fixed_value_texts,
                 )
 
 
-def _select_axes(sweep_result: SweepResult) -> list[int]:
+def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
     """Return the indices of the one or two axes to be drawn.
 
     A frequency comes first, then the longest axis. Raises InputError if no axis has two or more
@@ -426,7 +430,8 @@ def draw_swept(
         if len(axes) > 1:
             key, axis_array = axes[1].key, axis_arrays[1][value_orders[1]]
             line_labels = [
-                f"{key_in_words(key)} {value_in_words(key, float(value))}" for value in axis_array
+                f"{key_in_words(key)} {value_in_words(key, float(axis_value))}"
+                for axis_value in axis_array
             ]
         curves_by_label, doubts_by_label = (
             dict(zip(line_labels, array.T, strict=True)) for array in (values, is_doubtful)
@@ -509,7 +514,7 @@ def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
     if largest_blade_number := largest_blade(tip_timing):
         caption = (
             f"Blade {largest_blade_number}: arrivals over the period, the fit, the orders that "
-            f"were tried."
+            "were tried."
         )
         fit = tip_timing.fits[largest_blade_number]
         assert isinstance(fit, TipFit)

@@ -41,7 +41,7 @@ from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
 from fenics_crack.version import VERSION, packaged
 
-LISTED_TABLES = (
+LISTED_TABLE_NAMES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
@@ -77,7 +77,7 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
             exclusion_note,
         ]
 
-    with console.stage("pictures"):
+    with console.report_stage("pictures"):
         output_lines = on_root(console.comm, draw_pictures)
     console.print_notes(*output_lines)
 
@@ -96,7 +96,7 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
         _write_page(result_files, page_path, command_words)
         return exclusion_note
 
-    with console.stage("report"):
+    with console.report_stage("report"):
         exclusion_note = on_root(console.comm, write_page)
     console.print_notes(str(page_path), exclusion_note)
 
@@ -232,10 +232,10 @@ def _write_page(
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
     file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
     picture_folder = passing_folder()
-    page_fields = _describe_scene(scene_results[0], picture_folder) if scene_results else {}
+    page_fields = _build_scene_fields(scene_results[0], picture_folder) if scene_results else {}
     fields_of_results = []
     for result_index, (stored_file, result) in enumerate(files_and_results):
-        result_fields = _describe_result(
+        result_fields = _build_result_fields(
             stored_file, result, picture_folder / str(result_index)
         ) | {"differs": next(scene_differences, "")}
         if kind_names.count(stored_file.kind) > 1:
@@ -264,7 +264,7 @@ def _write_page(
     )
 
 
-def _describe_result(stored_file: Stored, result: Any, picture_folder: Path) -> dict[str, Any]:
+def _build_result_fields(stored_file: Stored, result: Any, picture_folder: Path) -> dict[str, Any]:
     """Draw a result, and return template fields about the result."""
     report, picture_files = build_report(result), PictureFiles(picture_folder)
     try:
@@ -308,7 +308,7 @@ def _capitalize_sentence(sentence: str) -> str:
     return sentence[:1].upper() + sentence[1:]
 
 
-def _describe_scene(result: Any, picture_folder: Path) -> dict[str, Any]:
+def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
     """Return template fields about a scene: values, mesh and text."""
     scene, mesh_picture = result.scene, None
     if scene.geometry is not None:
@@ -317,7 +317,9 @@ def _describe_scene(result: Any, picture_folder: Path) -> dict[str, Any]:
             draw_scene(scene, picture_folder, structure), "The mesh with its named parts."
         )
     values_by_key = given_values(scene)
-    keys = [key for table in LISTED_TABLES for key in values_by_key if key.startswith(f"{table}.")]
+    keys = [
+        key for table in LISTED_TABLE_NAMES for key in values_by_key if key.startswith(f"{table}.")
+    ]
     rows: list[tuple[str, object]] = [
         (key_in_words(key), _format_value(key, values_by_key[key])) for key in keys
     ]

@@ -47,9 +47,9 @@ from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.time.march import TimeHistory
 
-ERROR_HEADING = "error [%]"
+ERROR_COLUMN_HEADING = "error [%]"
 """Heading for stated errors of numbers, in percent."""
-UNKNOWN_ERROR_NAMES = ("total_error", "displacement_error")
+ERRORS_NAN_IF_UNKNOWN = ("total_error", "displacement_error")
 """Names of errors that are nan if the error is unknown."""
 QuantityRow = tuple[str, str, object, str]
 """Name, description, value and unit of a quantity."""
@@ -64,10 +64,10 @@ def report_of_modes(run: Run[Modes]) -> Report:
     ]
     if run.stated is not None:
         rows = [
-            [*row, _stated_error(run, frequency_name)[0]]
+            [*row, _find_error_and_cause(run, frequency_name)[0]]
             for row, frequency_name in zip(table.rows, frequency_names, strict=True)
         ]
-        table = Table([*table.columns, ERROR_HEADING], rows)
+        table = Table([*table.columns, ERROR_COLUMN_HEADING], rows)
     return _make_report(run, table)
 
 
@@ -95,7 +95,7 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
         return Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
     report_fields |= {
         "shown": account.select_printed_quantities(table, run.scene, PRINTED),
-        "tables": _tabulate_numbers(run, table),
+        "tables": _number_tables_by_heading(run, table),
     }
     report = Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
     conclusion_row = ["conclusion", OTHER_QUANTITIES_BY_NAME["conclusion"][0], report.closing, "-"]
@@ -128,14 +128,16 @@ def _describe_node_distances(run: Run[Any]) -> list[str]:
 def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     """Report a solution with error and stability (collective)."""
     solution, scene = run.result, run.scene
-    table = _tabulate_quantities(run, solution.omega, solution.to_dict() | _collect_doubts(run))
+    table = _tabulate_quantities(
+        run, solution.omega, solution.to_dict() | _collect_doubts_by_name(run)
+    )
     notes = [describe_undamped_harmonics(run.structure, highest_omega(scene, "solve"))]
-    requests_error = scene.harmonic_balance.error
+    is_error_requested = scene.harmonic_balance.error
     if (
         solution.converged
         and solution.stability is None
         and run.contact is not None
-        and requests_error
+        and is_error_requested
     ):
         reduction_text = (
             "" if scene.disk is not None else "for a reduced structure (reduction.method), "
@@ -171,7 +173,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
                 motion_text = _describe_departing_motions(solution, run.watched_dof)
             warnings += account.describe_mode_dependence(run.scene, solution, stability.verdict)
         warnings += account.describe_instability(scene, run, stability, motion_text)
-        warnings += account.describe_large_motion(run, account.largest_displacements(run))
+        warnings += account.describe_large_motion(run, account.find_largest_displacements(run))
         warnings += account.describe_ambiguous_contact(solution)
         warnings += run.stated.dents if run.stated is not None else ()
     return _make_report(
@@ -180,13 +182,13 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         rows=_tabulate_waveforms(run, sample_waveforms(run)),
         notes=notes,
         warnings=warnings,
-        further=_tabulate_blades(run, "Blades") | _tabulate_front_intensities(run),
+        further=_blade_tables_by_heading(run, "Blades") | _front_tables_by_heading(run),
         done=solution.converged,
         missed=is_tolerance_missed or bool(unknown_of_solution(run)),
     )
 
 
-def _tabulate_blades(run: Run[Any], heading: str) -> dict[str, Table]:
+def _blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
     """Tabulate the vibration of each blade of a bladed disk (collective).
 
     The table stands under ``heading``; without a disk the result is empty.
@@ -198,7 +200,7 @@ def _tabulate_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     return {heading: blades(run).table()}
 
 
-def _tabulate_front_intensities(run: Run[Any]) -> dict[str, Table]:
+def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     """Tabulate stress intensities along the crack fronts of a solid (collective).
 
     The result is empty in two dimensions, or if the scene requests none.
@@ -206,11 +208,11 @@ def _tabulate_front_intensities(run: Run[Any]) -> dict[str, Table]:
     requested_places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
     if run.scene.dimension == 2 or Place.TIPS not in requested_places:
         return {}
-    intensities = stress_intensity(run)
+    stress_intensities = stress_intensity(run)
     columns_by_name = {
-        "position": intensities.positions,
-        **intensities.numbers,
-        "K_I while closed": intensities.closed,
+        "position": stress_intensities.positions,
+        **stress_intensities.numbers,
+        "K_I while closed": stress_intensities.closed,
     }
     units_by_name = {name: "m" if name == "position" else "Pa m^0.5" for name in columns_by_name}
     lists_by_name = {
@@ -220,11 +222,11 @@ def _tabulate_front_intensities(run: Run[Any]) -> dict[str, Table]:
     return {"Stress intensity along the crack fronts": Table.of(lists_by_name, units_by_name)}
 
 
-def _collect_doubts(run: Run[PeriodicSolution]) -> dict[str, object]:
+def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
     """Collect numbers and texts that cast doubt on a solution.
 
     Keys are names in :data:`OTHER_QUANTITIES_BY_NAME`. Empty texts, zeros and nan are left out. If
-    the error is unknown, its parts in :data:`UNKNOWN_ERROR_NAMES` are nan.
+    the error is unknown, its parts in :data:`ERRORS_NAN_IF_UNKNOWN` are nan.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {"unknown_error": unknown_of_solution(run)}
@@ -238,11 +240,11 @@ def _collect_doubts(run: Run[PeriodicSolution]) -> dict[str, object]:
         name: doubt for name, doubt in doubts_by_name.items() if doubt and doubt == doubt
     }
     return known_doubts_by_name | (
-        dict.fromkeys(UNKNOWN_ERROR_NAMES, np.nan) if run.result.report.unknown else {}
+        dict.fromkeys(ERRORS_NAN_IF_UNKNOWN, np.nan) if run.result.report.unknown else {}
     )
 
 
-def _tabulate_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
+def _number_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
     """Tabulate all numbers as text, after the numbers requested by the scene."""
     requested_names = run.scene.quantities or ()
     requested_rows = [
@@ -311,7 +313,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     if not is_finished and not integration_table.free:
         unsettled_text = (
             f"the motion has not settled after {history.periods} of {integration_table.periods} "
-            f"periods"
+            "periods"
         )
         warnings.append(f"{unsettled_text}{_describe_longer_period(history)}")
     warnings += account.describe_large_motion(run, np.abs(waveforms.displacement).max(axis=0))
@@ -326,7 +328,7 @@ def _describe_longer_period(history: TimeHistory) -> str:
         if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
             return (
                 f", over {n_periods} periods {relative_change:.2g}: its period is {n_periods} "
-                f"times the load's"
+                "times the load's"
             )
     return "; it may need more periods (integration.periods), or be irregular"
 
@@ -369,11 +371,12 @@ def _tabulate_quantities(
     if run.stated is None:
         return Table(headings, rows)
     return Table(
-        [*headings, ERROR_HEADING, "most by"], [(*row, *_stated_error(run, row[0])) for row in rows]
+        [*headings, ERROR_COLUMN_HEADING, "most by"],
+        [(*row, *_find_error_and_cause(run, row[0])) for row in rows],
     )
 
 
-def _stated_error(run: Run[Any], name: str) -> tuple[float, str]:
+def _find_error_and_cause(run: Run[Any], name: str) -> tuple[float, str]:
     """Return the stated error of a number, and its main cause.
 
     A natural frequency has the error of the mode nearest to the load.
@@ -486,7 +489,7 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
 def report_of_curve(run: Run[ResponseCurve]) -> Report:
     """Report a curve, its special points, errors and stability (collective)."""
     curve, scene = run.result, run.scene
-    indicator_columns = _indicator_columns(run, curve)
+    indicator_columns = _indicator_columns_by_heading(run, curve)
     special_point_table = tabulate_special_points(run, indicator_columns)
     shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
     notes = [
@@ -497,13 +500,13 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         notes.insert(0, f"{n_hidden_points} more bifurcations and changes of stability: curve.json")
     bifurcation_kinds = dict.fromkeys(point.kind for point in curve.bifurcations)
     notes += [
-        f"{kind_in_words(kind)}: {MEANING_BY_BIFURCATION[kind]}"
-        for kind in bifurcation_kinds
-        if kind in MEANING_BY_BIFURCATION
+        f"{kind_in_words(bifurcation_kind)}: {MEANING_BY_BIFURCATION[bifurcation_kind]}"
+        for bifurcation_kind in bifurcation_kinds
+        if bifurcation_kind in MEANING_BY_BIFURCATION
     ]
     warnings = [
         *_describe_curve_warnings(run),
-        *account.describe_large_motion(run, account.largest_displacements(run)),
+        *account.describe_large_motion(run, account.find_largest_displacements(run)),
     ]
     indicators = curve.indicators(run.watched_dof)
     peak_index = int(np.argmax(indicators.amplitude))
@@ -512,7 +515,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
             f"harmonic {indicators.largest_order[peak_index]:.0f} is the largest of the higher ones"
         )
         ratio_text = f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
-        place_text = "the largest response" if _is_peak(curve, peak_index) else "its end"
+        place_text = "the largest response" if _has_passed_point(curve, peak_index) else "its end"
         notes.append(f"at {place_text} {order_text}, {ratio_text}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
@@ -530,7 +533,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         tables={
             "Special points": account.select_printed_quantities(special_point_table, scene, SPECIAL)
         },
-        further=_tabulate_blades(run, "Blades, each at its largest response"),
+        further=_blade_tables_by_heading(run, "Blades, each at its largest response"),
         done=bool(curve.complete) and curve.status != INTERRUPTED,
         missed=bool(unknown_error(run)),
     )
@@ -544,7 +547,7 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
-    is_assessed = curve.multipliers is not None and _is_peak(curve, peak_index)
+    is_assessed = curve.multipliers is not None and _has_passed_point(curve, peak_index)
     verdict = str(curve.verdicts[peak_index]) if is_assessed else ""
     if verdict not in ("unstable", "irregular"):
         return ""
@@ -552,7 +555,7 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     return f"the largest response is {verdict}{motion_text}"
 
 
-def _is_peak(curve: ResponseCurve, point_index: int) -> bool:
+def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
     """Return False if the curve ended early at the largest response."""
     return bool(curve.complete) or point_index < len(curve) - 1
 
@@ -584,7 +587,7 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         solutions_by_index[worst_index].harmonics,
         location_text,
     )
-    if curve.multipliers is not None and _is_peak(curve, peak_index):
+    if curve.multipliers is not None and _has_passed_point(curve, peak_index):
         for warning_text in account.describe_mode_dependence(
             run.scene, solutions_by_index[peak_index], curve.verdicts[peak_index]
         ):
@@ -649,7 +652,7 @@ def tabulate_curve_points(
     """
     quantity_names = [name for name in run.result.to_dict() if name not in QUANTITIES]
     table = run.result.table(*quantity_names)
-    indicator_columns = columns_by_heading or _indicator_columns(run, run.result)
+    indicator_columns = columns_by_heading or _indicator_columns_by_heading(run, run.result)
     indicator_rows = zip(*(column.tolist() for column in indicator_columns.values()), strict=True)
     rows = [
         [*row, *indicator_row]
@@ -668,20 +671,20 @@ def tabulate_special_points(
     ``columns_by_heading`` are the indicators at all points, if known already.
     """
     curve = run.result
-    columns_by_heading = _parameter_columns(curve) | (
-        columns_by_heading or _indicator_columns(run, curve)
+    columns_by_heading = _parameter_columns_by_heading(curve) | (
+        columns_by_heading or _indicator_columns_by_heading(run, curve)
     )
     bifurcation_curve = curve.at_bifurcations if curve.bifurcations else curve
-    bifurcation_columns = _parameter_columns(bifurcation_curve) | _indicator_columns(
-        run, bifurcation_curve
-    )
+    bifurcation_columns = _parameter_columns_by_heading(
+        bifurcation_curve
+    ) | _indicator_columns_by_heading(run, bifurcation_curve)
     peak = curve.top(run.watched_dof)
     peak_name = "largest, still rising" if peak.at_end else "largest"
-    peak_name = peak_name if _is_peak(curve, peak.index) else "largest so far"
+    peak_name = peak_name if _has_passed_point(curve, peak.index) else "largest so far"
     row_sources = [
         ("start", 0, columns_by_heading),
         ("end", -1, columns_by_heading),
-        (peak_name, 0, _interpolate_peak(run, peak, columns_by_heading)),
+        (peak_name, 0, _interpolate_peak_columns(run, peak, columns_by_heading)),
     ]
     for bifurcation_number, point in enumerate(curve.bifurcations, 1):
         row_sources.append((kind_in_words(point.kind), bifurcation_number, bifurcation_columns))
@@ -699,7 +702,7 @@ def tabulate_special_points(
     return Table(("point", *columns_by_heading), table_rows)
 
 
-def _interpolate_peak(
+def _interpolate_peak_columns(
     run: Run[ResponseCurve], peak: Top, columns_by_heading: ColumnsByHeading
 ) -> ColumnsByHeading:
     """Return a row of columns at the first watched dof's largest response.
@@ -710,7 +713,7 @@ def _interpolate_peak(
     neighbours = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_order = np.argsort(run.result.values[neighbours])
     parameter_values = run.result.values[neighbours][parameter_order]
-    parameter_columns = _parameter_columns(run.result)
+    parameter_columns = _parameter_columns_by_heading(run.result)
     row_by_heading = {
         name: np.interp([peak.value], parameter_values, column[neighbours][parameter_order])
         if name in parameter_columns or name.startswith("over_")
@@ -722,7 +725,7 @@ def _interpolate_peak(
     }
 
 
-def _parameter_columns(curve: ResponseCurve) -> dict[str, np.ndarray]:
+def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]:
     """Return the columns of a curve's parameter; frequencies and speeds in both units."""
     columns_by_heading: dict[str, np.ndarray] = {}
     columns_by_name: dict[str, Any] = {"omega": curve.omega}
@@ -770,7 +773,9 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
     return Table(table.columns, kept_rows), len(other_rows) - len(kept_indices)
 
 
-def _indicator_columns(run: Run[ResponseCurve], curve: ResponseCurve) -> ColumnsByHeading:
+def _indicator_columns_by_heading(
+    run: Run[ResponseCurve], curve: ResponseCurve
+) -> ColumnsByHeading:
     """Return columns with indicators, and natural frequencies near the load's.
 
     ``curve`` is the run's curve, or a part with fewer points. Headings have units.
@@ -797,20 +802,22 @@ def _solve_natural_frequencies(run: Run[ResponseCurve], omega: np.ndarray) -> Bi
         return bilinear_frequencies(structure)
     speeds = omega * (curve.values[0] / curve.omega[0])
     sample_speeds = np.linspace(speeds.min(), speeds.max(), min(speeds.size, 9))
-    sample_frequencies = [
+    frequencies_by_sample = [
         bilinear_frequencies(structure.at_speed(float(sample_speed)))
         for sample_speed in sample_speeds
     ]
 
-    def interpolate_squares(sample_rows: list[np.ndarray]) -> np.ndarray:
-        mode_frequencies = [
-            np.interp(speeds**2, sample_speeds**2, mode_samples**2)
-            for mode_samples in np.transpose(sample_rows)
+    def interpolate_squares(omega_rows: list[np.ndarray]) -> np.ndarray:
+        mode_omega_columns = [
+            np.interp(speeds**2, sample_speeds**2, mode_omega**2)
+            for mode_omega in np.transpose(omega_rows)
         ]
-        return np.sqrt(np.stack(mode_frequencies, axis=-1))
+        return np.sqrt(np.stack(mode_omega_columns, axis=-1))
 
-    open_rows, bonded_rows = (
-        [getattr(frequencies, f"omega_{kind}") for frequencies in sample_frequencies]
+    open_omega_rows, bonded_omega_rows = (
+        [getattr(frequencies, f"omega_{kind}") for frequencies in frequencies_by_sample]
         for kind in ("open", "tied")
     )
-    return BilinearFrequencies(interpolate_squares(open_rows), interpolate_squares(bonded_rows))
+    return BilinearFrequencies(
+        interpolate_squares(open_omega_rows), interpolate_squares(bonded_omega_rows)
+    )

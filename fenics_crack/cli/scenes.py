@@ -43,10 +43,10 @@ from fenics_crack.study.sharing import SHELVES
 from fenics_crack.study.solve import modes_chosen
 
 
-def print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
+def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
     """Mesh and assemble a scene; print key figures, natural frequencies and remarks."""
     scene = inputs.scene
-    with console.stage("mesh and matrices"):
+    with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if asked_quantities(scene):  # which may be refused
             from fenics_crack.study.observer import rows_requested  # the solver
@@ -57,11 +57,11 @@ def print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> 
     is_run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
     give_back_freed()
     memory_bytes = check_memory_of(scene, structure, run_up=is_run_up)
-    with console.stage("natural frequencies"):
+    with console.report_stage("natural frequencies"):
         key_figures = find_key_figures(study)
-    with console.stage("resonance at the load"):
+    with console.report_stage("resonance at the load"):
         load_resonance = resonance_of(study, key_figures.omega_bilinear, key_figures.slopes)
-    with console.stage("errors due to the mesh"):
+    with console.report_stage("errors due to the mesh"):
         bonded_frequencies = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
         frequencies_by_kind = {"open": key_figures.omega_open} | bonded_frequencies
         mesh_errors = errors_of_natural(
@@ -74,14 +74,14 @@ def print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> 
             key_figures, at_load=replace(load_resonance, mesh_error=vibration_mesh_error)
         )
     values_by_label: dict[str, object] = {
-        **({} if structure.nodes is None else _size_rows(key_figures)),
-        **_part_rows(scene, structure),
+        **({} if structure.nodes is None else _mesh_size_rows(key_figures)),
+        **_cad_part_rows(scene, structure),
         "degrees of freedom": structure.n_dofs,
         **_frequency_rows(study.scene, key_figures),
         **_mesh_error_rows(mesh_errors),
         **_resonance_rows(study.scene, key_figures),
         **_rotation_rows(study.scene, key_figures),
-        **_contact_rows(study, key_figures),
+        **_crack_and_contact_rows(study, key_figures),
         "harmonics": describe_harmonics(scene),
         "unknowns of harmonic balance": (2 * n_harmonics + 1) * structure.n_pairs,
         "reduction": _describe_reduction(study),
@@ -119,14 +119,14 @@ def missing_curve_error(scene: Scene, console: Console) -> InputError:
     """
     error = InputError("curve", None, "given for this command: a table")
     error.example = ""
-    with console.stage("natural frequencies"), suppress(InputError):
+    with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
         if curve_proposal := proposed_curve(study.scene, find_key_figures(study)):
             error.example = curve_proposal.as_toml()
     return error
 
 
-def _size_rows(key_figures: KeyFigures) -> dict[str, object]:
+def _mesh_size_rows(key_figures: KeyFigures) -> dict[str, object]:
     """Return the lengths of the mesh's sides as a row."""
     side_names = ("width", "height", "thickness")[: len(key_figures.size)]
     return {
@@ -134,7 +134,7 @@ def _size_rows(key_figures: KeyFigures) -> dict[str, object]:
     }
 
 
-def _part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
+def _cad_part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
     """Return rows on a CAD part's faces and crack fronts, else none."""
     if scene.geometry is None or scene.geometry.file is None:
         return {}
@@ -244,7 +244,7 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     return values_by_label
 
 
-def _contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
+def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
     cracks_by_name, law, contact_table = study.scene.all_cracks, study.contact, study.scene.contact
     values_by_label: dict[str, object] = {}
@@ -336,7 +336,7 @@ def describe_undamped_harmonics(structure: Structure, max_omega: float) -> str:
     modes_text = "the damped mode" if n_damped == 1 else f"the {n_damped} damped modes"
     range_text = (
         f"harmonics up to H w = {max_omega:g} rad/s reach beyond {modes_text} ({damped_limit:g} "
-        f"rad/s)"
+        "rad/s)"
     )
     return f"{range_text}: nothing damps what they excite there"
 

@@ -21,7 +21,7 @@ from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import counted, speed_in_words
 from fenics_crack.cli.account import describe_instability, describe_large_error
-from fenics_crack.cli.commands import write_report_files
+from fenics_crack.cli.commands import write_and_print_report
 from fenics_crack.cli.given import (
     CommandInputs,
     Console,
@@ -38,24 +38,26 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 
-RECORD_KEYS = (
+RECORD_TIMING_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
 """Keys in [tip_timing] for a record without a scene."""
-PROBES_REQUIREMENT = (
+PROBES_REQUIREMENT_TEXT = (
     "given for a record at constant speed: without them a probe stands at its median arrival, "
     "where an engine order of constant amplitude is not seen"
 )
 
 
-def fit_tip_vibration(arguments: Namespace, inputs: CommandInputs | None, console: Console) -> Exit:
+def fit_and_report_timing(
+    arguments: Namespace, inputs: CommandInputs | None, console: Console
+) -> Exit:
     """Fit and report the vibration in measured or computed arrival times."""
     if inputs is None:
         return _find_vibration_of_record(arguments, console)
     scene, folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
     timing_table, arrivals_path = scene.given("tip_timing"), folder / "arrivals.csv"
-    with console.stage("arrival times"):
+    with console.report_stage("arrival times"):
         arrivals_by_blade, run = scene_timing.arrivals_of_blades(
             scene, arrival_source, console.comm
         )
@@ -70,14 +72,14 @@ def fit_tip_vibration(arguments: Namespace, inputs: CommandInputs | None, consol
         console.print_notes(
             f"arrivals of {counted(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
         )
-    fits_by_blade = _fit_blades(timing_table, arrivals_by_blade, console, scene, run)
+    fits_by_blade = _fit_blade_vibrations(timing_table, arrivals_by_blade, console, scene, run)
     if scene.disk is not None and not all(
         isinstance(fit, TipFit) for fit in fits_by_blade.values()
     ):
         requirement = "arrivals at one speed of a bladed disk"
         raise InputError("arrivals", str(arrival_source or "a curve"), requirement)
-    doubt_texts = tuple(_describe_warnings(first_arrivals, scene, run))
-    return _write_report(
+    doubt_texts = tuple(_describe_timing_warnings(first_arrivals, scene, run))
+    return _write_timing_report(
         Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), folder, console
     )
 
@@ -106,14 +108,14 @@ def _write_arrivals(
         f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
     )
     console.print_notes(
-        f"arrivals of {_describe_size(arrivals)}, {speed_range}: {arrivals_path}, "
+        f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range}: {arrivals_path}, "
         f".{console.picture_format}"
     )
     if run is not None:
         console.print_notes(scene_timing.tip_in_words(scene.given("tip_timing"), run))
 
 
-def _fit_blades(
+def _fit_blade_vibrations(
     timing_table: TipTiming,
     arrivals_by_blade: Mapping[int, ArrivalTimes],
     console: Console,
@@ -121,7 +123,7 @@ def _fit_blades(
 ) -> dict[int, Any]:
     """Fit the vibration of each blade, with or without scene and run."""
     fits_by_blade = {}
-    with console.stage("vibration"):
+    with console.report_stage("vibration"):
         for blade_number, arrivals in arrivals_by_blade.items():
             with within(f"blade {blade_number}"):
                 fits_by_blade[blade_number] = scene_timing.fit_vibration(
@@ -130,19 +132,21 @@ def _fit_blades(
     return fits_by_blade
 
 
-def _write_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
+def _write_timing_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
     """Write and print the result of tip timing; return the exit code."""
-    return write_report_files(
+    return write_and_print_report(
         build_report(tip_timing), folder / "timing", console, tip_timing, console.picture_format
     )
 
 
-def _describe_size(arrivals: ArrivalTimes) -> str:
+def _describe_arrival_counts(arrivals: ArrivalTimes) -> str:
     """Return the numbers of revolutions and probes in words."""
     return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
 
 
-def _describe_warnings(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
+def _describe_timing_warnings(
+    arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None
+) -> Iterator[str]:
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
         yield from scene_timing.remarks_on_arrivals(arrivals)
@@ -175,12 +179,14 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     table_values_by_name = {}
     for key, value in parse_changes(arguments.set).items():
         table_name, _, key_name = key.partition(".")
-        if table_name != "tip_timing" or key_name not in RECORD_KEYS:
-            allowed_keys = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
+        if table_name != "tip_timing" or key_name not in RECORD_TIMING_KEYS:
+            allowed_keys = ", ".join(
+                f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
+            )
             requirement = f"left out with a record in place of a scene, or {allowed_keys}"
             raise InputError(key, value, requirement)
         table_values_by_name[key_name] = TipTiming.checked(key_name, value)
-    with console.stage("arrival times"):
+    with console.report_stage("arrival times"):
         probe_angles = (
             np.radians(table_values_by_name["probes"]) if "probes" in table_values_by_name else None
         )
@@ -192,21 +198,21 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     make_writable(folder, console.comm)
     first_arrivals = next(iter(arrivals_by_blade.values()))
     console.print_notes(
-        f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_size(first_arrivals)}"
+        f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_arrival_counts(first_arrivals)}"
     )
     needs_probes = (
         first_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
     )
     if needs_probes and not has_probe_angles(arguments.scene):
-        raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT)
+        raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT_TEXT)
     record_values_by_name = {
         "probes": np.degrees(first_arrivals.probes).tolist(),
         "tip_radius": first_arrivals.tip_radius,
     }
-    fits_by_blade = _fit_blades(
+    fits_by_blade = _fit_blade_vibrations(
         TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
     )
     doubt_texts = tuple(scene_timing.remarks_on_arrivals(first_arrivals))
-    return _write_report(
+    return _write_timing_report(
         Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), folder, console
     )
