@@ -116,7 +116,7 @@ def find_largest_displacements(run: Run[Any]) -> list[float]:
 def describe_large_error(
     scene: Scene,
     report: ErrorReport,
-    harmonics: int,
+    n_harmonics: int,
     location_text: str = "",
     error_limit: float = LARGE_ERROR,
 ) -> Iterator[str]:
@@ -135,7 +135,7 @@ def describe_large_error(
             else " (harmonic_balance.harmonics)"
         )
         refinement_text = f"more harmonics{setting_text}"
-    elif harmonics < MOST_HARMONICS:
+    elif n_harmonics < MOST_HARMONICS:
         refinement_text = "a smaller harmonic_balance.tolerance"
     is_unilateral = scene.contact is not None and scene.contact.law == "unilateral"
     residual_remedy = "softer contact, or contact.law = 'unilateral'"
@@ -249,7 +249,7 @@ def describe_mode_dependence(
 # --- printed parts of tables ----------------------------------------------------------------------
 
 
-def select_printed_quantities(table: Table, scene: Scene, place: Where) -> Table:
+def select_printed_quantities(table: Table, scene: Scene, table_place: Where) -> Table:
     """Return the printed part of a table: quantities that the scene requests.
 
     Without a request, quantities shown at the ``place`` are printed. Frequencies and speeds are
@@ -257,7 +257,7 @@ def select_printed_quantities(table: Table, scene: Scene, place: Where) -> Table
     any other table in each column. Other columns are always printed; other rows by their entry in
     :data:`OTHER_QUANTITIES_BY_NAME`.
     """
-    requested_names, default_names = scene.quantities, names_of(where=place)
+    requested_names, default_names = scene.quantities, names_of(where=table_place)
     table = _round_to_zero(table)
 
     def is_printed(name: str, unit: str) -> bool:
@@ -271,14 +271,15 @@ def select_printed_quantities(table: Table, scene: Scene, place: Where) -> Table
         printed_levels = (
             (PRINT_ALWAYS, PRINT_BY_DEFAULT) if requested_names is None else (PRINT_ALWAYS,)
         )
-        rows = [
-            row[1:]
-            for row in table.rows
-            if is_printed(row[0], row[3])
-            and not (isinstance(row[2], float) and np.isnan(row[2]))
-            and OTHER_QUANTITIES_BY_NAME.get(row[0], ("", "", PRINT_ALWAYS))[2] in printed_levels
+        printed_rows = [
+            table_row[1:]
+            for table_row in table.rows
+            if is_printed(table_row[0], table_row[3])
+            and not (isinstance(table_row[2], float) and np.isnan(table_row[2]))
+            and OTHER_QUANTITIES_BY_NAME.get(table_row[0], ("", "", PRINT_ALWAYS))[2]
+            in printed_levels
         ]
-        return Table(table.columns[1:], rows)
+        return Table(table.columns[1:], printed_rows)
     return _select_columns(table, is_printed)
 
 
@@ -287,21 +288,24 @@ def _round_to_zero(table: Table) -> Table:
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
 
-    def round_value(value: Any, unit: str) -> Any:
-        can_round = isinstance(value, float) and unit in UNITS_ROUNDED_TO_ZERO
-        return 0.0 if can_round and abs(value) <= 1e-15 else value
+    def round_value(cell_value: Any, unit: str) -> Any:
+        can_round = isinstance(cell_value, float) and unit in UNITS_ROUNDED_TO_ZERO
+        return 0.0 if can_round and abs(cell_value) <= 1e-15 else cell_value
 
-    rows = []
-    for row in table.rows:
+    rounded_rows = []
+    for table_row in table.rows:
         row_units = (
             column_units
             if unit_column_index is None
-            else len(column_units) * [str(row[unit_column_index])]
+            else len(column_units) * [str(table_row[unit_column_index])]
         )
-        rows.append(
-            [round_value(*value_and_unit) for value_and_unit in zip(row, row_units, strict=True)]
+        rounded_rows.append(
+            [
+                round_value(*cell_and_unit)
+                for cell_and_unit in zip(table_row, row_units, strict=True)
+            ]
         )
-    return Table(table.columns, rows)
+    return Table(table.columns, rounded_rows)
 
 
 def printed_table(report: Report) -> Table:
@@ -332,7 +336,7 @@ def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Ta
     ]
     return Table(
         [table.columns[column_index] for column_index in column_indices],
-        [[row[column_index] for column_index in column_indices] for row in table.rows],
+        [[table_row[column_index] for column_index in column_indices] for table_row in table.rows],
     )
 
 
@@ -342,21 +346,25 @@ def format_known_quantities(table: Table) -> Table:
     The table has a column "name". Relative quantities are percentages: "5.7 %". Columns of errors
     follow if the table has them.
     """
-    rows = [row[1:] for row in _round_to_zero(table).rows if row[2] == row[2]]
+    known_rows = [
+        table_row[1:] for table_row in _round_to_zero(table).rows if table_row[2] == table_row[2]
+    ]
     return Table(
         ("quantity", "value", *table.columns[4:]),
-        [(*_format_quantity(*row[:3]), *row[3:]) for row in rows],
+        [(*_format_quantity(*table_row[:3]), *table_row[3:]) for table_row in known_rows],
     )
 
 
-def _format_quantity(description: str, value: Any, unit: str) -> tuple[str, Any]:
+def _format_quantity(description: str, quantity_value: Any, unit: str) -> tuple[str, Any]:
     """Return a quantity's description, and the value with unit as text."""
-    is_finite_number = isinstance(value, float) and np.isfinite(value)
+    is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
-        return description, quantity(value, unit)
+        return description, quantity(quantity_value, unit)
     if is_finite_number and description.startswith("relative "):
-        return description, percent(value)
+        return description, percent(quantity_value)
     value_text = (
-        f"{value:.6g}" if is_finite_number else {True: "yes", False: "no"}.get(value, value)
+        f"{quantity_value:.6g}"
+        if is_finite_number
+        else {True: "yes", False: "no"}.get(quantity_value, quantity_value)
     )
     return description, value_text if unit in ("-", "1", "") else f"{value_text} {unit}"

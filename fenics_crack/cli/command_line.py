@@ -88,7 +88,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
-    if any(os.environ.get(name, "0") != "0" for name in threads.LAUNCHERS):
+    if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.LAUNCHERS):
         _discard_rank_output()
     if sys.stdout is None:
         _print_message("standard output is closed")
@@ -118,9 +118,11 @@ def main(command_words: Sequence[str] | None = None) -> int:
         return Exit.READER_GONE
     except Exception as error:
         if "FromOptions()" in (error_message := str(error).rstrip()):  # a value unknown to PETSc
-            requirement = f"with values that PETSc knows ({error_message.rpartition('[0] ')[2]})"
+            requirement_text = (
+                f"with values that PETSc knows ({error_message.rpartition('[0] ')[2]})"
+            )
             _print_input_errors(
-                [InputError("PETSc options", " ".join(_petsc_arguments()), requirement)]
+                [InputError("PETSc options", " ".join(_petsc_arguments()), requirement_text)]
             )
             return Exit.BAD_INPUT
         if shortage_text := _describe_resource_shortage(error):
@@ -167,17 +169,17 @@ def _arguments_before_petsc() -> list[str]:
     PETSc reads all later words itself, as in scripts (``basics/ranks.py``). Raises InputError for a
     prefix that no solver has.
     """
-    for word in (petsc_arguments := _petsc_arguments()):
-        if word.startswith("-crack_") and not word.startswith(PETSC_PREFIXES):
+    for argument in (petsc_arguments := _petsc_arguments()):
+        if argument.startswith("-crack_") and not argument.startswith(PETSC_PREFIXES):
             raise InputError(
-                "PETSc option", word, f"one that begins with {' or '.join(PETSC_PREFIXES)}"
+                "PETSc option", argument, f"one that begins with {' or '.join(PETSC_PREFIXES)}"
             )
     return sys.argv[1 : len(sys.argv) - len(petsc_arguments)]
 
 
 def _petsc_arguments() -> list[str]:
     """Return the words of the command line from the first ``-crack_`` on."""
-    return [*dropwhile(lambda word: not word.startswith("-crack_"), sys.argv[1:])]
+    return [*dropwhile(lambda argument: not argument.startswith("-crack_"), sys.argv[1:])]
 
 
 def _discard_rank_output() -> None:
@@ -191,21 +193,29 @@ def _print_message(text: str, stream: TextIO | None = None) -> None:
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
 
 
-def _print_input_errors(errors: Sequence[InputError]) -> None:
+def _print_input_errors(input_errors: Sequence[InputError]) -> None:
     """Print a line for each error, with examples for missing input.
 
     The example for a key ends the error's line; examples for tables follow all errors.
     """
     example_blocks = []
-    for error in errors:
-        key, example_text = SCENE_KEY_BY_ARGUMENT.get(error.key, error.key), ""
-        if error.value is None:
+    for input_error in input_errors:
+        scene_key, example_text = SCENE_KEY_BY_ARGUMENT.get(input_error.key, input_error.key), ""
+        if input_error.value is None:
             from fenics_crack.cli.given import example_line, example_table
 
-            example_assignment = "" if key in error.allowed else example_line(key, error.allowed)
+            example_assignment = (
+                ""
+                if scene_key in input_error.allowed
+                else example_line(scene_key, input_error.allowed)
+            )
             example_text = f"; for example {example_assignment}" if example_assignment else ""
-            example_blocks.append(example_table(key) if error.example is None else error.example)
-        _print_message(f"{type(error)(key, error.value, error.allowed)}{example_text}")
+            example_blocks.append(
+                example_table(scene_key) if input_error.example is None else input_error.example
+            )
+        _print_message(
+            f"{type(input_error)(scene_key, input_error.value, input_error.allowed)}{example_text}"
+        )
     if example_lines := "\n\n".join(filter(None, example_blocks)):
         print(f"for example:\n\n{example_lines}", file=sys.stderr)
 
@@ -311,10 +321,12 @@ def _call_command(
         from fenics_crack.study.shelf import Shelf
 
         structure_path = inputs.folder / STRUCTURE_FILE_NAME
-        is_read = on_root(
+        can_read_structure = on_root(
             console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
         )
-        SHELVES[:] = [Shelf(structure_path, console.print_notes, is_read=is_read and not is_fresh)]
+        SHELVES[:] = [
+            Shelf(structure_path, console.print_notes, is_read=can_read_structure and not is_fresh)
+        ]
     if arguments.command != "clean":  # before the mesh, which may take minutes
         console.print_remarks(*remarks_on_scene(inputs.scene))
     try:
@@ -335,10 +347,10 @@ class OrderRangeAction(argparse.Action):
         """Add the orders to the values of --set, called by argparse."""
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
-            requirement = f"whole numbers, 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
-            raise InputError("--orders", order_range, requirement)
-        orders = [*range(first_order, last_order + 1)]
-        arguments.set = [*arguments.set, f"tip_timing.orders={orders}"]
+            requirement_text = f"whole numbers, 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
+            raise InputError("--orders", order_range, requirement_text)
+        engine_orders = [*range(first_order, last_order + 1)]
+        arguments.set = [*arguments.set, f"tip_timing.orders={engine_orders}"]
 
 
 def path(text: str) -> Path:
@@ -571,19 +583,23 @@ class SuggestingParser(argparse.ArgumentParser):
         if re.search(r"unrecognized arguments: [\w.]+=", message):
             message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
         elif wrong_word_match and wrong_word_match[2]:
-            option = wrong_word_match[2].partition("=")[0]
+            unknown_option = wrong_word_match[2].partition("=")[0]
             commands_with_option = [
-                name for name in HELP_AND_CALL_BY_COMMAND if option in list_options(name)
+                command_name
+                for command_name in HELP_AND_CALL_BY_COMMAND
+                if unknown_option in list_options(command_name)
             ]
             all_options = list_options(*HELP_AND_CALL_BY_COMMAND)
-            message += f"; {meant([] if commands_with_option else near(option, all_options))}"
+            message += (
+                f"; {meant([] if commands_with_option else near(unknown_option, all_options))}"
+            )
             message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
         elif wrong_word_match:
             python_calls = "\n".join(in_other_words(wrong_word_match[1]))
             suggested_commands = [
-                name
-                for name in HELP_AND_CALL_BY_COMMAND
-                if re.search(rf"fc\.(run_)?{name}\(", python_calls)
+                command_name
+                for command_name in HELP_AND_CALL_BY_COMMAND
+                if re.search(rf"fc\.(run_)?{command_name}\(", python_calls)
             ]
             similar_commands = near(wrong_word_match[1], HELP_AND_CALL_BY_COMMAND)
             message += f"; {meant(similar_commands or suggested_commands)}"
@@ -603,16 +619,23 @@ class CompletionAction(argparse.Action):
             parser.error("--completion needs shtab: python -m pip install shtab")
         keys_text = " ".join(known_keys())
         preamble_by_shell = {
-            shell: text.format(keys_text) for shell, text in KEY_FUNCTION_CODE_BY_SHELL.items()
+            shell: function_code.format(keys_text)
+            for shell, function_code in KEY_FUNCTION_CODE_BY_SHELL.items()
         }
         print(shtab.complete(parser, call_arguments[1], preamble=preamble_by_shell))
         parser.exit()
 
 
-def list_options(*commands: str) -> list[str]:
+def list_options(*command_names: str) -> list[str]:
     """Return the options of several commands without repetition."""
-    argument_names = " ".join(HELP_AND_CALL_BY_COMMAND[name][1] for name in commands).split()
-    command_options = [word.partition("=")[0] for word in argument_names if word.startswith("--")]
+    argument_names = " ".join(
+        HELP_AND_CALL_BY_COMMAND[command_name][1] for command_name in command_names
+    ).split()
+    command_options = [
+        argument_name.partition("=")[0]
+        for argument_name in argument_names
+        if argument_name.startswith("--")
+    ]
     return list(dict.fromkeys([*command_options, "--format", "--quiet", "--verbose", "--help"]))
 
 
@@ -639,14 +662,16 @@ def build_parser() -> argparse.ArgumentParser:
         command_parser = command_group.add_parser(
             command_name, help=command_help, description=command_help[0].upper() + command_help[1:]
         )
-        for argument in [*call_text.split()[1:], "--format"]:
-            argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[argument]
+        for argument_name in [*call_text.split()[1:], "--format"]:
+            argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[argument_name]
             argument_action = command_parser.add_argument(
-                argument.partition("=")[0], help=argument_help, **argument_options
+                argument_name.partition("=")[0], help=argument_help, **argument_options
             )
-            if argument == "--set" or argument_options.get("type") is path:
+            if argument_name == "--set" or argument_options.get("type") is path:
                 completion_by_shell = (
-                    KEY_COMPLETION_BY_SHELL if argument == "--set" else PATH_COMPLETION_BY_SHELL
+                    KEY_COMPLETION_BY_SHELL
+                    if argument_name == "--set"
+                    else PATH_COMPLETION_BY_SHELL
                 )
                 argument_action.complete = completion_by_shell  # type: ignore[attr-defined]
         verbosity_group = command_parser.add_mutually_exclusive_group()

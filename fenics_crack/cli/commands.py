@@ -35,7 +35,10 @@ if TYPE_CHECKING:
 
 
 def run_and_report_function(
-    function: Callable[..., Any], arguments: Namespace, inputs: CommandInputs, console: Console
+    package_function: Callable[..., Any],
+    arguments: Namespace,
+    inputs: CommandInputs,
+    console: Console,
 ) -> Exit:
     """Run a package function as a command, write the result, print the report.
 
@@ -56,13 +59,13 @@ def run_and_report_function(
     values_by_parameter |= (
         vars(arguments) | vars(inputs) | {"scene": inputs.prepared_study or inputs.scene}
     )
-    keywords = {
-        parameter: values_by_parameter[parameter]
-        for parameter in signature(function).parameters
-        if parameter in values_by_parameter
+    arguments_by_parameter = {
+        parameter_name: values_by_parameter[parameter_name]
+        for parameter_name in signature(package_function).parameters
+        if parameter_name in values_by_parameter
     }
-    with console.report_stage(arguments.command, has_bars="folder" in keywords):
-        result = function(**keywords)
+    with console.report_stage(arguments.command, has_bars="folder" in arguments_by_parameter):
+        result = package_function(**arguments_by_parameter)
     file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
     is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
@@ -217,7 +220,7 @@ def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console
 
 
 def _convert_arrivals(
-    source: dict[int, ArrivalTimes] | Path,
+    arrival_source: dict[int, ArrivalTimes] | Path,
     scene: Scene,
     console: Console,
     *,
@@ -237,10 +240,10 @@ def _convert_arrivals(
     from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
 
-    arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, source, console.comm)
+    arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, arrival_source, console.comm)
     [arrivals] = arrivals_by_blade.values()
     console.print_remarks(*([] if run else scene_timing.remarks_on_arrivals(arrivals)))
-    option = "--before" if is_uncracked else "arrivals"
+    option_name = "--before" if is_uncracked else "arrivals"
     if scene_timing.is_run_up(arrivals, run):
         with console.report_stage("resonances"):
             blade_scene = scene.replace(without_crack(scene) or {}) if is_uncracked else scene
@@ -248,23 +251,25 @@ def _convert_arrivals(
         console.print_notes(
             *(scene_timing.passed_in_words(*passed_mode) for passed_mode in passed_modes)
         )
-        fits, modes, _ = zip(*passed_modes, strict=True) if passed_modes else ((), (), ())
-        if not any(modes):
-            requirement = "of a constant speed, or a run-up through a resonance of the blade"
-            raise InputError(option, repr(arrivals), requirement)
+        passage_fits, mode_numbers, _ = (
+            zip(*passed_modes, strict=True) if passed_modes else ((), (), ())
+        )
+        if not any(mode_numbers):
+            requirement_text = "of a constant speed, or a run-up through a resonance of the blade"
+            raise InputError(option_name, repr(arrivals), requirement_text)
         measured_quantity = "frequency_uncracked" if is_uncracked else "frequency_resonance"
-        return Measurements.from_passages(fits, modes, quantity=measured_quantity)
+        return Measurements.from_passages(passage_fits, mode_numbers, quantity=measured_quantity)
     if is_uncracked:
-        raise InputError(option, repr(arrivals), "those of a run-up, or frequency responses")
+        raise InputError(option_name, repr(arrivals), "those of a run-up, or frequency responses")
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
     if has_fixed_speed and abs(arrivals.mean_speed / scene.speed - 1.0) > STEADY:
         measured_speed, scene_speed = (
             speed_in_words(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
         )
-        requirement = (
+        requirement_text = (
             f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"
         )
-        raise InputError(option, measured_speed, requirement)
+        raise InputError(option_name, measured_speed, requirement_text)
     engine_order = scene_timing.engine_order(scene.given("tip_timing"), scene)
     tip_displacement, reference_text = scene_timing.probed_displacement(scene)
     return Measurements.from_arrivals(
@@ -313,7 +318,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     file_names = f"posterior.{console.picture_format}, fit.csv, where_to_measure.csv"
     console.print_notes(f"{folder / 'identify.h5'}, .json; {file_names}", replacement_note)
     report = build_report(Identified(scene, identification.summary(), folder / "posterior.png"))
-    remarks = [*report.remarks, *remarks_on_scene(scene)]
+    remark_texts = [*report.remarks, *remarks_on_scene(scene)]
     return print_report_sentences(
-        replace(report, remarks=remarks, done=not identification.doubts), console
+        replace(report, remarks=remark_texts, done=not identification.doubts), console
     )

@@ -54,14 +54,16 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
     """Print a table of all checks; return FAULT if any check fails."""
     with loading():
         from fenics_crack.basics.tables import Table  # NumPy
-    rows = [
+    check_rows = [
         (check_name, "FAULT" if is_fault else "ok", finding_text)
         for check_name, finding_text, is_fault in run_checks(CHECKS_BY_NAME)
     ]
     print(
-        Table(("check", "verdict", "finding"), rows).formatted(arguments.format), end="", flush=True
+        Table(("check", "verdict", "finding"), check_rows).formatted(arguments.format),
+        end="",
+        flush=True,
     )
-    return Exit.FAULT if any(verdict == "FAULT" for _, verdict, _ in rows) else Exit.DONE
+    return Exit.FAULT if any(verdict == "FAULT" for _, verdict, _ in check_rows) else Exit.DONE
 
 
 def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[str, str, bool]]:
@@ -79,10 +81,10 @@ def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[s
     log_handler.emit = lambda record: warning_texts.append(record.getMessage())  # type: ignore[method-assign]
     LOGGER.addHandler(log_handler)
     try:
-        for check_name, check in checks_by_name.items():
+        for check_name, check_function in checks_by_name.items():
             earlier_warnings = [*warning_texts]
             try:
-                finding_text = check()
+                finding_text = check_function()
             except Exception as error:
                 finding_text = " ".join(f"{error}".split()) or type(error).__name__
                 warning_texts.append(finding_text)
@@ -142,8 +144,8 @@ def _check_petsc() -> str:
 
     if not PETSc.Sys.hasExternalPackage("mumps"):
         raise InputError("PETSc", "without MUMPS", "built with MUMPS")
-    versions = [".".join(map(str, package.Sys.getVersion())) for package in (PETSc, slepc())]
-    return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*versions)
+    version_texts = [".".join(map(str, package.Sys.getVersion())) for package in (PETSc, slepc())]
+    return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*version_texts)
 
 
 def _check_gmsh() -> str:
@@ -166,8 +168,8 @@ def _check_dolfinx() -> str:
 
 def _check_compiler() -> str:
     """Return path and version of the C compiler."""
-    compiler = c_compiler()
-    return f"{compiler}: {version_of(compiler)}"
+    compiler_path = c_compiler()
+    return f"{compiler_path}: {version_of(compiler_path)}"
 
 
 def _check_caches() -> str:
@@ -180,21 +182,21 @@ def _check_caches() -> str:
 def _check_pictures() -> str:
     """Return the versions of Matplotlib and pyvista."""
     with loading():
-        matplotlib, pyvista = map(import_module, ("matplotlib", "pyvista"))
-    return f"Matplotlib {matplotlib.__version__}, pyvista {pyvista.__version__}"
+        matplotlib_module, pyvista_module = map(import_module, ("matplotlib", "pyvista"))
+    return f"Matplotlib {matplotlib_module.__version__}, pyvista {pyvista_module.__version__}"
 
 
 def _check_two_masses() -> str:
     """Compare the gap extrema of two masses at stops with known values."""
     import numpy as np
 
-    fenics_crack = import_module("fenics_crack")
+    package_module = import_module("fenics_crack")
     stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])  # in phase they are two single oscillators
-    structure = fenics_crack.Structure.from_matrices(
+    structure = package_module.Structure.from_matrices(
         np.eye(2), stiffness, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
     )
-    orbit = fenics_crack.solve_harmonic_balance(
-        structure, 1.0, fenics_crack.UnilateralPenalty(1.0), harmonics=40
+    orbit = package_module.solve_harmonic_balance(
+        structure, 1.0, package_module.UnilateralPenalty(1.0), harmonics=40
     )
     gaps = orbit.gap(np.linspace(0.0, orbit.period, 4096))
     relative_error = np.max(
@@ -207,40 +209,40 @@ def _check_plate() -> str:
     """Compare a plate's frequency with a bar's, and its vibration by two solvers."""
     import numpy as np
 
-    fenics_crack = import_module("fenics_crack")
-    scene = fenics_crack.Scene.from_mapping(PLATE_SCENE_TABLES)
-    uncracked_structure = fenics_crack.build_structure(
-        scene.replace({"crack": None, "contact": None})
+    package_module = import_module("fenics_crack")
+    plate_scene = package_module.Scene.from_mapping(PLATE_SCENE_TABLES)
+    uncracked_structure = package_module.build_structure(
+        plate_scene.replace({"crack": None, "contact": None})
     )
     bar_omega = 0.5 * np.pi / 0.1 * np.sqrt(2e9 / 7800.0)
     frequency_error = np.min(
-        np.abs(fenics_crack.solve_modes(uncracked_structure, 4).omega / bar_omega - 1.0)
+        np.abs(package_module.solve_modes(uncracked_structure, 4).omega / bar_omega - 1.0)
     )
     cracked_structure, contact_law = (
-        fenics_crack.build_structure(scene),
-        fenics_crack.UnilateralPenalty(1e9),
+        package_module.build_structure(plate_scene),
+        package_module.UnilateralPenalty(1e9),
     )
     condensed_coefficients, block_coefficients = (
-        fenics_crack.solve_harmonic_balance(
+        package_module.solve_harmonic_balance(
             cracked_structure, 2000.0, contact_law, harmonics=5, form=solver_form
         ).gap_coefficients
         for solver_form in ("condensed", "block")
     )
-    difference = np.max(np.abs(condensed_coefficients - block_coefficients)) / np.max(
+    relative_difference = np.max(np.abs(condensed_coefficients - block_coefficients)) / np.max(
         np.abs(block_coefficients)
     )
     return (
         f"{_check_error('natural frequency of a bar', frequency_error, 1e-5)}; "
-        f"{_check_error('vibration by two solvers', difference, 1e-8)}"
+        f"{_check_error('vibration by two solvers', relative_difference, 1e-8)}"
     )
 
 
 def _check_error(quantity_name: str, relative_error: float, tolerance: float) -> str:
     """Return a sentence on the error of a quantity; ArithmeticError above the tolerance."""
-    text = f"{quantity_name}: {relative_error:.0e} from the known value"
+    error_text = f"{quantity_name}: {relative_error:.0e} from the known value"
     if not relative_error <= tolerance:
-        raise ArithmeticError(f"{text}, at most {tolerance:g} is allowed")
-    return text
+        raise ArithmeticError(f"{error_text}, at most {tolerance:g} is allowed")
+    return error_text
 
 
 CHECKS_BY_NAME = {

@@ -30,11 +30,11 @@ class PictureFiles:
     captions_by_path: dict[Path, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def __call__(self, stem: str, caption: str, file_format: str = "") -> Path:
+    def __call__(self, file_stem: str, caption: str, file_format: str = "") -> Path:
         """Return the path of a new picture, and record the caption.
 
         ``file_format`` replaces the common format for this picture.
         """
-        path = self.folder / f"{stem}.{file_format or self.file_format}"
-        self.captions_by_path[path] = caption
-        return path
+        picture_path = self.folder / f"{file_stem}.{file_format or self.file_format}"
+        self.captions_by_path[picture_path] = caption
+        return picture_path

@@ -99,14 +99,16 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
     InputError
         A file or an option cannot be used.
     """
-    is_record = arguments.command == "timing" and arguments.scene.suffix.lower() == ".csv"
-    if "scene" not in arguments or is_record:
+    is_arrival_record = arguments.command == "timing" and arguments.scene.suffix.lower() == ".csv"
+    if "scene" not in arguments or is_arrival_record:
         return None
     changes_by_key = parse_changes(arguments.set)
     try:
         scene = Scene.load(arguments.scene, changes_by_key)
-    except InputError as error:
-        error.others = tuple(_find_further_errors(error, arguments.scene, changes_by_key))
+    except InputError as scene_error:
+        scene_error.others = tuple(
+            _find_further_errors(scene_error, arguments.scene, changes_by_key)
+        )
         raise
     _check_option_numbers(arguments, scene)
     output_path = vars(arguments).get("output")
@@ -114,11 +116,14 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
         if output_path.suffix.lower() != ".h5":
             raise InputError("--output", str(output_path), "a .h5 file")
         output_path = output_path.parent
-    folder = output_path or Path("output") / arguments.scene.stem
+    result_folder = output_path or Path("output") / arguments.scene.stem
     arrival_source = _read_arrivals(scene, arguments, vars(arguments).get("arrivals"))
     if arguments.command != "identify":
         return CommandInputs(
-            scene, folder, arrival_source=arrival_source, speeds=_campbell_speeds(arguments, scene)
+            scene,
+            result_folder,
+            arrival_source=arrival_source,
+            speeds=_campbell_speeds(arguments, scene),
         )
     has_uncracked_record = (
         arguments.before is not None and arguments.before.suffix.lower() in RECORD_SUFFIXES
@@ -129,7 +134,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
     measurements = _read_measurements(
         arguments, scene, None if has_uncracked_record else arguments.before
     )
-    return CommandInputs(scene, folder, measurements, arrival_source, uncracked_source)
+    return CommandInputs(scene, result_folder, measurements, arrival_source, uncracked_source)
 
 
 def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
@@ -141,9 +146,11 @@ def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
         The file cannot be used, or the command or a changed key needs a mesh.
     """
     if arguments.command not in COMMANDS_FOR_PREPARED_FILES:
-        requirement = f"a scene for {arguments.command}; a file of reduce is one for "
+        requirement_text = f"a scene for {arguments.command}; a file of reduce is one for "
         raise InputError(
-            "scene", str(arguments.scene), requirement + " and ".join(COMMANDS_FOR_PREPARED_FILES)
+            "scene",
+            str(arguments.scene),
+            requirement_text + " and ".join(COMMANDS_FOR_PREPARED_FILES),
         )
     from fenics_crack.study.artefact import load_prepared  # the solver
 
@@ -213,8 +220,8 @@ def _find_further_errors(
 
 def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
     """Raise InputError if a numerical option is out of range."""
-    if (count := vars(arguments).get("count")) is not None:
-        check_count("--count", count, 1)
+    if (mode_count := vars(arguments).get("count")) is not None:
+        check_count("--count", mode_count, 1)
     if arguments.command == "disk":
         scene.given("disk")
         check_count("--patterns", arguments.patterns, 0, MAX_CASES)
@@ -228,11 +235,21 @@ def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
         return None
     scene.given("rotation")
     unit_factor = RPM if scene.in_rpm else 1.0
-    start, stop, n_speeds = arguments.speeds or (0.0, 1.5 * scene.speed / unit_factor, 13)
-    if not (0.0 <= start < stop < np.inf and 2 <= n_speeds <= MAX_CASES and n_speeds % 1 == 0):
-        requirement = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
-        raise InputError("--speeds", arguments.speeds or (start, stop, n_speeds), requirement)
-    return unit_factor * np.linspace(start, stop, int(n_speeds))
+    first_speed, last_speed, n_speeds = arguments.speeds or (
+        0.0,
+        1.5 * scene.speed / unit_factor,
+        13,
+    )
+    if not (
+        0.0 <= first_speed < last_speed < np.inf
+        and 2 <= n_speeds <= MAX_CASES
+        and n_speeds % 1 == 0
+    ):
+        requirement_text = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
+        raise InputError(
+            "--speeds", arguments.speeds or (first_speed, last_speed, n_speeds), requirement_text
+        )
+    return unit_factor * np.linspace(first_speed, last_speed, int(n_speeds))
 
 
 def _read_measurements(
@@ -242,22 +259,24 @@ def _read_measurements(
 
     The result is None if there are arrivals only.
     """
-    paths, mode_numbers = arguments.measurements, arguments.modes
-    if not paths and arguments.arrivals is None:
-        requirement = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
-        raise InputError("measurements", None, requirement)
-    if not paths and uncracked_path is None and not mode_numbers:
+    measurement_paths, mode_numbers = arguments.measurements, arguments.modes
+    if not measurement_paths and arguments.arrivals is None:
+        requirement_text = (
+            "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
+        )
+        raise InputError("measurements", None, requirement_text)
+    if not measurement_paths and uncracked_path is None and not mode_numbers:
         return None
     from fenics_crack.monitoring.identification.measurements import UNIVERSAL, Measurements
 
     if (
         mode_numbers
         and uncracked_path is None
-        and not any(path.suffix.lower() in UNIVERSAL for path in paths)
+        and not any(path.suffix.lower() in UNIVERSAL for path in measurement_paths)
     ):
-        requirement = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
-        raise InputError("--modes", list(mode_numbers), requirement)
-    measurement_sets = [Measurements.read(path, mode_numbers) for path in paths]
+        requirement_text = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
+        raise InputError("--modes", list(mode_numbers), requirement_text)
+    measurement_sets = [Measurements.read(path, mode_numbers) for path in measurement_paths]
     if uncracked_path is not None:
         measurement_sets.append(
             Measurements.from_responses(
@@ -265,7 +284,7 @@ def _read_measurements(
             )
         )
     measurements = sum(measurement_sets[1:], measurement_sets[0])
-    if paths:
+    if measurement_paths:
         measurements.check(scene)
     return measurements
 
@@ -303,9 +322,11 @@ def select_blades(
     if blade_number is None and (allows_several or len(arrivals_by_blade) == 1):
         return arrivals_by_blade
     if blade_number is None or blade_number not in arrivals_by_blade:
-        requirement = f"one of {', '.join(map(str, arrivals_by_blade))} in {record_path}"
+        requirement_text = f"one of {', '.join(map(str, arrivals_by_blade))} in {record_path}"
         raise InputError(
-            "--blade", blade_number, f"{'given: ' if blade_number is None else ''}{requirement}"
+            "--blade",
+            blade_number,
+            f"{'given: ' if blade_number is None else ''}{requirement_text}",
         )
     return {blade_number: arrivals_by_blade[blade_number]}
 
@@ -317,15 +338,15 @@ def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
     """
     values_by_key: dict[str, Any] = {}
     for assignment in assignments:
-        key, equals_sign, value_text = assignment.partition("=")
-        if not equals_sign or not key.strip():
+        key_text, equals_sign, value_text = assignment.partition("=")
+        if not equals_sign or not key_text.strip():
             raise InputError("--set", assignment, "key=value, for example contact.stiffness=1e9")
         value_text = value_text.strip()
         try:
             key_value = tomllib.loads(f"value = {value_text}")["value"]
         except (ValueError, RecursionError):
             key_value = None if value_text == "none" else value_text
-        values_by_key[key.strip()] = key_value
+        values_by_key[key_text.strip()] = key_value
     return values_by_key
 
 
@@ -373,21 +394,25 @@ class Console:
         """Print a table."""
         print(table.formatted(self.table_format), end="", flush=True)
 
-    def print_notes(self, *texts: str) -> None:
+    def print_notes(self, *note_texts: str) -> None:
         """Print notes that are not empty, unless quiet."""
-        for text in filter(None, texts):
-            LOGGER.info("%s", text)
+        for note_text in filter(None, note_texts):
+            LOGGER.info("%s", note_text)
 
     def print_remarks(self, *remarks: object) -> None:
         """Print remarks on a scene, each once, unless quiet."""
-        unprinted_texts = [text for text in map(str, remarks) if text not in self.printed_remarks]
+        unprinted_texts = [
+            remark_text
+            for remark_text in map(str, remarks)
+            if remark_text not in self.printed_remarks
+        ]
         self.printed_remarks.update(unprinted_texts)
-        self.print_notes(*(f"remark: {text}" for text in unprinted_texts))
+        self.print_notes(*(f"remark: {remark_text}" for remark_text in unprinted_texts))
 
-    def print_warnings(self, *texts: str) -> None:
+    def print_warnings(self, *warning_texts: str) -> None:
         """Print warnings, even if quiet."""
-        for text in texts:
-            LOGGER.warning("%s", text)
+        for warning_text in warning_texts:
+            LOGGER.warning("%s", warning_text)
 
     @contextmanager
     def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
@@ -437,7 +462,9 @@ def keep_previous_result(
 
     previous_folder = table_path.with_name(BEFORE)
     file_names = [
-        f"{stem}{suffix}" for stem in (table_path.stem, *other_stems) for suffix in RESULT_ENDINGS
+        f"{file_stem}{file_suffix}"
+        for file_stem in (table_path.stem, *other_stems)
+        for file_suffix in RESULT_ENDINGS
     ]
 
     def keep_files_on_root() -> str:
@@ -522,26 +549,31 @@ def build_scene_text(scene_name: str, measurements_name: str, options: Collectio
     line_marks = [
         f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
     ]
-    lines = packaged(PLATE_TEMPLATE_PATH).splitlines()
-    lines = [_toggle_comment(line) if line.endswith(tuple(line_marks)) else line for line in lines]
-    scene_text = "\n".join([*map(_remove_mark, lines), ""])
+    template_lines = packaged(PLATE_TEMPLATE_PATH).splitlines()
+    template_lines = [
+        _toggle_comment(template_line)
+        if template_line.endswith(tuple(line_marks))
+        else template_line
+        for template_line in template_lines
+    ]
+    scene_text = "\n".join([*map(_remove_mark, template_lines), ""])
     return scene_text.replace("SCENE", shlex.quote(scene_name)).replace(
         "MEASURED", shlex.quote(measurements_name)
     )
 
 
-def example_line(key: str, requirement: str) -> str:
+def example_line(key: str, requirement_text: str) -> str:
     """Return the template line that sets a key, or "" without any.
 
-    If an error's ``requirement`` names other keys of the table, lines with these keys are accepted,
-    too.
+    If an error's ``requirement_text`` names other keys of the table, lines with these keys are
+    accepted, too.
     """
     table_name, _, key_name = key.partition(".")
-    key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement)
+    key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)
     template_lines = [
         template_line.partition("  #")[0].strip()
-        for block in _template_blocks(table_name)
-        for template_line in block
+        for table_lines in _template_blocks(table_name)
+        for template_line in table_lines
     ]
     return next(
         (
@@ -568,12 +600,14 @@ def _template_blocks(table_name: str) -> Iterator[list[str]]:
         packaged, (PLATE_TEMPLATE_PATH, *(f"cli/new_{name}.toml" for name in EXCLUSIVE_NEW_OPTIONS))
     )
     for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):
-        lines = block_text.splitlines()
-        for line_index, line in enumerate(lines):
+        block_lines = block_text.splitlines()
+        for line_index, line in enumerate(block_lines):
             if line.removeprefix("# ").startswith((f"[{table_name}]", f"[{table_name}.")):
                 is_commented = line.startswith("#")
                 table_lines = (
-                    line for line in lines[line_index:] if line.startswith("#") == is_commented
+                    line
+                    for line in block_lines[line_index:]
+                    if line.startswith("#") == is_commented
                 )
                 yield [
                     _remove_mark(_toggle_comment(line) if is_commented else line)

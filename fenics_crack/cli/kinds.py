@@ -102,8 +102,8 @@ RESULT_KINDS = {
 
 def load_function(function_path: str) -> Callable[..., Any]:
     """Import a function of the package from "folder.file:function"."""
-    function: Callable[..., Any] = pkgutil.resolve_name(f"fenics_crack.{function_path}")
-    return function
+    package_function: Callable[..., Any] = pkgutil.resolve_name(f"fenics_crack.{function_path}")
+    return package_function
 
 
 def build_report(result: Any) -> Report:
@@ -132,6 +132,6 @@ def restore_result(stored_file: Stored) -> Any:
         The file holds no result of a command.
     """
     if stored_file.kind not in RESULT_KINDS:
-        requirement = f"a result of one of these kinds: {', '.join(RESULT_KINDS)}"
-        raise InputError("result", str(stored_file.path), requirement)
+        requirement_text = f"a result of one of these kinds: {', '.join(RESULT_KINDS)}"
+        raise InputError("result", str(stored_file.path), requirement_text)
     return load_function(RESULT_KINDS[stored_file.kind].reader_function_path)(stored_file)

@@ -101,7 +101,7 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
     )
 
 
-def _propose_crack(surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
+def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Propose a crack above the clamp, on the largest face along an axis.
 
     Returns
@@ -113,22 +113,24 @@ def _propose_crack(surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.nda
         Distance through the part along the inward normal.
     """
     axis_direction = np.eye(3)[axis]
-    min_height = surface.triangles[..., axis].min()
-    max_height = surface.triangles[..., axis].max()
+    min_height = part_surface.triangles[..., axis].min()
+    max_height = part_surface.triangles[..., axis].max()
     axis_components = [
-        np.abs(surface.triangle_normals[surface.face_numbers == face_number][:, axis]).max()
-        for face_number in surface.sorted_face_numbers
+        np.abs(
+            part_surface.triangle_normals[part_surface.face_numbers == face_number][:, axis]
+        ).max()
+        for face_number in part_surface.sorted_face_numbers
     ]
     face_index = int((np.array(axis_components) < 0.7).argmax())
-    is_on_face = surface.face_numbers == surface.sorted_face_numbers[face_index]
-    target_point = surface.face_points[face_index] * (1.0 - axis_direction)
+    is_on_face = part_surface.face_numbers == part_surface.sorted_face_numbers[face_index]
+    target_point = part_surface.face_points[face_index] * (1.0 - axis_direction)
     target_point[axis] = min_height + CRACK_HEIGHT_FRACTION * (max_height - min_height)
     triangle_index = np.linalg.norm(
-        surface.triangle_centers[is_on_face] - target_point, axis=1
+        part_surface.triangle_centers[is_on_face] - target_point, axis=1
     ).argmin()
-    crack_point = surface.triangle_centers[is_on_face][triangle_index]
-    face_normal = surface.triangle_normals[is_on_face][triangle_index]
-    return crack_point, face_normal, ray_length(crack_point, -face_normal, surface.triangles)
+    crack_point = part_surface.triangle_centers[is_on_face][triangle_index]
+    face_normal = part_surface.triangle_normals[is_on_face][triangle_index]
+    return crack_point, face_normal, ray_length(crack_point, -face_normal, part_surface.triangles)
 
 
 def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
@@ -146,21 +148,21 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
         The file of the part cannot be used.
     """
     length_unit = "mm" if part_path.suffix.lower() == ".brep" else None
-    surface = _measure_surface(part_path, length_unit)
-    extents = np.ptp(surface.triangles.reshape(-1, 3), axis=0)
-    longest_axis = int(extents.argmax())
+    part_surface = _measure_surface(part_path, length_unit)
+    part_extents = np.ptp(part_surface.triangles.reshape(-1, 3), axis=0)
+    longest_axis = int(part_extents.argmax())
     clamp_point, tip_point = (
-        surface.face_points[surface.find_end_face(longest_axis, at_top=at_top)]
+        part_surface.face_points[part_surface.find_end_face(longest_axis, at_top=at_top)]
         for at_top in (False, True)
     )
-    crack_point, face_normal, part_depth = _propose_crack(surface, longest_axis)
-    listed_faces = surface.sorted_face_numbers[:MAX_LISTED_FACES]
+    crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
+    listed_faces = part_surface.sorted_face_numbers[:MAX_LISTED_FACES]
     picture_path = scene_path.with_name(f"{scene_path.stem}_faces.png")
     draw_faces(
-        surface.triangles,
-        surface.face_numbers,
+        part_surface.triangles,
+        part_surface.face_numbers,
         listed_faces,
-        surface.face_points,
+        part_surface.face_points,
         path=picture_path,
     )
     face_lines = [
@@ -168,14 +170,14 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
         f"tip = [{_format_vector(tip_point)}]",
     ]
     for line_number, (face_number, face_point) in enumerate(
-        zip(listed_faces, surface.face_points, strict=False), 1
+        zip(listed_faces, part_surface.face_points, strict=False), 1
     ):
-        area_mm2 = 1e6 * surface.face_area(face_number)
+        area_mm2 = 1e6 * part_surface.face_area(face_number)
         face_lines.append(
             f"# face_{line_number} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
         )
     text_by_placeholder = {
-        "EXTENTS": " x ".join(f"{extent:.4g}" for extent in extents),
+        "EXTENTS": " x ".join(f"{part_extent:.4g}" for part_extent in part_extents),
         "UNIT": f'unit = "{length_unit}"',
         "PART": json.dumps(os.path.relpath(part_path, scene_path.parent)),
         "PICTURE": picture_path.name,
@@ -186,7 +188,7 @@ def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
         "LOAD": _format_vector(tip_point),
         "RADII": _format_vector([0.5 * part_depth, 0.3 * part_depth]),
         "FORCE": _format_vector(np.eye(3)[np.abs(face_normal).argmax()]),
-        "SIZE": f"{min(part_depth, extents[longest_axis] / 15.0):.2g}",
+        "SIZE": f"{min(part_depth, part_extents[longest_axis] / 15.0):.2g}",
         "SCENE": shlex.quote(scene_path.name),
     }
     scene_text = packaged("cli/new_part.toml")

@@ -172,7 +172,7 @@ def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
     _draw_stress_intensity(run, picture_files, "integration_tips")
 
 
-def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, stem: str) -> None:
+def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem: str) -> None:
     """Draw stress intensities over the period, if they can be computed."""
     with suppress(InputError):  # a tip next to an edge, or no plate
         stress_intensities = stress_intensity(run)
@@ -184,12 +184,12 @@ def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, stem: str
         )
         caption = "Stress intensity at the crack tips over the period."
         plot.draw_stress_intensity(
-            stress_intensities, path=picture_files(stem, caption), title=title
+            stress_intensities, path=picture_files(file_stem, caption), title=title
         )
         if stress_intensities.three is not None and picture_files.has_vtk_files:
             from fenics_crack.draw.vtk import write_fronts
 
-            write_fronts(stress_intensities, picture_files(f"{stem}_along_fronts", "", "vtu"))
+            write_fronts(stress_intensities, picture_files(f"{file_stem}_along_fronts", "", "vtu"))
 
 
 def _draw_waveforms(
@@ -203,8 +203,10 @@ def _draw_waveforms(
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
     drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
-    for place, crack_closing in waveforms.closings_by_place.items():
-        drawn_waves.append(plot.Wave(f"closing {place}", time, crack_closing, *next(line_styles)))
+    for crack_place, crack_closing in waveforms.closings_by_place.items():
+        drawn_waves.append(
+            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(line_styles))
+        )
     period = None if omega is None else 2.0 * np.pi / omega
     plot.draw_waves(
         drawn_waves, quantity="displacement", period=period, zero=zero_label, **picture_options
@@ -275,13 +277,13 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
             "open",
         )
     responses_by_label = {
-        label: _compute_linear_response(curve.omega, *case)
-        for label, case in cases_by_label.items()
+        case_label: _compute_linear_response(curve.omega, *case)
+        for case_label, case in cases_by_label.items()
     }
     min_amplitude = NEGLIGIBLE * np.max(curve.amplitude(run.watched_dof))  # less is no vibration
     return {
-        label: (omega, amplitudes)
-        for label, (omega, amplitudes) in responses_by_label.items()
+        case_label: (omega_values, amplitudes)
+        for case_label, (omega_values, amplitudes) in responses_by_label.items()
         if np.max(amplitudes) > min_amplitude
     }
 
@@ -346,22 +348,24 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     ):  # of each quantity
         fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
         fixed_value_texts = [
-            f"{key_in_words(key)} {value_in_words(key, value)}"
-            for key, value in zip(fixed_keys, fixed_values, strict=True)
+            f"{key_in_words(key)} {value_in_words(key, fixed_value)}"
+            for key, fixed_value in zip(fixed_keys, fixed_values, strict=True)
         ]
-        for name, quantity in sweep_result.quantities.items():
+        for quantity_name, name_and_unit in sweep_result.quantities.items():
             picture_values = split_pictures(
-                np.where(sweep_result.converged, sweep_result[name], np.nan)
+                np.where(sweep_result.converged, sweep_result[quantity_name], np.nan)
             )[picture_index]
             if np.any(np.isfinite(picture_values)):
-                stem = f"sweep_{name}{f'_{picture_index + 1}' if fixed_indices else ''}"
+                file_stem = (
+                    f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_indices else ''}"
+                )
                 draw_swept(
                     drawn_axes,
                     picture_values,
                     is_doubtful[picture_index],
-                    quantity,
+                    name_and_unit,
                     picture_files,
-                    stem,
+                    file_stem,
                     fixed_value_texts,
                 )
 
@@ -376,7 +380,8 @@ def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
     axis_indices = [
         axis_index
         for axis_index, axis in enumerate(axes)
-        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
+        if len(axis.values) > 1
+        and all(isinstance(axis_value, float | int) for axis_value in axis.values)
     ]
     if not axis_indices:
         raise InputError("sweep.over", [axis.key for axis in axes], "over numbers, to be drawn")
@@ -395,9 +400,9 @@ def draw_swept(
     axes: Sequence[Axis],
     values: np.ndarray,
     is_doubtful: np.ndarray,
-    quantity: tuple[str, str],
+    name_and_unit: tuple[str, str],
     picture_files: PictureFiles,
-    stem: str,
+    file_stem: str,
     fixed_texts: Sequence[str] = (),
 ) -> None:
     """Draw a quantity over one or two axes: lines, a map, or both.
@@ -406,9 +411,9 @@ def draw_swept(
     ----------
     values, is_doubtful : (n_x, n_y)
         Values, and True for a large error or a case that is not stable.
-    quantity : (str, str)
-        Name and unit.
-    stem : str
+    name_and_unit : (str, str)
+        Name and unit of the quantity.
+    file_stem : str
         Name of the pictures.
     fixed_texts : sequence of str
         Names and values on all other axes.
@@ -421,46 +426,47 @@ def draw_swept(
         _scale_axis(axis, axis_array[value_order])
         for axis, axis_array, value_order in zip(axes, axis_arrays, value_orders, strict=True)
     ]
-    name, unit = quantity
-    title = ", ".join([f"{name[0].upper()}{name[1:]}", *fixed_texts])
+    quantity_name, unit = name_and_unit
+    title = ", ".join([f"{quantity_name[0].upper()}{quantity_name[1:]}", *fixed_texts])
     n_lines, axes_text = values.shape[1], " and ".join(key_in_words(axis.key) for axis in axes)
     caption = f"{title}, over the {axes_text}; rings: large error, or not stable."
     if has_few_lines := n_lines <= 6:
-        line_labels = [name]
+        line_labels = [quantity_name]
         if len(axes) > 1:
             key, axis_array = axes[1].key, axis_arrays[1][value_orders[1]]
             line_labels = [
-                f"{key_in_words(key)} {value_in_words(key, float(axis_value))}"
-                for axis_value in axis_array
+                f"{key_in_words(key)} {value_in_words(key, float(line_value))}"
+                for line_value in axis_array
             ]
         curves_by_label, doubts_by_label = (
-            dict(zip(line_labels, array.T, strict=True)) for array in (values, is_doubtful)
+            dict(zip(line_labels, value_grid.T, strict=True))
+            for value_grid in (values, is_doubtful)
         )
         line_options: dict[str, Any] = {
             "over": scaled_axes[0][1],
             "doubtful": doubts_by_label,
             "unit": unit,
         }
-        picture_path = picture_files(stem, caption)
+        picture_path = picture_files(file_stem, caption)
         plot.draw_response(
             scaled_axes[0][0],
             curves_by_label,
-            quantity=name,
+            quantity=quantity_name,
             path=picture_path,
             title=title,
             **line_options,
         )
     if not has_few_lines or (len(axes) > 1 and min(values.shape) >= 4):
-        (x, x_label), (y, y_label) = scaled_axes
+        (x_values, x_label), (y_values, y_label) = scaled_axes
         unit_factor, prefixed_unit = 1.0, unit
         if unit in ("m", "N"):
             unit_factor, prefixed_unit = readable(float(np.nanmax(np.abs(values))), unit)
         label_options: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
-        label_options["value_label"] = with_unit(name, prefixed_unit)
-        picture_path = picture_files(f"{stem}_map", caption)
+        label_options["value_label"] = with_unit(quantity_name, prefixed_unit)
+        picture_path = picture_files(f"{file_stem}_map", caption)
         plot.draw_map(
-            x,
-            y,
+            x_values,
+            y_values,
             unit_factor * values.T,
             doubtful=is_doubtful.T,
             path=picture_path,
@@ -469,12 +475,12 @@ def draw_swept(
         )
 
 
-def _scale_axis(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
+def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
     """Return an axis's values in a readable unit, and the label."""
     unit, unit_factor = unit_of(axis.key), 1.0
     if unit and unit not in WHOLE:
-        unit_factor, unit = readable(float(np.abs(values).max()), unit)
-    return unit_factor * values, with_unit(key_in_words(axis.key), unit)
+        unit_factor, unit = readable(float(np.abs(axis_values).max()), unit)
+    return unit_factor * axis_values, with_unit(key_in_words(axis.key), unit)
 
 
 def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
@@ -503,27 +509,31 @@ def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
     """Draw each blade's passages or track, or the largest blade's fit."""
     caption = "Displacements at the probes over the speed; resonances with their engine orders."
     for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):
-        fit = tip_timing.fits[blade_number]
-        stem = f"timing_blade_{blade_number}" if blade_index else "timing"
-        if isinstance(fit, tuple):
-            plot_study.draw_passages(fit, arrivals, path=picture_files(stem, caption))
-        elif isinstance(fit, TipTrack):
+        blade_fit = tip_timing.fits[blade_number]
+        file_stem = f"timing_blade_{blade_number}" if blade_index else "timing"
+        if isinstance(blade_fit, tuple):
+            plot_study.draw_passages(blade_fit, arrivals, path=picture_files(file_stem, caption))
+        elif isinstance(blade_fit, TipTrack):
             caption = "Amplitudes over the load's frequency, with their standard errors."
             in_hertz = tip_timing.scene is not None and tip_timing.scene.in_hertz
-            plot_study.draw_tip_track(fit, path=picture_files(stem, caption), in_hertz=in_hertz)
+            plot_study.draw_tip_track(
+                blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
+            )
     if largest_blade_number := largest_blade(tip_timing):
         caption = (
             f"Blade {largest_blade_number}: arrivals over the period, the fit, the orders that "
             "were tried."
         )
-        fit = tip_timing.fits[largest_blade_number]
-        assert isinstance(fit, TipFit)
+        blade_fit = tip_timing.fits[largest_blade_number]
+        assert isinstance(blade_fit, TipFit)
         plot_study.draw_tip_fit(
-            fit, tip_timing.arrivals[largest_blade_number], path=picture_files("timing", caption)
+            blade_fit,
+            tip_timing.arrivals[largest_blade_number],
+            path=picture_files("timing", caption),
         )
 
 
-def copy_posterior_picture(identified: Identified, picture_files: PictureFiles) -> None:
+def copy_posterior_picture(identification: Identified, picture_files: PictureFiles) -> None:
     """Copy the posterior's picture that ``identify`` has drawn.
 
     Raises
@@ -532,9 +542,9 @@ def copy_posterior_picture(identified: Identified, picture_files: PictureFiles) 
         ``identify`` has drawn no picture in this format.
     """
     picture_path = picture_files("posterior", "Probability of cracks, given the measurements.")
-    source_path = identified.picture.with_suffix(picture_path.suffix)
+    source_path = identification.picture.with_suffix(picture_path.suffix)
     try:
         write_whole(picture_path, content_of(source_path, links=False))
     except OSError:
-        requirement = f"png, or the --pictures of identify: there is no {source_path}"
-        raise InputError("--pictures", picture_path.suffix[1:], requirement) from None
+        requirement_text = f"png, or the --pictures of identify: there is no {source_path}"
+        raise InputError("--pictures", picture_path.suffix[1:], requirement_text) from None

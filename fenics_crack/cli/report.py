@@ -51,24 +51,32 @@ DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 def plot_results(arguments: Namespace, _: None, console: Console) -> None:
     """Draw results, curves in one picture, or a scene's mesh, on rank 0."""
-    first_path, labels = arguments.results[0], arguments.label
+    first_path, curve_labels = arguments.results[0], arguments.label
     is_scene = first_path.suffix.lower() == ".toml"
-    folder = arguments.output or (
+    picture_folder = arguments.output or (
         Path("output") / first_path.stem if is_scene else first_path.parent
     )
     if first_path.is_dir():
-        folder = arguments.output or first_path
-    make_writable(folder, console.comm)
+        picture_folder = arguments.output or first_path
+    make_writable(picture_folder, console.comm)
 
     def draw_pictures() -> list[str]:
-        if is_scene and len(arguments.results) == 1 and not labels:
+        if is_scene and len(arguments.results) == 1 and not curve_labels:
             return [
-                str(draw_scene(Scene.load(first_path), folder, file_format=console.picture_format))
+                str(
+                    draw_scene(
+                        Scene.load(first_path), picture_folder, file_format=console.picture_format
+                    )
+                )
             ]
         result_files, exclusion_note = _read_result_files(arguments.results)
-        if not first_path.is_dir() and (len(result_files) > 1 or labels):
-            return [str(_draw_curves(result_files, labels, folder, console.picture_format))]
-        picture_files = PictureFiles(folder, console.picture_format, has_vtk_files=True)
+        if not first_path.is_dir() and (len(result_files) > 1 or curve_labels):
+            return [
+                str(
+                    _draw_curves(result_files, curve_labels, picture_folder, console.picture_format)
+                )
+            ]
+        picture_files = PictureFiles(picture_folder, console.picture_format, has_vtk_files=True)
         for stored_file in result_files:
             draw_result(restore_result(stored_file), picture_files)
         return [
@@ -101,7 +109,7 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
     console.print_notes(str(page_path), exclusion_note)
 
 
-def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
+def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[Stored], str]:
     """Read result files, also from folders, without parts of other results.
 
     Returns
@@ -118,10 +126,10 @@ def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
         A file cannot be read, or a folder has no result.
     """
     result_files: list[Stored] = []
-    for path in paths:
-        file_paths = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+    for result_path in result_paths:
+        file_paths = sorted(result_path.glob("*.h5")) if result_path.is_dir() else [result_path]
         if not file_paths:
-            raise InputError("result", str(path), "a folder with results, .h5 files")
+            raise InputError("result", str(result_path), "a folder with results, .h5 files")
         result_files += map(read, file_paths)
     result_files = [
         stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
@@ -141,7 +149,10 @@ def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
 
 
 def _draw_curves(
-    result_files: Sequence[Stored], labels: Sequence[str], folder: Path, picture_format: str
+    result_files: Sequence[Stored],
+    given_labels: Sequence[str],
+    picture_folder: Path,
+    picture_format: str,
 ) -> Path:
     """Draw responses from several curves into one picture; return the path.
 
@@ -153,37 +164,43 @@ def _draw_curves(
     InputError
         The files are no curves over the same parameter, or the label count is wrong.
     """
-    if labels and len(labels) != len(result_files):
-        requirement = f"given {len(result_files)} times, once for each result"
-        raise InputError("--label", list(labels), requirement)
-    paths = [stored_file.path for stored_file in result_files]
+    if given_labels and len(given_labels) != len(result_files):
+        requirement_text = f"given {len(result_files)} times, once for each result"
+        raise InputError("--label", list(given_labels), requirement_text)
+    curve_paths = [stored_file.path for stored_file in result_files]
     if {stored_file.kind for stored_file in result_files} != {ResponseCurve.KIND}:
         kind_names = [stored_file.kind for stored_file in result_files]
         raise InputError("result", kind_names, "curves, where several are drawn in one picture")
-    runs: list[Any] = [*map(restore_result, result_files)]
-    curve_labels = list(labels) or differences([run.scene for run in runs])
+    curve_runs: list[Any] = [*map(restore_result, result_files)]
+    curve_labels = list(given_labels) or differences([curve_run.scene for curve_run in curve_runs])
     if len(set(curve_labels)) < len(curve_labels):
-        path_texts = [str(Path(path).with_suffix("")) for path in paths]
+        path_texts = [str(Path(curve_path).with_suffix("")) for curve_path in curve_paths]
         curve_labels = [
             ", ".join(filter(None, label_and_path))
             for label_and_path in zip(curve_labels, path_texts, strict=True)
         ]
     if len(set(curve_labels)) < len(curve_labels):
-        raise InputError("result", [str(path) for path in paths], "different files")
-    if len(parameter_names := {run.result.parameter for run in runs}) > 1:
+        raise InputError(
+            "result", [str(curve_path) for curve_path in curve_paths], "different files"
+        )
+    if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
         raise InputError("result", sorted(parameter_names), "curves in one parameter")
-    watched_names = {run.watched_name for run in runs}
+    watched_names = {curve_run.watched_name for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
     [axes] = picture = Picture(
-        size=(7.0, 4.6), path=folder / f"overlay_curve.{picture_format}", title=title
+        size=(7.0, 4.6), path=picture_folder / f"overlay_curve.{picture_format}", title=title
     )
-    for curve_label, run, colour in zip(
-        curve_labels, runs, distinct_colours(len(runs)), strict=True
+    for curve_label, curve_run, line_colour in zip(
+        curve_labels, curve_runs, distinct_colours(len(curve_runs)), strict=True
     ):
-        line_options = {"label": curve_label, "colour": colour, "in_hertz": run.scene.in_hertz}
-        plot_curve.draw_curve(run.result, run.watched_dof, axes=axes, **line_options)
+        line_options = {
+            "label": curve_label,
+            "colour": line_colour,
+            "in_hertz": curve_run.scene.in_hertz,
+        }
+        plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
     picture.saved()
-    return folder / f"overlay_curve.{picture_format}"
+    return picture_folder / f"overlay_curve.{picture_format}"
 
 
 # --- the page -------------------------------------------------------------------------------------
@@ -249,9 +266,9 @@ def _write_page(
         "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
         "parts": fields_of_results,
         "doubts": [
-            f"{result_fields['heading']}: {doubt}"
+            f"{result_fields['heading']}: {doubt_text}"
             for result_fields in fields_of_results
-            for doubt in result_fields["doubts"]
+            for doubt_text in result_fields["doubts"]
         ],
         "versions": _tabulate_versions([stored_file for stored_file, _ in files_and_results]),
         "command": shlex.join(command_words),
@@ -317,18 +334,18 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
             draw_scene(scene, picture_folder, structure), "The mesh with its named parts."
         )
     values_by_key = given_values(scene)
-    keys = [
+    listed_keys = [
         key for table in LISTED_TABLE_NAMES for key in values_by_key if key.startswith(f"{table}.")
     ]
-    rows: list[tuple[str, object]] = [
-        (key_in_words(key), _format_value(key, values_by_key[key])) for key in keys
+    quantity_rows: list[tuple[str, object]] = [
+        (key_in_words(key), _format_value(key, values_by_key[key])) for key in listed_keys
     ]
     if scene.excitation.order is not None:
-        rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
-    rows.append(("harmonics", describe_harmonics(scene)))
+        quantity_rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
+    quantity_rows.append(("harmonics", describe_harmonics(scene)))
     return {
         "mesh": mesh_picture,
-        "scene": Table(("quantity", "value"), rows),
+        "scene": Table(("quantity", "value"), quantity_rows),
         "toml": scene.as_toml(),
     }
 
@@ -342,16 +359,16 @@ def _format_value(key: str, value: object) -> str:
 
 def _tabulate_versions(stored_files: Sequence[Stored]) -> Table:
     """Tabulate program versions behind each result and the page."""
-    rows = []
+    version_rows = []
     for stored_file in stored_files:
         file_versions = (
             f"fenics_crack {stored_file.attributes['version']}, "
             f"{stored_file.attributes['versions']}"
         )
-        rows.append((str(stored_file.path), file_versions))
+        version_rows.append((str(stored_file.path), file_versions))
     page_versions = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
-    rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
-    return Table(("file", "made with"), rows)
+    version_rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
+    return Table(("file", "made with"), version_rows)
 
 
 def _encode_picture(picture_path: Path, caption: str) -> dict[str, str]:

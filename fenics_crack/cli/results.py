@@ -63,11 +63,11 @@ def report_of_modes(run: Run[Modes]) -> Report:
         for mode_number in range(1, len(table.rows) + 1)
     ]
     if run.stated is not None:
-        rows = [
-            [*row, _find_error_and_cause(run, frequency_name)[0]]
-            for row, frequency_name in zip(table.rows, frequency_names, strict=True)
+        rows_with_errors = [
+            [*mode_row, _find_error_and_cause(run, frequency_name)[0]]
+            for mode_row, frequency_name in zip(table.rows, frequency_names, strict=True)
         ]
-        table = Table([*table.columns, ERROR_COLUMN_HEADING], rows)
+        table = Table([*table.columns, ERROR_COLUMN_HEADING], rows_with_errors)
     return _make_report(run, table)
 
 
@@ -111,8 +111,8 @@ def _describe_node_distances(run: Run[Any]) -> list[str]:
         if watched_displacement.distance > 0
     }
     distances_text = ", ".join(
-        f"{point_name} {quantity(distance, 'm')}"
-        for point_name, distance in distance_by_point.items()
+        f"{point_name} {quantity(node_distance, 'm')}"
+        for point_name, node_distance in distance_by_point.items()
     )
     exclusion_text = "; not part of the stated errors" if run.stated is not None else ""
     return (
@@ -131,7 +131,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     table = _tabulate_quantities(
         run, solution.omega, solution.to_dict() | _collect_doubts_by_name(run)
     )
-    notes = [describe_undamped_harmonics(run.structure, highest_omega(scene, "solve"))]
+    note_texts = [describe_undamped_harmonics(run.structure, highest_omega(scene, "solve"))]
     is_error_requested = scene.harmonic_balance.error
     if (
         solution.converged
@@ -145,7 +145,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         condition_text = (
             f"{reduction_text}with contact.law = 'unilateral' for crack faces without mass"
         )
-        notes.append(
+        note_texts.append(
             f"the stability is not assessed, as that would take long; it is {condition_text}"
         )
     if (
@@ -156,32 +156,34 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
             f"{omitted_harmonic[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
         )
         harmonic_text = f"harmonic {omitted_harmonic[0]}, which the solution leaves out"
-        notes.append(f"{harmonic_text}, is the largest of the higher ones: {ratio_text}")
+        note_texts.append(f"{harmonic_text}, is the largest of the higher ones: {ratio_text}")
     tolerance = scene.harmonic_balance.tolerance
     is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
-    warnings = []
+    warning_texts = []
     if not solution.converged or is_tolerance_missed:
-        warnings.append(f"{'' if solution.converged else 'not converged: '}{solution.status}")
+        warning_texts.append(f"{'' if solution.converged else 'not converged: '}{solution.status}")
     elif run.structure.n_pairs:
-        warnings += account.describe_large_error(scene, solution.report, solution.harmonics)
+        warning_texts += account.describe_large_error(scene, solution.report, solution.harmonics)
     if solution.still:
-        warnings.append("nothing vibrates: no load changes in time")
+        warning_texts.append("nothing vibrates: no load changes in time")
     if solution.converged:
         stability, motion_text = solution.stability, ""
         if stability is not None:
             if stability.verdict in ("unstable", "irregular"):
                 motion_text = _describe_departing_motions(solution, run.watched_dof)
-            warnings += account.describe_mode_dependence(run.scene, solution, stability.verdict)
-        warnings += account.describe_instability(scene, run, stability, motion_text)
-        warnings += account.describe_large_motion(run, account.find_largest_displacements(run))
-        warnings += account.describe_ambiguous_contact(solution)
-        warnings += run.stated.dents if run.stated is not None else ()
+            warning_texts += account.describe_mode_dependence(
+                run.scene, solution, stability.verdict
+            )
+        warning_texts += account.describe_instability(scene, run, stability, motion_text)
+        warning_texts += account.describe_large_motion(run, account.find_largest_displacements(run))
+        warning_texts += account.describe_ambiguous_contact(solution)
+        warning_texts += run.stated.dents if run.stated is not None else ()
     return _make_report(
         run,
         table,
         rows=_tabulate_waveforms(run, sample_waveforms(run)),
-        notes=notes,
-        warnings=warnings,
+        notes=note_texts,
+        warnings=warning_texts,
         further=_blade_tables_by_heading(run, "Blades") | _front_tables_by_heading(run),
         done=solution.converged,
         missed=is_tolerance_missed or bool(unknown_of_solution(run)),
@@ -260,7 +262,7 @@ def _number_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
     }
 
 
-def _describe_departing_motions(solution: PeriodicSolution, dof: int) -> str:
+def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
     """Describe the size of motions that leave an unstable or irregular solution (collective).
 
     The text is empty if no motion was found.
@@ -268,8 +270,8 @@ def _describe_departing_motions(solution: PeriodicSolution, dof: int) -> str:
     motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
         motions = [
-            (motion.orbit is not None, motion.periods, motion.amplitudes(dof))
-            for motion in attractors(solution.structure, solution)
+            (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
+            for attractor in attractors(solution.structure, solution)
         ]
     settled_ranges = dict.fromkeys(
         _describe_range(amplitudes) for is_orbit, _, amplitudes in motions if is_orbit
@@ -309,16 +311,20 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
         if integration_table.free
         else bool(history.settled <= integration_table.settle)
     )
-    warnings = []
+    warning_texts = []
     if not is_finished and not integration_table.free:
         unsettled_text = (
             f"the motion has not settled after {history.periods} of {integration_table.periods} "
             "periods"
         )
-        warnings.append(f"{unsettled_text}{_describe_longer_period(history)}")
-    warnings += account.describe_large_motion(run, np.abs(waveforms.displacement).max(axis=0))
+        warning_texts.append(f"{unsettled_text}{_describe_longer_period(history)}")
+    warning_texts += account.describe_large_motion(run, np.abs(waveforms.displacement).max(axis=0))
     return _make_report(
-        run, table, rows=_tabulate_waveforms(run, waveforms), warnings=warnings, done=is_finished
+        run,
+        table,
+        rows=_tabulate_waveforms(run, waveforms),
+        warnings=warning_texts,
+        done=is_finished,
     )
 
 
@@ -345,10 +351,10 @@ def _tabulate_quantities(
     faces, natural frequencies near the load's (vibration only), and the ``values_by_name`` that
     :data:`OTHER_QUANTITIES_BY_NAME` has. Without contact pairs, errors are left out.
     """
-    rows: list[QuantityRow] = [
+    quantity_rows: list[QuantityRow] = [
         (name, name, value, UNITS[name]) for name, value in with_frequency({"omega": omega}).items()
     ]
-    rows += [observation[:4] for observation in observe(run, run.result)]
+    quantity_rows += [observation[:4] for observation in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values_by_name = {
             name: value
@@ -357,26 +363,32 @@ def _tabulate_quantities(
         }
     elif isinstance(run.result, PeriodicSolution):
         frequencies_by_name = bilinear_frequencies(run.structure).nearest(omega)
-        rows += (
-            (name, f"{words}, mode {frequencies_by_name['mode']}", float(value), unit)
-            for name, words, unit, value in _list_natural_frequencies(frequencies_by_name)
+        quantity_rows += (
+            (name, f"{description}, mode {frequencies_by_name['mode']}", float(value), unit)
+            for name, description, unit, value in _list_natural_frequencies(frequencies_by_name)
         )
-    rows += [
-        (name, words, values_by_name[name], unit)
-        for name, (words, unit, _) in OTHER_QUANTITIES_BY_NAME.items()
+    quantity_rows += [
+        (name, description, values_by_name[name], unit)
+        for name, (description, unit, _) in OTHER_QUANTITIES_BY_NAME.items()
         if name in values_by_name
     ]
     headings = ["name", "quantity", "value", "unit"]
-    rows = [(*row[:3], "-" if row[3] == "1" else row[3]) for row in rows]
+    quantity_rows = [
+        (*quantity_row[:3], "-" if quantity_row[3] == "1" else quantity_row[3])
+        for quantity_row in quantity_rows
+    ]
     if run.stated is None:
-        return Table(headings, rows)
+        return Table(headings, quantity_rows)
     return Table(
         [*headings, ERROR_COLUMN_HEADING, "most by"],
-        [(*row, *_find_error_and_cause(run, row[0])) for row in rows],
+        [
+            (*quantity_row, *_find_error_and_cause(run, quantity_row[0]))
+            for quantity_row in quantity_rows
+        ],
     )
 
 
-def _find_error_and_cause(run: Run[Any], name: str) -> tuple[float, str]:
+def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str]:
     """Return the stated error of a number, and its main cause.
 
     A natural frequency has the error of the mode nearest to the load.
@@ -389,13 +401,15 @@ def _find_error_and_cause(run: Run[Any], name: str) -> tuple[float, str]:
         Main cause, and the causes not included.
     """
     assert run.stated is not None
-    frequency_kind = name.rpartition("_")[2]
+    frequency_kind = quantity_name.rpartition("_")[2]
     if frequency_kind in FREQUENCY_KINDS:
         mode_number = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
-        name = natural_name(run.scene, frequency_kind, int(mode_number))
-    relative_error, cause_text = run.stated.stated(name)
+        quantity_name = natural_name(run.scene, frequency_kind, int(mode_number))
+    relative_error, cause_text = run.stated.stated(quantity_name)
     error_percent = 100.0 * max(relative_error, LEAST_ERROR) if relative_error < np.inf else np.nan
-    missing_causes = run.stated.missing_causes(name) if name in run.stated.values else {}
+    missing_causes = (
+        run.stated.missing_causes(quantity_name) if quantity_name in run.stated.values else {}
+    )
     if missing_causes:
         cause_text += f"; not included: {', '.join(missing_causes)}"
     return float(f"{error_percent:.3g}"), cause_text
@@ -412,15 +426,15 @@ def _list_natural_frequencies(
         "omega_open" in rad/s, then "frequency_open" in Hz.
     value : ndarray
     """
-    for name in names_of(Place.MODES):
-        words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
-        yield name, words, unit, frequencies_by_name[name]
+    for quantity_name in names_of(Place.MODES):
+        description, unit = QUANTITIES[quantity_name].words, QUANTITIES[quantity_name].unit
+        yield quantity_name, description, unit, frequencies_by_name[quantity_name]
         if unit == "rad/s":
             yield (
-                name.replace("omega", "frequency"),
-                words,
+                quantity_name.replace("omega", "frequency"),
+                description,
                 "Hz",
-                frequencies_by_name[name] / (2.0 * np.pi),
+                frequencies_by_name[quantity_name] / (2.0 * np.pi),
             )
 
 
@@ -461,7 +475,9 @@ def sample_waveforms(run: Run[Any]) -> Waveforms:
         displacement, gap = motion.displacement(time, watched_dofs), motion.gap(time)
         contact_force = motion.contact_force(time)
     watched_pairs = structure.watched_pairs.values() if gap.size else ()
-    closings_by_place = {structure.describe_pair(pair): gap[:, pair] for pair in watched_pairs}
+    closings_by_place = {
+        structure.describe_pair(pair_index): gap[:, pair_index] for pair_index in watched_pairs
+    }
     return Waveforms(time, displacement, closings_by_place, contact_force)
 
 
@@ -471,7 +487,7 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
         "time [s]",
         *(f"{watched_displacement.words} [m]" for watched_displacement in run.watched),
     ]
-    headings += [f"closing {place} [m]" for place in waveforms.closings_by_place]
+    headings += [f"closing {crack_place} [m]" for crack_place in waveforms.closings_by_place]
     column_arrays = [
         waveforms.time,
         *waveforms.displacement.T,
@@ -492,19 +508,21 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     indicator_columns = _indicator_columns_by_heading(run, curve)
     special_point_table = tabulate_special_points(run, indicator_columns)
     shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
-    notes = [
+    note_texts = [
         _describe_unstable_peak(run),
         describe_undamped_harmonics(run.structure, highest_omega(scene, "curve")),
     ]
     if n_hidden_points:
-        notes.insert(0, f"{n_hidden_points} more bifurcations and changes of stability: curve.json")
-    bifurcation_kinds = dict.fromkeys(point.kind for point in curve.bifurcations)
-    notes += [
+        note_texts.insert(
+            0, f"{n_hidden_points} more bifurcations and changes of stability: curve.json"
+        )
+    bifurcation_kinds = dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations)
+    note_texts += [
         f"{kind_in_words(bifurcation_kind)}: {MEANING_BY_BIFURCATION[bifurcation_kind]}"
         for bifurcation_kind in bifurcation_kinds
         if bifurcation_kind in MEANING_BY_BIFURCATION
     ]
-    warnings = [
+    warning_texts = [
         *_describe_curve_warnings(run),
         *account.describe_large_motion(run, account.find_largest_displacements(run)),
     ]
@@ -516,20 +534,24 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         )
         ratio_text = f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
         place_text = "the largest response" if _has_passed_point(curve, peak_index) else "its end"
-        notes.append(f"at {place_text} {order_text}, {ratio_text}")
+        note_texts.append(f"at {place_text} {order_text}, {ratio_text}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
-        notes.append("; ".join(filter(None, (f"by the tolerance: {curve.method}", status_detail))))
+        note_texts.append(
+            "; ".join(filter(None, (f"by the tolerance: {curve.method}", status_detail)))
+        )
     if curve.exact:
         width_text = in_unit(parameter_axis(curve.parameter, True), curve.resolution)
-        notes.append(f"windows of instability narrower than {width_text} may lie between points")
+        note_texts.append(
+            f"windows of instability narrower than {width_text} may lie between points"
+        )
     return _make_report(
         run,
         special_point_table,
         rows=tabulate_curve_points(run, indicator_columns),
         shown=account.select_printed_quantities(shortened_table, scene, SPECIAL),
-        notes=notes,
-        warnings=warnings,
+        notes=note_texts,
+        warnings=warning_texts,
         tables={
             "Special points": account.select_printed_quantities(special_point_table, scene, SPECIAL)
         },
@@ -654,11 +676,11 @@ def tabulate_curve_points(
     table = run.result.table(*quantity_names)
     indicator_columns = columns_by_heading or _indicator_columns_by_heading(run, run.result)
     indicator_rows = zip(*(column.tolist() for column in indicator_columns.values()), strict=True)
-    rows = [
-        [*row, *indicator_row]
-        for row, indicator_row in zip(table.rows, indicator_rows, strict=True)
+    point_rows = [
+        [*point_row, *indicator_row]
+        for point_row, indicator_row in zip(table.rows, indicator_rows, strict=True)
     ]
-    return Table((*table.columns, *indicator_columns), rows)
+    return Table((*table.columns, *indicator_columns), point_rows)
 
 
 def tabulate_special_points(
@@ -686,8 +708,10 @@ def tabulate_special_points(
         ("end", -1, columns_by_heading),
         (peak_name, 0, _interpolate_peak_columns(run, peak, columns_by_heading)),
     ]
-    for bifurcation_number, point in enumerate(curve.bifurcations, 1):
-        row_sources.append((kind_in_words(point.kind), bifurcation_number, bifurcation_columns))
+    for bifurcation_number, bifurcation in enumerate(curve.bifurcations, 1):
+        row_sources.append(
+            (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns)
+        )
     if curve.multipliers is not None:
         for point_index in np.flatnonzero(curve.verdicts[1:] != curve.verdicts[:-1]):
             next_verdict = curve.verdicts[point_index + 1]
@@ -696,8 +720,8 @@ def tabulate_special_points(
                 (f"stability {change_text} after", int(point_index), columns_by_heading)
             )
     table_rows = [
-        (name, *(float(column[row_index]) for column in source_columns.values()))
-        for name, row_index, source_columns in row_sources
+        (point_name, *(float(column[row_index]) for column in source_columns.values()))
+        for point_name, row_index, source_columns in row_sources
     ]
     return Table(("point", *columns_by_heading), table_rows)
 
@@ -752,13 +776,13 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
     n_hidden : int
         Number of rows left out.
     """
-    curve, rows = run.result, [*table.rows]
-    first_rows, other_rows = rows[:3], rows[3:]  # start, end and largest come first
+    curve, point_rows = run.result, [*table.rows]
+    first_rows, other_rows = point_rows[:3], point_rows[3:]  # start, end and largest come first
     bifurcations = curve.bifurcations
     amplitude_column = next(
         column_index
-        for column_index, name in enumerate(table.columns)
-        if name.endswith("amplitude [m]")
+        for column_index, heading in enumerate(table.columns)
+        if heading.endswith("amplitude [m]")
     )
     if curve.multipliers is not None and np.all(curve.verdicts == "undecided"):
         other_rows = other_rows[: len(bifurcations)]
@@ -791,16 +815,19 @@ def _indicator_columns_by_heading(
     }
 
 
-def _solve_natural_frequencies(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
+def _solve_natural_frequencies(
+    run: Run[ResponseCurve], load_omega: np.ndarray
+) -> BilinearFrequencies:
     """Compute natural frequencies, in a run-up at the speed of each load frequency.
 
-    A run-up's load frequencies ``omega`` (...) [rad/s] are proportional to its speeds W. Squared
-    natural frequencies, (..., n_modes), are interpolated linearly in W^2 between nine speeds.
+    A run-up's load frequencies ``load_omega`` (...) [rad/s] are proportional to the speeds W.
+    Squared natural frequencies, (..., n_modes), are interpolated linearly in W^2 between nine
+    speeds.
     """
     structure, curve = run.structure, run.result
     if not isinstance(structure, RunUpStructure):
         return bilinear_frequencies(structure)
-    speeds = omega * (curve.values[0] / curve.omega[0])
+    speeds = load_omega * (curve.values[0] / curve.omega[0])
     sample_speeds = np.linspace(speeds.min(), speeds.max(), min(speeds.size, 9))
     frequencies_by_sample = [
         bilinear_frequencies(structure.at_speed(float(sample_speed)))
@@ -815,8 +842,8 @@ def _solve_natural_frequencies(run: Run[ResponseCurve], omega: np.ndarray) -> Bi
         return np.sqrt(np.stack(mode_omega_columns, axis=-1))
 
     open_omega_rows, bonded_omega_rows = (
-        [getattr(frequencies, f"omega_{kind}") for frequencies in frequencies_by_sample]
-        for kind in ("open", "tied")
+        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_by_sample]
+        for frequency_kind in ("open", "tied")
     )
     return BilinearFrequencies(
         interpolate_squares(open_omega_rows), interpolate_squares(bonded_omega_rows)

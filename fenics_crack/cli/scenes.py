@@ -172,12 +172,12 @@ def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         values_by_label[f"the next{condition_text} [Hz]"] = ", ".join(
             f"{frequency / TURN:.6g}" for frequency in frequencies[1:]
         )
-    omega = scene.excitation.omega
-    values_by_label["load's frequency [Hz]"] = omega / TURN
-    values_by_label["load's frequency [rad/s]"] = omega
+    load_omega = scene.excitation.omega
+    values_by_label["load's frequency [Hz]"] = load_omega / TURN
+    values_by_label["load's frequency [rad/s]"] = load_omega
     for condition_text, frequencies in frequencies_by_condition.items():
         if frequencies[0] > 0.0:
-            values_by_label[f"load's frequency / the first{condition_text}"] = omega / float(
+            values_by_label[f"load's frequency / the first{condition_text}"] = load_omega / float(
                 frequencies[0]
             )
     return values_by_label
@@ -246,24 +246,28 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
 
 def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
-    cracks_by_name, law, contact_table = study.scene.all_cracks, study.contact, study.scene.contact
+    cracks_by_name, contact_law, contact_table = (
+        study.scene.all_cracks,
+        study.contact,
+        study.scene.contact,
+    )
     values_by_label: dict[str, object] = {}
     for crack_name, crack in cracks_by_name.items():
         if crack.length is not None:
             label = "crack length" if len(cracks_by_name) == 1 else f"{crack_name}, length"
             values_by_label[f"{label} [m]"] = crack.length
-            if (width := study.scene.geometry.width) is not None:
-                values_by_label[f"{label} / width"] = crack.length / width
+            if (plate_width := study.scene.geometry.width) is not None:
+                values_by_label[f"{label} / width"] = crack.length / plate_width
     values_by_label["contact pairs"] = study.structure.n_pairs
-    if law is None or contact_table is None:
+    if contact_law is None or contact_table is None:
         return values_by_label
     values_by_label["contact law"] = contact_table.law
     if contact_table.friction:
         values_by_label["coefficient of friction"] = contact_table.friction
-    if not is_rigid(law):
-        stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
-        values_by_label["softest pair [N/m]"] = float(stiffness.min())
-        values_by_label["stiffest pair [N/m]"] = float(stiffness.max())
+    if not is_rigid(contact_law):
+        pair_stiffness = np.broadcast_to(contact_law.stiffness, study.structure.n_pairs)
+        values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
+        values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
     faces_text = faces_in_words(study.scene)
     static_stiffness = ranging(key_figures.own_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
@@ -289,16 +293,16 @@ def describe_harmonics(scene: Scene) -> int | str:
 def _describe_reduction(study: Study) -> str:
     """Describe the reduction of a structure in words."""
     scene = study.scene
-    reduction, mode_counts = reduction_of(scene, study.structure), modes_chosen(study)
-    if reduction is None:
+    scene_reduction, mode_counts = reduction_of(scene, study.structure), modes_chosen(study)
+    if scene_reduction is None:
         return "none"
-    modes_text = counted(reduction.modes, "mode")
+    modes_text = counted(scene_reduction.modes, "mode")
     if mode_counts:
         modes_text = f"{counted(mode_counts[0], 'mode')} or more, for an error of "
         modes_text += f"{scene.harmonic_balance.tolerance:g}"
-    if reduction.method == "massless":
+    if scene_reduction.method == "massless":
         return f"massless, {modes_text}, {faces_in_words(scene)} without mass"
-    return f"{reduction.method}, {modes_text}"
+    return f"{scene_reduction.method}, {modes_text}"
 
 
 def _describe_invalid_cases(scene: Scene) -> str:
@@ -309,13 +313,17 @@ def _describe_invalid_cases(scene: Scene) -> str:
     case_indices = [
         *itertools.islice(np.ndindex(*sweep_plan.shape), 10_000)
     ]  # others while they are run
-    reasons = [case for case in map(sweep_plan.case, case_indices) if isinstance(case, str)]
+    reason_texts = [
+        case_or_reason
+        for case_or_reason in map(sweep_plan.case, case_indices)
+        if isinstance(case_or_reason, str)
+    ]
     scope_text = (
         f" of the first {len(case_indices)}"
         if np.prod(sweep_plan.shape) > len(case_indices)
         else ""
     )
-    return f"{len(reasons)}{scope_text}" + (f": {reasons[0]}" if reasons else "")
+    return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")
 
 
 # --- harmonics without damping --------------------------------------------------------------------
@@ -347,9 +355,13 @@ def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_o
     A massless reduction damps all further modes by the last ratio of the scene: if this is above
     zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
     """
-    reduction = reduction_of(scene, structure)
+    scene_reduction = reduction_of(scene, structure)
     damping_ratio = None if scene.damping is None else scene.damping.ratio
-    if reduction is not None and reduction.method == "massless" and damping_ratio is not None:
+    if (
+        scene_reduction is not None
+        and scene_reduction.method == "massless"
+        and damping_ratio is not None
+    ):
         if np.ravel(damping_ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
     return describe_undamped_harmonics(structure, max_omega)

@@ -42,7 +42,11 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         "failed": len(sweep_result.failed),
     }
     counts_by_state["pending"] = sweep_result.converged.size - sum(counts_by_state.values())
-    states_text = ", ".join(f"{count} {state}" for state, count in counts_by_state.items() if count)
+    states_text = ", ".join(
+        f"{case_count} {state_name}"
+        for state_name, case_count in counts_by_state.items()
+        if case_count
+    )
     n_high_order_cases = int(np.sum(sweep_result["largest_order"] > 3))
     high_order_note = (
         f"in {counted(n_high_order_cases, 'case')} the largest higher harmonic is above the third"
@@ -52,7 +56,9 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
     )
     tables_by_heading = {"Cases": short_table}
     if sweep_result.failed:
-        failed_rows = [(str(case_index), reason) for case_index, reason in sweep_result.failed]
+        failed_rows = [
+            (str(case_index), reason_text) for case_index, reason_text in sweep_result.failed
+        ]
         tables_by_heading["Failed cases"] = Table(("case", "reason"), failed_rows)
     return Report(
         sweep_result.table(),
@@ -76,7 +82,7 @@ def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     if counts_by_verdict["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
     elif counts_text := " and ".join(
-        f"{count} {verdict}" for verdict, count in counts_by_verdict.items() if count
+        f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
         yield f"{counts_text} of {counted(verdicts.size, 'case')}"
     yield from by_reason(sweep_result, sweep_result.undecided, "undecided")
@@ -157,7 +163,7 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
         axis for axis_index, axis in enumerate(sweep_result.axes) if axis_index != axis_indices[0]
     ]
     location_text = "".join(
-        f", {words}" for words in [in_words(other_axes, other_indices)] if words
+        f", {axes_text}" for axes_text in [in_words(other_axes, other_indices)] if axes_text
     )
     n_further_steps = int(is_skipped.sum()) - 1
     further_text = f", and at {counted(n_further_steps, 'other place')}" if n_further_steps else ""
@@ -183,22 +189,22 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     axis_keys = [axis.key for axis in sweep_result.axes]
     indicator_names = ("response", *names_of(where=SPECIAL))  # the amplitude at the load
     quantity_names = [
-        name
-        for name in sweep_result.quantities
-        if sweep_result.scene.quantities or name.rpartition(".")[2] in indicator_names
+        quantity_name
+        for quantity_name in sweep_result.quantities
+        if sweep_result.scene.quantities or quantity_name.rpartition(".")[2] in indicator_names
     ]
     column_names = [*axis_keys, *quantity_names, "verdict"]
     if not np.all(sweep_result.converged):
         column_names.insert(len(axis_keys), "state")
-    verdicts = set(sweep_result["verdict"][sweep_result.converged].tolist())
-    if verdicts <= {""} or verdicts == {"undecided"}:
+    verdict_set = set(sweep_result["verdict"][sweep_result.converged].tolist())
+    if verdict_set <= {""} or verdict_set == {"undecided"}:
         column_names.remove("verdict")
     table = sweep_result.table(*column_names)
     if len(table.rows) <= FEW_ROWS:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))
-    for key in FREQUENCIES:
-        axis_index = axis_keys.index(key) if key in axis_keys else axis_index
+    for frequency_key in FREQUENCIES:
+        axis_index = axis_keys.index(frequency_key) if frequency_key in axis_keys else axis_index
     responses = np.nan_to_num(sweep_result["response"], nan=-1.0)
     row_numbers = np.arange(responses.size).reshape(responses.shape)
     peak_indices = np.expand_dims(responses.argmax(axis=axis_index), axis_index)
@@ -211,5 +217,5 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         largest_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[:FEW_ROWS]
         selection_text += f", {FEW_ROWS} of {len(row_indices)}"
         row_indices = np.sort(row_indices[largest_order])
-    rows = [table.rows[row_index] for row_index in row_indices]
-    return Table(table.columns, rows), selection_text
+    selected_rows = [table.rows[row_index] for row_index in row_indices]
+    return Table(table.columns, selected_rows), selection_text

@@ -55,8 +55,8 @@ def fit_and_report_timing(
     """Fit and report the vibration in measured or computed arrival times."""
     if inputs is None:
         return _find_vibration_of_record(arguments, console)
-    scene, folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
-    timing_table, arrivals_path = scene.given("tip_timing"), folder / "arrivals.csv"
+    scene, result_folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
+    timing_table, arrivals_path = scene.given("tip_timing"), result_folder / "arrivals.csv"
     with console.report_stage("arrival times"):
         arrivals_by_blade, run = scene_timing.arrivals_of_blades(
             scene, arrival_source, console.comm
@@ -74,13 +74,13 @@ def fit_and_report_timing(
         )
     fits_by_blade = _fit_blade_vibrations(timing_table, arrivals_by_blade, console, scene, run)
     if scene.disk is not None and not all(
-        isinstance(fit, TipFit) for fit in fits_by_blade.values()
+        isinstance(blade_fit, TipFit) for blade_fit in fits_by_blade.values()
     ):
-        requirement = "arrivals at one speed of a bladed disk"
-        raise InputError("arrivals", str(arrival_source or "a curve"), requirement)
+        requirement_text = "arrivals at one speed of a bladed disk"
+        raise InputError("arrivals", str(arrival_source or "a curve"), requirement_text)
     doubt_texts = tuple(_describe_timing_warnings(first_arrivals, scene, run))
     return _write_timing_report(
-        Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), folder, console
+        Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )
 
 
@@ -156,7 +156,7 @@ def _describe_timing_warnings(
             and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
         ):
             record_speed, scene_speed = (
-                speed_in_words(speed, scene.in_rpm) for speed in record_and_scene_speeds
+                speed_in_words(rotor_speed, scene.in_rpm) for rotor_speed in record_and_scene_speeds
             )
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
@@ -177,15 +177,15 @@ def _describe_timing_warnings(
 def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     """Fit and report the vibration in a record without a scene."""
     table_values_by_name = {}
-    for key, value in parse_changes(arguments.set).items():
-        table_name, _, key_name = key.partition(".")
+    for full_key, key_value in parse_changes(arguments.set).items():
+        table_name, _, key_name = full_key.partition(".")
         if table_name != "tip_timing" or key_name not in RECORD_TIMING_KEYS:
             allowed_keys = ", ".join(
                 f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
             )
-            requirement = f"left out with a record in place of a scene, or {allowed_keys}"
-            raise InputError(key, value, requirement)
-        table_values_by_name[key_name] = TipTiming.checked(key_name, value)
+            requirement_text = f"left out with a record in place of a scene, or {allowed_keys}"
+            raise InputError(full_key, key_value, requirement_text)
+        table_values_by_name[key_name] = TipTiming.checked(key_name, key_value)
     with console.report_stage("arrival times"):
         probe_angles = (
             np.radians(table_values_by_name["probes"]) if "probes" in table_values_by_name else None
@@ -194,8 +194,8 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
             arguments.scene, tip_radius=table_values_by_name.get("tip_radius"), probes=probe_angles
         )
         arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
-    folder = arguments.output or Path("output") / arguments.scene.stem
-    make_writable(folder, console.comm)
+    result_folder = arguments.output or Path("output") / arguments.scene.stem
+    make_writable(result_folder, console.comm)
     first_arrivals = next(iter(arrivals_by_blade.values()))
     console.print_notes(
         f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_arrival_counts(first_arrivals)}"
@@ -214,5 +214,5 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     )
     doubt_texts = tuple(scene_timing.remarks_on_arrivals(first_arrivals))
     return _write_timing_report(
-        Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), folder, console
+        Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
     )
