@@ -252,10 +252,10 @@ def describe_mode_dependence(
 def select_printed_quantities(table: Table, scene: Scene, table_place: Where) -> Table:
     """Return the printed part of a table: quantities that the scene requests.
 
-    Without a request, quantities shown at the ``place`` are printed. Frequencies and speeds are
-    printed in the scene's units alone. A table with a column "name" has a quantity in each row,
-    any other table in each column. Other columns are always printed; other rows by their entry in
-    :data:`OTHER_QUANTITIES_BY_NAME`.
+    Without a request, quantities shown at the ``table_place`` are printed. Frequencies and speeds
+    are printed in the scene's units alone. A table with a column "name" has a quantity in each row,
+    any other table in each column. Other columns are always printed; other rows by the level in
+    :data:`OTHER_QUANTITIES_BY_NAME`. Rows with nan are left out.
     """
     requested_names, default_names = scene.quantities, names_of(where=table_place)
     table = _round_to_zero(table)
@@ -284,7 +284,7 @@ def select_printed_quantities(table: Table, scene: Scene, table_place: Where) ->
 
 
 def _round_to_zero(table: Table) -> Table:
-    """Return a table whose lengths and forces up to 1e-15 are 0."""
+    """Return a table with 0 for rounding errors, in :data:`UNITS_ROUNDED_TO_ZERO`."""
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
 

@@ -418,8 +418,8 @@ class Console:
     def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
         """Print the stages of running code, and the duration if verbose.
 
-        Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). Without
-        a terminal, stages are printed now and then.
+        Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). If no
+        progress is shown, a message appears every few seconds.
         """
         start_time, is_silent = (
             time.perf_counter(),

@@ -53,7 +53,7 @@ class _PartSurface:
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
     def find_end_face(self, axis: int, *, at_top: bool) -> int:
-        """Find the largest face whose point lies at an end of the part.
+        """Find the largest face among those with the highest, or lowest, point.
 
         Returns the face's index in ``sorted_face_numbers``.
         """

@@ -349,7 +349,8 @@ def _tabulate_quantities(
 
     They are the load frequency ``omega`` [rad/s], indicators of the watched dofs and the crack
     faces, natural frequencies near the load's (vibration only), and the ``values_by_name`` that
-    :data:`OTHER_QUANTITIES_BY_NAME` has. Without contact pairs, errors are left out.
+    :data:`OTHER_QUANTITIES_BY_NAME` has. Without contact pairs, errors and shares are left
+    out.
     """
     quantity_rows: list[QuantityRow] = [
         (name, name, value, UNITS[name]) for name, value in with_frequency({"omega": omega}).items()

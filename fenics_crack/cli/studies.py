@@ -217,5 +217,6 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         largest_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[:FEW_ROWS]
         selection_text += f", {FEW_ROWS} of {len(row_indices)}"
         row_indices = np.sort(row_indices[largest_order])
-    selected_rows = [table.rows[row_index] for row_index in row_indices]
-    return Table(table.columns, selected_rows), selection_text
+    return Table(
+        table.columns, [table.rows[row_index] for row_index in row_indices]
+    ), selection_text
