@@ -176,17 +176,20 @@ def describe_instability(
         f"the orbit is unstable{reason_text}: a disturbed motion leaves it, for one "
         f"{motion_description}{motion_text}"
     )
-    hint_texts, search_options = [], [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION]
+    hint_texts, tolerance_options = (
+        [],
+        [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION],
+    )
     if stability.verdict == "irregular":
         verdict_text = "; ".join(
             [
                 stability.reason + motion_text,
-                *(f"{search_option} may find one" for search_option in search_options),
+                *(f"{tolerance_option} may find one" for tolerance_option in tolerance_options),
             ]
         )
     if stability.verdict == "undecided":
         verdict_text = f"the stability of the orbit is undecided{reason_text}{motion_text}"
-        hint_texts += search_options
+        hint_texts += tolerance_options
         damping_table = scene.damping  # None: a matrix, which damps all modes or not
         if damping_table and not (
             damping_table.of_all_modes or damped_range(run.structure) is None
@@ -320,7 +323,7 @@ def printed_table(report: Report) -> Table:
 
 
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
-    """Return True for a frequency or speed in the unit unused by the scene."""
+    """Return True if the scene shows this frequency or speed in another unit."""
     unused_prefix, unused_unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
     unused_speed_name = "speed" if scene.in_rpm else "rpm"
     return name == unused_speed_name or (name.startswith(unused_prefix) and unit == unused_unit)

@@ -228,7 +228,7 @@ def _redirect_stdout_to_null() -> None:
 
 def _describe_resource_shortage(error: Exception) -> str:
     """Describe the lack of memory or disk space behind an error, else ""."""
-    is_reported = any(memory_text in str(error) for memory_text in OUT_OF_MEMORY_TEXTS)
+    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
     is_near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
     if isinstance(error, MemoryError) or is_reported or is_near_limit:
@@ -658,11 +658,14 @@ def build_parser() -> argparse.ArgumentParser:
         help=completion_help,
     )
     command_group = program_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for command_name, (command_help, call_text) in HELP_AND_CALL_BY_COMMAND.items():
+    for command_name, (
+        command_help,
+        function_and_arguments_text,
+    ) in HELP_AND_CALL_BY_COMMAND.items():
         command_parser = command_group.add_parser(
             command_name, help=command_help, description=command_help[0].upper() + command_help[1:]
         )
-        for argument_name in [*call_text.split()[1:], "--format"]:
+        for argument_name in [*function_and_arguments_text.split()[1:], "--format"]:
             argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[argument_name]
             argument_action = command_parser.add_argument(
                 argument_name.partition("=")[0], help=argument_help, **argument_options

@@ -91,7 +91,7 @@ def run_and_report_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result; the console's ranks are passed unless the result is a run."""
+    """Save a result; only a run knows the ranks without the console."""
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 

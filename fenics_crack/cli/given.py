@@ -597,7 +597,11 @@ def _template_blocks(table_name: str) -> Iterator[list[str]]:
     A table that is commented out is commented in.
     """
     template_texts = map(
-        packaged, (PLATE_TEMPLATE_PATH, *(f"cli/new_{name}.toml" for name in EXCLUSIVE_NEW_OPTIONS))
+        packaged,
+        (
+            PLATE_TEMPLATE_PATH,
+            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_OPTIONS),
+        ),
     )
     for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):
         block_lines = block_text.splitlines()
@@ -620,7 +624,7 @@ def _remove_mark(line: str) -> str:
 
 
 def _toggle_comment(line: str) -> str:
-    """Comment a line out, or in; a remark at the end keeps the column."""
+    """Comment a line out or in; a remark keeps the column."""
     if line.startswith("# "):
         return line.removeprefix("# ").replace("  #", "    #", 1)
     return "# " + line.replace("    #", "  #", 1)

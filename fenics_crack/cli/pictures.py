@@ -262,7 +262,7 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
     if curve.parameter != "omega":
         return {}
     crack_word_by_lips = {"open": "open", "tied": "bonded"}
-    cases_by_label = {
+    arguments_by_label = {
         f"crack always {crack_word_by_lips[lips]}": (structure, run.watched_dof, lips)
         for lips in LIP_STATES
     }
@@ -271,14 +271,14 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
             ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")
         )
         uncracked_study = prepare(scene.replace(removed_keys), MPI.COMM_SELF)
-        cases_by_label["no crack"] = (
+        arguments_by_label["no crack"] = (
             uncracked_study.structure,
             uncracked_study.watched[0].dof,
             "open",
         )
     responses_by_label = {
-        case_label: _compute_linear_response(curve.omega, *case)
-        for case_label, case in cases_by_label.items()
+        case_label: _compute_linear_response(curve.omega, *response_arguments)
+        for case_label, response_arguments in arguments_by_label.items()
     }
     min_amplitude = NEGLIGIBLE * np.max(curve.amplitude(run.watched_dof))  # less is no vibration
     return {
@@ -302,13 +302,15 @@ def _compute_linear_response(
     max_modes = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
     natural_omega = solve_modes(structure, min(FEW_MODES, max_modes), lips=lips).omega
     relative_offsets = np.geomspace(1e-6, 0.1, 30)
-    dense_omega = np.outer(
+    omega_near_resonances = np.outer(
         natural_omega, np.concatenate([1.0 - relative_offsets, 1.0 + relative_offsets])
     ).ravel()
     min_omega, max_omega = curve_omega.min(), curve_omega.max()
-    inside_omega = dense_omega[(dense_omega > min_omega) & (dense_omega < max_omega)]
+    omega_within_curve = omega_near_resonances[
+        (omega_near_resonances > min_omega) & (omega_near_resonances < max_omega)
+    ]
     sampled_omega = np.unique(
-        np.concatenate([np.linspace(min_omega, max_omega, 200), inside_omega])
+        np.concatenate([np.linspace(min_omega, max_omega, 200), omega_within_curve])
     )
     return sampled_omega, linear_response(structure, dof, sampled_omega, lips=lips)
 

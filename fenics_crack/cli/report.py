@@ -51,26 +51,28 @@ DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 def plot_results(arguments: Namespace, _: None, console: Console) -> None:
     """Draw results, curves in one picture, or a scene's mesh, on rank 0."""
-    first_path, curve_labels = arguments.results[0], arguments.label
-    is_scene = first_path.suffix.lower() == ".toml"
+    first_result_path, curve_labels = arguments.results[0], arguments.label
+    is_scene_file = first_result_path.suffix.lower() == ".toml"
     picture_folder = arguments.output or (
-        Path("output") / first_path.stem if is_scene else first_path.parent
+        Path("output") / first_result_path.stem if is_scene_file else first_result_path.parent
     )
-    if first_path.is_dir():
-        picture_folder = arguments.output or first_path
+    if first_result_path.is_dir():
+        picture_folder = arguments.output or first_result_path
     make_writable(picture_folder, console.comm)
 
     def draw_pictures() -> list[str]:
-        if is_scene and len(arguments.results) == 1 and not curve_labels:
+        if is_scene_file and len(arguments.results) == 1 and not curve_labels:
             return [
                 str(
                     draw_scene(
-                        Scene.load(first_path), picture_folder, file_format=console.picture_format
+                        Scene.load(first_result_path),
+                        picture_folder,
+                        file_format=console.picture_format,
                     )
                 )
             ]
         result_files, exclusion_note = _read_result_files(arguments.results)
-        if not first_path.is_dir() and (len(result_files) > 1 or curve_labels):
+        if not first_result_path.is_dir() and (len(result_files) > 1 or curve_labels):
             return [
                 str(
                     _draw_curves(result_files, curve_labels, picture_folder, console.picture_format)
@@ -92,10 +94,11 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
 
 def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
     """Write an HTML page on results, on rank 0."""
-    first_path = arguments.results[0]
+    first_result_path = arguments.results[0]
     page_path = (
         arguments.output
-        or (first_path if first_path.is_dir() else first_path.parent) / "report.html"
+        or (first_result_path if first_result_path.is_dir() else first_result_path.parent)
+        / "report.html"
     )
     command_words = ["fenics-crack", *arguments.words]
 

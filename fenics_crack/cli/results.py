@@ -142,11 +142,12 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         reduction_text = (
             "" if scene.disk is not None else "for a reduced structure (reduction.method), "
         )
-        condition_text = (
+        assessment_condition_text = (
             f"{reduction_text}with contact.law = 'unilateral' for crack faces without mass"
         )
         note_texts.append(
-            f"the stability is not assessed, as that would take long; it is {condition_text}"
+            f"the stability is not assessed, as that would take long; it is "
+            f"{assessment_condition_text}"
         )
     if (
         solution.converged
@@ -697,32 +698,32 @@ def tabulate_special_points(
     columns_by_heading = _parameter_columns_by_heading(curve) | (
         columns_by_heading or _indicator_columns_by_heading(run, curve)
     )
-    bifurcation_curve = curve.at_bifurcations if curve.bifurcations else curve
+    curve_at_bifurcations = curve.at_bifurcations if curve.bifurcations else curve
     bifurcation_columns = _parameter_columns_by_heading(
-        bifurcation_curve
-    ) | _indicator_columns_by_heading(run, bifurcation_curve)
+        curve_at_bifurcations
+    ) | _indicator_columns_by_heading(run, curve_at_bifurcations)
     peak = curve.top(run.watched_dof)
     peak_name = "largest, still rising" if peak.at_end else "largest"
     peak_name = peak_name if _has_passed_point(curve, peak.index) else "largest so far"
-    row_sources = [
+    named_row_sources = [
         ("start", 0, columns_by_heading),
         ("end", -1, columns_by_heading),
         (peak_name, 0, _interpolate_peak_columns(run, peak, columns_by_heading)),
     ]
     for bifurcation_number, bifurcation in enumerate(curve.bifurcations, 1):
-        row_sources.append(
+        named_row_sources.append(
             (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns)
         )
     if curve.multipliers is not None:
         for point_index in np.flatnonzero(curve.verdicts[1:] != curve.verdicts[:-1]):
             next_verdict = curve.verdicts[point_index + 1]
             change_text = {"stable": "gained", "unstable": "lost"}.get(next_verdict, next_verdict)
-            row_sources.append(
+            named_row_sources.append(
                 (f"stability {change_text} after", int(point_index), columns_by_heading)
             )
     table_rows = [
         (point_name, *(float(column[row_index]) for column in source_columns.values()))
-        for point_name, row_index, source_columns in row_sources
+        for point_name, row_index, source_columns in named_row_sources
     ]
     return Table(("point", *columns_by_heading), table_rows)
 

@@ -335,18 +335,19 @@ def describe_undamped_harmonics(structure: Structure, max_omega: float) -> str:
     The text is empty if all harmonics are damped, or without contact: only contact excites
     harmonics.
     """
-    damped_modes = damped_range(structure) if structure.n_pairs else None
-    if damped_modes is None or max_omega <= damped_modes[1]:
+    damped_mode_range = damped_range(structure) if structure.n_pairs else None
+    if damped_mode_range is None or max_omega <= damped_mode_range[1]:
         return ""
-    n_damped, damped_limit = damped_modes
-    if n_damped == 0:
+    n_damped_modes, max_damped_omega = damped_mode_range
+    if n_damped_modes == 0:
         return f"harmonics up to H w = {max_omega:g} rad/s: nothing damps what they excite"
-    modes_text = "the damped mode" if n_damped == 1 else f"the {n_damped} damped modes"
-    range_text = (
-        f"harmonics up to H w = {max_omega:g} rad/s reach beyond {modes_text} ({damped_limit:g} "
+    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
+    harmonics_text = (
+        f"harmonics up to H w = {max_omega:g} rad/s reach beyond {modes_text} "
+        f"({max_damped_omega:g} "
         "rad/s)"
     )
-    return f"{range_text}: nothing damps what they excite there"
+    return f"{harmonics_text}: nothing damps what they excite there"
 
 
 def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_omega: float) -> str:

@@ -81,10 +81,10 @@ def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     counts_by_verdict = {verdict: int(np.sum(verdicts == verdict)) for verdict in NOT_STABLE}
     if counts_by_verdict["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
-    elif counts_text := " and ".join(
+    elif verdict_counts_text := " and ".join(
         f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
-        yield f"{counts_text} of {counted(verdicts.size, 'case')}"
+        yield f"{verdict_counts_text} of {counted(verdicts.size, 'case')}"
     yield from by_reason(sweep_result, sweep_result.undecided, "undecided")
     for warning_text in by_reason(
         sweep_result, sweep_result.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
