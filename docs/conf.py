@@ -87,7 +87,7 @@ def lead_outside(app: Sphinx, *place_and_text: object) -> None:
 def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
     """Replace ``{{ new }}`` by the scene that ``fenics-crack new`` writes, and
     ``{{ quantities }}`` by the table of observables."""
-    scene = given.new_scene("plate.toml", "measured.csv", ())
+    scene = given.build_scene_text("plate.toml", "measured.csv", ())
     text[0] = text[0].replace("{{ new }}", scene.rstrip())
     rows = (
         f"| `{name}` | {row.words} | {row.unit.replace('1', '-')} | {row.of.value} |"

@@ -171,8 +171,8 @@ def prepared() -> Iterator[None]:
     Its arguments are described once, which takes 5 ms."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("fenics_crack.basics.progress.BEAT", 3600.0)
-        described = importlib.import_module("fenics_crack.cli.command_line").parser
-        patch.setattr("fenics_crack.cli.command_line.parser", cache(described))
+        described = importlib.import_module("fenics_crack.cli.command_line").build_parser
+        patch.setattr("fenics_crack.cli.command_line.build_parser", cache(described))
         yield
 
 

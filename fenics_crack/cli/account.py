@@ -1,4 +1,4 @@
-"""Warnings of results, and what is printed of tables."""
+"""Warnings about results, and the printed parts of tables."""
 
 from __future__ import annotations
 
@@ -19,250 +19,355 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
 
-MOST_TURNING = 0.3
-"""Sliding across the lines of friction over that along them from which on friction along lines is
-not trusted."""
-ALWAYS, BY_DEFAULT, NEVER = range(3)
-"""Whether a quantity is printed: whatever the scene chooses, where it does not choose, or in files
-alone. These are parts of an error, and sentences, which are below the table."""
-OTHERS = {
-    "periods": ("periods", "-", BY_DEFAULT),
-    "steps_per_period": ("steps in a period", "-", BY_DEFAULT),
-    "settled": ("change over the last period", "-", BY_DEFAULT),
-    "distance": ("distance from the settled motion", "-", ALWAYS),
-    "created_energy": ("energy created", "-", BY_DEFAULT),
-    "verdict": ("verdict", "-", ALWAYS),
-    "multiplier": ("largest multiplier", "-", BY_DEFAULT),
-    "converged": ("converged", "-", ALWAYS),
-    "harmonics": ("harmonics", "-", BY_DEFAULT),
-    "iterations": ("iterations", "-", BY_DEFAULT),
-    "residual_error": ("relative error of the gap: residual", "-", NEVER),
-    "truncation_error": ("relative error of the gap: harmonics", "-", NEVER),
-    "sampling_error": ("relative error of the gap: AFT sampling", "-", NEVER),
-    "reduction_error": ("relative error of the gap: modal truncation", "-", NEVER),
-    "displacement_error": ("relative error of the displacement at the load", "-", NEVER),
-    "total_error": ("relative error of the gap by modes and harmonics", "-", ALWAYS),
-    "penetration_share": ("relative penetration", "-", BY_DEFAULT),
-    "from_rest": ("the motion from rest", "-", NEVER),
-    "rest_amplitude": ("half peak-to-peak, motion from rest", "m", BY_DEFAULT),
-    "unknown_error": ("reason of the unknown error", "-", NEVER),
-    "remarks": ("remarks", "-", NEVER),
-    "conclusion": ("conclusion", "-", NEVER),
+MAX_TRANSVERSE_SLIDING_RATIO = 0.3
+"""Maximum sliding across the lines of friction, relative to sliding along them.
+
+Above it, friction along lines is not trusted.
+"""
+PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
+"""When a quantity is printed: always, unless the scene requests quantities, or never.
+
+Parts of an error, and sentences below the table, are never printed in it, but stand in files.
+"""
+OTHER_QUANTITIES_BY_NAME = {
+    "periods": ("periods", "-", PRINT_BY_DEFAULT),
+    "steps_per_period": ("steps in a period", "-", PRINT_BY_DEFAULT),
+    "settled": ("change over the last period", "-", PRINT_BY_DEFAULT),
+    "distance": ("distance from the settled motion", "-", PRINT_ALWAYS),
+    "created_energy": ("energy created", "-", PRINT_BY_DEFAULT),
+    "verdict": ("verdict", "-", PRINT_ALWAYS),
+    "multiplier": ("largest multiplier", "-", PRINT_BY_DEFAULT),
+    "converged": ("converged", "-", PRINT_ALWAYS),
+    "harmonics": ("harmonics", "-", PRINT_BY_DEFAULT),
+    "iterations": ("iterations", "-", PRINT_BY_DEFAULT),
+    "residual_error": ("relative error of the gap: residual", "-", PRINT_NEVER),
+    "truncation_error": ("relative error of the gap: harmonics", "-", PRINT_NEVER),
+    "sampling_error": ("relative error of the gap: AFT sampling", "-", PRINT_NEVER),
+    "reduction_error": ("relative error of the gap: modal truncation", "-", PRINT_NEVER),
+    "displacement_error": ("relative error of the displacement at the load", "-", PRINT_NEVER),
+    "total_error": ("relative error of the gap by modes and harmonics", "-", PRINT_ALWAYS),
+    "penetration_share": ("relative penetration", "-", PRINT_BY_DEFAULT),
+    "from_rest": ("the motion from rest", "-", PRINT_NEVER),
+    "rest_amplitude": ("half peak-to-peak, motion from rest", "m", PRINT_BY_DEFAULT),
+    "unknown_error": ("reason of the unknown error", "-", PRINT_NEVER),
+    "remarks": ("remarks", "-", PRINT_NEVER),
+    "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
-"""Words and unit of quantities beside the indicators of a motion, and whether they are printed."""
-DECIDES = "--set harmonic_balance.tolerance=1e-2"
-"""Option with which an exact orbit, its error and its stability are sought."""
-ON_MODES = "depends on truncated modes"
-IN_A_TEST = {
+"""Description, unit and printing level by name, for quantities besides a motion's indicators."""
+TOLERANCE_OPTION = "--set harmonic_balance.tolerance=1e-2"
+"""Option for an exact orbit with error and stability."""
+MODE_DEPENDENCE_TEXT = "depends on truncated modes"
+MEANING_BY_BIFURCATION = {
     "fold": "the curve turns back: in a test the vibration jumps to another size here",
     "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
     "half the load's frequency appears in the spectrum",
     "neimark_sacker": "beyond it the vibration will not repeat each period: in a test its size "
     "swells and falls slowly, and lines appear on both sides of the load's frequency",
 }
-"""Meaning of bifurcations to somebody at a test rig, by their kinds."""
-UNITS_WITH_ROUNDING = ("m", "N", "Pa m^0.5")
-"""Units in which values up to 1e-15 are rounding, and written as 0."""
+"""Meaning at a test rig, by kind of bifurcation."""
+UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
+"""Units in which values up to 1e-15 are rounding errors, and written as 0."""
 
 
 # --- sentences ------------------------------------------------------------------------------------
 
 
-def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
-    """A warning of a motion that is not small beside the distance from the clamp, from the largest
-    displacement of each dof that is watched [m], with its mean (collective)."""
-    lengths = from_clamp(run.structure.whole, [one.dof for one in run.watched])
-    place = int(np.argmax(rotations := np.asarray(largest) / lengths))
-    if not rotations[place] > SMALL_MOTION:
+def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> list[str]:
+    """Warn if displacements are large relative to clamp distances (collective).
+
+    Parameters
+    ----------
+    max_displacements : (n_watched,) [m]
+        Largest displacements of the watched dofs, means included.
+
+    Returns
+    -------
+    list of str
+        At most one warning.
+    """
+    clamp_distances = from_clamp(
+        run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
+    )
+    worst_index = int(np.argmax(rotation_angles := np.asarray(max_displacements) / clamp_distances))
+    if not rotation_angles[worst_index] > SMALL_MOTION:
         return []
     return [
-        f"{quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "
-        f"displacements: the equations neglect the square of the rotation about the clamp, of "
-        f"{rotations[place]:.2g} rad; the stated errors do not include it"
+        f"{quantity(max_displacements[worst_index], 'm')} of {run.watched[worst_index].words} is "
+        "beyond small "
+        "displacements: the equations neglect the square of the rotation about the clamp, of "
+        f"{rotation_angles[worst_index]:.2g} rad; the stated errors do not include it"
     ]
 
 
-def largest_seen(run: Run[Any]) -> list[float]:
-    """|a0| and half the peak-to-peak displacement of each dof that is watched, the largest along a
-    curve [m] (collective)."""
-    seen = run.result.measure([one.dof for one in run.watched])
-    return [float(np.max(np.abs(one.mean) + one.amplitude)) for one in seen]
+def find_largest_displacements(run: Run[Any]) -> list[float]:
+    """Return the largest displacement of each watched dof [m] (collective).
+
+    |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
+    """
+    watched_indicators = run.result.measure(
+        [watched_displacement.dof for watched_displacement in run.watched]
+    )
+    return [
+        float(np.max(np.abs(indicators.mean) + indicators.amplitude))
+        for indicators in watched_indicators
+    ]
 
 
-def of_error(
-    scene: Scene, report: ErrorReport, harmonics: int, where: str = "", limit: float = LARGE_ERROR
+def describe_large_error(
+    scene: Scene,
+    report: ErrorReport,
+    n_harmonics: int,
+    location_text: str = "",
+    error_limit: float = LARGE_ERROR,
 ) -> Iterator[str]:
-    """A warning of an estimated error above a limit, with what makes it smaller: by its largest
-    part, and never what the scene does already. Without an orbit :func:`of_stability` says it."""
-    if not report.total > limit:  # or not requested
+    """Yield a warning if the estimated error exceeds a limit.
+
+    The warning names the largest part of the error, and a remedy that the scene does not use yet.
+    """
+    if not report.total > error_limit:  # or not requested
         return
-    finer, table = "more damping: H is at its limit", scene.harmonic_balance
-    if table.tolerance is None:
-        can_choose = table.samples is None and table.form != "block"
-        key_words = f": {DECIDES} chooses them" if can_choose else " (harmonic_balance.harmonics)"
-        finer = f"more harmonics{key_words}"
-    elif harmonics < MOST_HARMONICS:
-        finer = "a smaller harmonic_balance.tolerance"
-    rigid = scene.contact is not None and scene.contact.law == "unilateral"
-    softer = "softer contact, or contact.law = 'unilateral'"
-    softer = "a load that moves the crack faces more" if rigid else softer
-    part, wanted = {
-        "truncation": ("truncated harmonics", finer),
+    refinement_text, balance_table = "more damping: H is at its limit", scene.harmonic_balance
+    if balance_table.tolerance is None:
+        can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
+        setting_text = (
+            f": {TOLERANCE_OPTION} chooses them"
+            if can_choose_harmonics
+            else " (harmonic_balance.harmonics)"
+        )
+        refinement_text = f"more harmonics{setting_text}"
+    elif n_harmonics < MOST_HARMONICS:
+        refinement_text = "a smaller harmonic_balance.tolerance"
+    is_unilateral = scene.contact is not None and scene.contact.law == "unilateral"
+    residual_remedy = "softer contact, or contact.law = 'unilateral'"
+    residual_remedy = "a load that moves the crack faces more" if is_unilateral else residual_remedy
+    cause_text, remedy_text = {
+        "truncation": ("truncated harmonics", refinement_text),
         "reduction": ("truncated modes", f"more modes ({scene.modes_key})"),
         "sampling": ("AFT sampling", "more samples (harmonic_balance.samples)"),
-        "residual": ("the residual", f"{softer}: it is rounding"),
+        "residual": ("the residual", f"{residual_remedy}: it is rounding"),
     }[report.largest_part]
-    said = f"the estimated relative error of the gap is {percent(report.total)}{where}"
-    said += f", mostly due to {part}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
+    error_text = (
+        f"the estimated relative error of the gap is {percent(report.total)}{location_text}"
+    )
+    error_text += f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
     if report.unknown:
-        said = f"the error is unknown{where}, its estimate for {part} did not converge"
-    yield f"{said}; use {wanted}" if report.confirmed or where else said
+        error_text = (
+            f"the error is unknown{location_text}, its estimate for {cause_text} did not converge"
+        )
+    yield f"{error_text}; use {remedy_text}" if report.confirmed or location_text else error_text
 
 
-def of_stability(
-    scene: Scene, run: Run, stability: Stability | None, seen: str = ""
+def describe_instability(
+    scene: Scene, run: Run, stability: Stability | None, motion_text: str = ""
 ) -> Iterator[str]:
-    """A warning of a solution that is unstable, irregular or undecided, with the motion seen in
-    place of it."""
+    """Yield a warning if a solution is unstable, irregular or undecided.
+
+    ``motion_text`` describes the motion that a test would show in place of the solution.
+    """
     if stability is None or stability.verdict == "stable":
         return
-    because = f" ({stability.reason})" if stability.reason else ""
-    largest, other = complex(stability.multipliers[0]), "of another size"
-    if largest.imag != 0.0:
-        other = "that does not repeat each period, whose size swells and falls slowly"
-    elif largest.real <= 0.0:
-        other = "that repeats after two periods of the load"
-    text = f"the orbit is unstable{because}: a disturbed motion leaves it, for one {other}{seen}"
-    hints, search = [], [] if scene.harmonic_balance.tolerance else [DECIDES]
+    reason_text = f" ({stability.reason})" if stability.reason else ""
+    largest_multiplier, motion_description = complex(stability.multipliers[0]), "of another size"
+    if largest_multiplier.imag != 0.0:
+        motion_description = "that does not repeat each period, whose size swells and falls slowly"
+    elif largest_multiplier.real <= 0.0:
+        motion_description = "that repeats after two periods of the load"
+    verdict_text = (
+        f"the orbit is unstable{reason_text}: a disturbed motion leaves it, for one "
+        f"{motion_description}{motion_text}"
+    )
+    hint_texts, tolerance_options = (
+        [],
+        [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION],
+    )
     if stability.verdict == "irregular":
-        text = "; ".join(
-            [stability.reason + seen, *(f"{option} may find one" for option in search)]
+        verdict_text = "; ".join(
+            [
+                stability.reason + motion_text,
+                *(f"{tolerance_option} may find one" for tolerance_option in tolerance_options),
+            ]
         )
     if stability.verdict == "undecided":
-        text = f"the stability of the orbit is undecided{because}{seen}"
-        hints += search
-        table = scene.damping  # None: a matrix, which damps all modes or not
-        if table and not (table.of_all_modes or damped_count_and_max_omega(run.structure) is None):
-            hints.append("damping of all modes (damping.modes = 'all')")
-    yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
+        verdict_text = f"the stability of the orbit is undecided{reason_text}{motion_text}"
+        hint_texts += tolerance_options
+        damping_table = scene.damping  # None: a matrix, which damps all modes or not
+        if damping_table and not (
+            damping_table.of_all_modes or damped_count_and_max_omega(run.structure) is None
+        ):
+            hint_texts.append("damping of all modes (damping.modes = 'all')")
+    yield verdict_text + (f"; {' or '.join(hint_texts)} may decide it" if hint_texts else "")
 
 
-def of_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
-    """A note that pairs of a solid slide along lines, and a warning where they do not; nothing on
-    plates and without friction."""
-    if not (turning := getattr(friction_of(run.contact), "turning", None)):
-        return [], []
-    warning = f"sliding turns ({turning:.2g}): what friction does is not to be trusted"
-    note = "friction acts along one line for each pair; sliding across it is"
-    note += f" {turning:.2g} of that along it, without friction"
-    return [note], [warning] if turning > MOST_TURNING else []
+def describe_friction_lines(run: Run[Any]) -> tuple[list[str], list[str]]:
+    """Describe friction along lines in a solid, and warn if sliding turns.
 
-
-def of_friction(found: PeriodicSolution) -> Iterator[str]:
-    """A warning where contact has nearly more than one solution at an instant."""
-    flow = found.assessment.flow
-    if flow is None or flow.friction_law is None:
-        return
-    largest, critical = float(np.max(flow.friction_law.coefficient)), flow.critical_friction
-    if largest > 0.5 * critical:
-        high = f"the coefficient of friction, {largest:g}, is above half of {critical:.2g}"
-        yield f"{high}, from which on the contact forces of an instant need not be the only ones"
-
-
-def of_more_modes(scene: Scene, found: PeriodicSolution, verdict: str) -> Iterator[str]:
-    """A warning of a solution whose orbit has another verdict with twice the modes or more
-    (collective)."""
-    larger = found.assessment.more_modes
-    if larger is not None and (said := larger.describe_contradiction(verdict)):
-        yield f"{said}: the verdict {verdict!r} {ON_MODES}; raise {scene.modes_key}"
-
-
-# --- what is printed of tables --------------------------------------------------------------------
-
-
-def in_short(table: Table, scene: Scene, where: Where) -> Table:
-    """Return the printed part of a table: the quantities that the scene chooses, or those shown at
-    a place, one of the frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
-
-    A table with a column "name" has a quantity in each row, another one in each column. What is not
-    a quantity is printed too, where quantities are columns or the scene does not choose.
+    Returns
+    -------
+    notes, warnings : list of str
+        At most one text each; empty lists for plates and without friction.
     """
-    chosen, table, default = scene.quantities, _rounded(table), names_of(where=where)
+    if not (sliding_ratio := getattr(friction_of(run.contact), "turning", None)):
+        return [], []
+    warning_text = f"sliding turns ({sliding_ratio:.2g}): what friction does is not to be trusted"
+    note_text = "friction acts along one line for each pair; sliding across it is"
+    note_text += f" {sliding_ratio:.2g} of that along it, without friction"
+    return [note_text], [warning_text] if sliding_ratio > MAX_TRANSVERSE_SLIDING_RATIO else []
 
-    def wanted(name: str, unit: str) -> bool:
+
+def describe_ambiguous_contact(solution: PeriodicSolution) -> Iterator[str]:
+    """Yield a warning if contact forces are nearly not unique at an instant."""
+    exact_flow = solution.assessment.flow
+    if exact_flow is None or exact_flow.friction_law is None:
+        return
+    max_coefficient = float(np.max(exact_flow.friction_law.coefficient))
+    critical_coefficient = exact_flow.critical_friction
+    if max_coefficient > 0.5 * critical_coefficient:
+        coefficient_text = (
+            f"the coefficient of friction, {max_coefficient:g}, is above half of "
+            f"{critical_coefficient:.2g}"
+        )
+        yield (
+            f"{coefficient_text}, from which on the contact forces of an instant need not be the "
+            "only ones"
+        )
+
+
+def describe_mode_dependence(
+    scene: Scene, solution: PeriodicSolution, verdict: str
+) -> Iterator[str]:
+    """Yield a warning if more modes change the verdict on stability.
+
+    With twice the modes or more, the orbit then contradicts the ``verdict``.
+    """
+    larger_assessment = solution.assessment.more_modes
+    if larger_assessment is not None and (
+        contradiction_text := larger_assessment.describe_contradiction(verdict)
+    ):
+        yield (
+            f"{contradiction_text}: the verdict {verdict!r} {MODE_DEPENDENCE_TEXT}; raise "
+            f"{scene.modes_key}"
+        )
+
+
+# --- printed parts of tables ----------------------------------------------------------------------
+
+
+def select_printed_quantities(table: Table, scene: Scene, table_place: Where) -> Table:
+    """Return the printed part of a table: quantities that the scene requests.
+
+    Without a request, quantities shown at the ``table_place`` are printed. Frequencies and speeds
+    are printed in the scene's units alone. A table with a column "name" has a quantity in each row,
+    any other table in each column. Other columns are always printed; other rows by the level in
+    :data:`OTHER_QUANTITIES_BY_NAME`. Rows with nan are left out.
+    """
+    requested_names, default_names = scene.quantities, names_of(where=table_place)
+    table = _round_to_zero(table)
+
+    def is_printed(name: str, unit: str) -> bool:
         name = name.rpartition(".")[2]
-        if _is_twin(name, unit, scene):
+        if _is_in_unused_unit(name, unit, scene):
             return False
         name = name.replace("frequency_", "omega_")
-        return name in (chosen or default) if name in QUANTITIES else True
+        return name in (requested_names or default_names) if name in QUANTITIES else True
 
     if table.columns[0] == "name":
-        shown = (ALWAYS, BY_DEFAULT) if chosen is None else (ALWAYS,)
-        rows = [
-            row[1:]
-            for row in table.rows
-            if wanted(row[0], row[3])
-            and not (isinstance(row[2], float) and np.isnan(row[2]))
-            and OTHERS.get(row[0], ("", "", ALWAYS))[2] in shown
+        printed_levels = (
+            (PRINT_ALWAYS, PRINT_BY_DEFAULT) if requested_names is None else (PRINT_ALWAYS,)
+        )
+        printed_rows = [
+            table_row[1:]
+            for table_row in table.rows
+            if is_printed(table_row[0], table_row[3])
+            and not (isinstance(table_row[2], float) and np.isnan(table_row[2]))
+            and OTHER_QUANTITIES_BY_NAME.get(table_row[0], ("", "", PRINT_ALWAYS))[2]
+            in printed_levels
         ]
-        return Table(table.columns[1:], rows)
-    return _with_columns(table, wanted)
+        return Table(table.columns[1:], printed_rows)
+    return _select_columns(table, is_printed)
 
 
-def _rounded(table: Table) -> Table:
-    """The same with lengths and forces that are rounding as 0."""
-    units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
-    place = table.columns.index("unit") if "unit" in table.columns else None
+def _round_to_zero(table: Table) -> Table:
+    """Return a table with 0 for rounding errors, in :data:`UNITS_ROUNDED_TO_ZERO`."""
+    column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
+    unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
 
-    def rounded(value: Any, unit: str) -> Any:
-        known = isinstance(value, float) and unit in UNITS_WITH_ROUNDING
-        return 0.0 if known and abs(value) <= 1e-15 else value
+    def round_value(cell_value: Any, unit: str) -> Any:
+        can_round = isinstance(cell_value, float) and unit in UNITS_ROUNDED_TO_ZERO
+        return 0.0 if can_round and abs(cell_value) <= 1e-15 else cell_value
 
-    rows = []
-    for row in table.rows:
-        own = units if place is None else len(units) * [str(row[place])]
-        rows.append([rounded(*both) for both in zip(row, own, strict=True)])
-    return Table(table.columns, rows)
+    rounded_rows = []
+    for table_row in table.rows:
+        row_units = (
+            column_units
+            if unit_column_index is None
+            else len(column_units) * [str(table_row[unit_column_index])]
+        )
+        rounded_rows.append(
+            [
+                round_value(*cell_and_unit)
+                for cell_and_unit in zip(table_row, row_units, strict=True)
+            ]
+        )
+    return Table(table.columns, rounded_rows)
 
 
-def printed(report: Report) -> Table:
-    """The table of a report that is printed; with a scene one of its frequencies, in rad/s or in
-    Hz, and one of its speeds, likewise."""
+def printed_table(report: Report) -> Table:
+    """Return the printed table of a report.
+
+    With a scene, frequencies and speeds have the scene's units alone.
+    """
     table, scene = report.shown or report.table, report.scene
     if scene is None:
         return table
-    return _with_columns(table, lambda name, unit: not _is_twin(name, unit, scene))
+    return _select_columns(table, lambda name, unit: not _is_in_unused_unit(name, unit, scene))
 
 
-def _is_twin(name: str, unit: str, scene: Scene) -> bool:
-    """Return True for a frequency or speed in the unit that the scene does not use."""
-    prefix, other = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
-    speed = "speed" if scene.in_rpm else "rpm"
-    return name == speed or (name.startswith(prefix) and unit == other)
+def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
+    """Return True if the scene shows this frequency or speed in another unit."""
+    unused_prefix, unused_unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
+    unused_speed_name = "speed" if scene.in_rpm else "rpm"
+    return name == unused_speed_name or (name.startswith(unused_prefix) and unit == unused_unit)
 
 
-def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
-    """The columns of a table that are wanted by their names and units."""
-    headings = (heading.rstrip("]").partition(" [") for heading in table.columns)
-    kept = [n for n, (name, _, unit) in enumerate(headings) if wanted(name, unit)]
-    return Table([table.columns[n] for n in kept], [[row[n] for n in kept] for row in table.rows])
-
-
-def readable_rows(table: Table) -> Table:
-    """The known quantities of a table with a column "name" as one reads them: "7.916 µm", and
-    relative ones as "5.7 %"; with their errors where it has these."""
-    rows = [row[1:] for row in _rounded(table).rows if row[2] == row[2]]
+def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Table:
+    """Return the columns whose name and unit are selected."""
+    names_and_units = (heading.rstrip("]").partition(" [") for heading in table.columns)
+    column_indices = [
+        column_index
+        for column_index, (name, _, unit) in enumerate(names_and_units)
+        if is_selected(name, unit)
+    ]
     return Table(
-        ("quantity", "value", *table.columns[4:]),
-        [(*_readable(*row[:3]), *row[3:]) for row in rows],
+        [table.columns[column_index] for column_index in column_indices],
+        [[table_row[column_index] for column_index in column_indices] for table_row in table.rows],
     )
 
 
-def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
-    known = isinstance(value, float) and np.isfinite(value)
-    if known and unit in UNITS_WITH_ROUNDING:
-        return name, quantity(value, unit)
-    if known and name.startswith("relative "):
-        return name, percent(value)
-    words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
-    return name, words if unit in ("-", "1", "") else f"{words} {unit}"
+def format_known_quantities(table: Table) -> Table:
+    """Return the known quantities of a table as text: "7.916 µm".
+
+    The table has a column "name". Relative quantities are percentages: "5.7 %". Columns of errors
+    follow if the table has them.
+    """
+    known_rows = [
+        table_row[1:] for table_row in _round_to_zero(table).rows if table_row[2] == table_row[2]
+    ]
+    return Table(
+        ("quantity", "value", *table.columns[4:]),
+        [(*_format_quantity(*table_row[:3]), *table_row[3:]) for table_row in known_rows],
+    )
+
+
+def _format_quantity(description: str, quantity_value: Any, unit: str) -> tuple[str, Any]:
+    """Return a quantity's description, and the value with unit as text."""
+    is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
+    if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
+        return description, quantity(quantity_value, unit)
+    if is_finite_number and description.startswith("relative "):
+        return description, percent(quantity_value)
+    value_text = (
+        f"{quantity_value:.6g}"
+        if is_finite_number
+        else {True: "yes", False: "no"}.get(quantity_value, quantity_value)
+    )
+    return description, value_text if unit in ("-", "1", "") else f"{value_text} {unit}"

@@ -1,4 +1,4 @@
-"""The program ``fenics-crack``: arguments, exit codes, and what happens to errors."""
+"""The program ``fenics-crack``: arguments, exit codes and printed errors."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from fenics_crack.basics.suggestions import in_other_words, meant, near
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
-    from fenics_crack.cli.given import Console, Inputs
+    from fenics_crack.cli.given import CommandInputs, Console
 
-PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
-"""Beginnings of PETSc's options that reach a solver: SNES, GMRES, SLEPc, factorisations."""
-OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
-"""Texts by which PETSc, and the loader of a library, report too little memory."""
-TABLES = {
+PETSC_PREFIXES = tuple(f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor"))
+"""Prefixes of PETSc options for solvers: SNES, GMRES, SLEPc or a factorisation."""
+OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
+"""Texts by which PETSc and the library loader report too little memory."""
+ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
     "excitation": ("omega",),
@@ -41,10 +41,14 @@ TABLES = {
     "reduction": ("method", "modes"),
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
 }
-DAMPING_KEYS = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
-KEYS = {
-    **{name: f"{table}.{name}" for table, names in TABLES.items() for name in names},
-    **{f"damping {name}": f"damping.{name}" for name in DAMPING_KEYS},
+DAMPING_ARGUMENTS = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
+SCENE_KEY_BY_ARGUMENT = {
+    **{
+        name: f"{table}.{name}"
+        for table, names in ARGUMENT_NAMES_BY_TABLE.items()
+        for name in names
+    },
+    **{f"damping {name}": f"damping.{name}" for name in DAMPING_ARGUMENTS},
     **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
     "contact law": "contact.law",
     "contact stiffness": "contact.stiffness",
@@ -54,10 +58,10 @@ KEYS = {
     "record_periods": "integration.periods",
     "start, end": "curve.start, curve.stop",
 }
-"""Keys of a scene for the arguments of the library that errors name."""
-HIGHEST_ORDER = 1000
+"""Scene key or option, by the argument name in an error of the library."""
+MAX_ENGINE_ORDER = 1000
 """Maximum engine order of ``--orders``."""
-EPILOG = """\
+HELP_EPILOG_TEXT = """\
 Start with:
 
   fenics-crack new plate.toml       a scene with every key explained
@@ -74,66 +78,80 @@ Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ende
 found, if anything, is in the files); 4 solved, but the error is above the tolerance or unknown; 130
 stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 """
+"""Text below the program's help."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code; the same on every rank."""
+def main(command_words: Sequence[str] | None = None) -> int:
+    """Run a command and return the exit code, the same on every rank.
+
+    ``command_words`` replace the words of the command line.
+    """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
-    if any(os.environ.get(name, "0") != "0" for name in threads.LAUNCHERS):
-        _be_silent()
+    if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.LAUNCHERS):
+        _discard_rank_output()
     if sys.stdout is None:
-        _say("standard output is closed")
+        _print_message("standard output is closed")
         return Exit.FAULT
     try:
-        given = _read(arguments)
-        return _run(given)
+        arguments = _parse_arguments(command_words)
+        return _run_command(arguments)
     except InputError as error:
-        if error.__cause__ is not None and given.verbose:
+        if error.__cause__ is not None and arguments.verbose:
             traceback.print_exception(error.__cause__)
-        _explain((error, *error.others))
+        _print_input_errors((error, *error.others))
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
-        _say(str(error) if isinstance(error, StoppedError) else f"did not converge: {error}")
+        _print_message(
+            str(error) if isinstance(error, StoppedError) else f"did not converge: {error}"
+        )
         return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
-        # Say nothing of what a library cannot end well, as it was stopped in the middle of a step;
-        # the last to be registered is the first to be called.
+        # Print no errors of libraries that were stopped in the middle of a step. The hook
+        # registered last is called first.
         atexit.register(setattr, sys, "unraisablehook", lambda _: None)
-        _say("stopped")
-        _end_others(Exit.STOPPED)
+        _print_message("stopped")
+        _abort_all_ranks(Exit.STOPPED)
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
-        _discard_output()
+        _redirect_stdout_to_null()
         return Exit.READER_GONE
     except Exception as error:
-        if "FromOptions()" in (message := str(error).rstrip()):  # a value unknown to PETSc
-            reason = f"with values that PETSc knows ({message.rpartition('[0] ')[2]})"
-            _explain([InputError("PETSc options", " ".join(_petsc_options()), reason)])
+        if "FromOptions()" in (error_message := str(error).rstrip()):  # a value unknown to PETSc
+            requirement_text = (
+                f"with values that PETSc knows ({error_message.rpartition('[0] ')[2]})"
+            )
+            _print_input_errors(
+                [InputError("PETSc options", " ".join(_petsc_arguments()), requirement_text)]
+            )
             return Exit.BAD_INPUT
-        if shortage := _shortage(error):
-            _say(shortage, sys.__stderr__)
-            _discard_output()
+        if shortage_text := _describe_resource_shortage(error):
+            _print_message(shortage_text, sys.__stderr__)
+            _redirect_stdout_to_null()
         else:
             traceback.print_exc(file=sys.__stderr__)
-        _end_others(Exit.FAULT)
+        _abort_all_ranks(Exit.FAULT)
         return Exit.FAULT
 
 
-def _end_others(code: Exit) -> None:
-    """End the other ranks, which may wait for this one, and this one, with an exit code."""
+def _abort_all_ranks(exit_code: Exit) -> None:
+    """End all ranks with an exit code."""
     if threads.launched():
         from mpi4py import MPI
 
         if MPI.COMM_WORLD.size > 1:
-            MPI.COMM_WORLD.Abort(code)
+            MPI.COMM_WORLD.Abort(exit_code)
 
 
-def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Read the arguments, of the program's own those before PETSc's; SystemExit after --help, and
-    for words that the parser refuses."""
+def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
+    """Parse the program's arguments, which stand before PETSc's options.
+
+    Raises SystemExit after --help, and for words that the parser refuses.
+    """
     try:
-        given = parser().parse_args(_without_petsc() if arguments is None else arguments)
+        arguments = build_parser().parse_args(
+            _arguments_before_petsc() if command_words is None else command_words
+        )
     except SystemExit:
         sys.stdout.flush()
         if threads.launched():
@@ -141,143 +159,178 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
 
             MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
         raise
-    given.words = [*(sys.argv[1:] if arguments is None else arguments)]
-    return given
+    arguments.words = [*(sys.argv[1:] if command_words is None else command_words)]
+    return arguments
 
 
-def _without_petsc() -> list[str]:
-    """The program's arguments up to the first ``-crack_``, from which on PETSc takes them as in
-    scripts (``basics/ranks.py``); InputError for a prefix that no solver has."""
-    for word in (options := _petsc_options()):
-        if word.startswith("-crack_") and not word.startswith(PREFIXES):
-            raise InputError("PETSc option", word, f"one that begins with {' or '.join(PREFIXES)}")
-    return sys.argv[1 : len(sys.argv) - len(options)]
+def _arguments_before_petsc() -> list[str]:
+    """Return the words of the command line before the first ``-crack_``.
+
+    PETSc reads all later words itself, as in scripts (``basics/ranks.py``). Raises InputError for a
+    prefix that no solver has.
+    """
+    for argument in (petsc_arguments := _petsc_arguments()):
+        if argument.startswith("-crack_") and not argument.startswith(PETSC_PREFIXES):
+            raise InputError(
+                "PETSc option", argument, f"one that begins with {' or '.join(PETSC_PREFIXES)}"
+            )
+    return sys.argv[1 : len(sys.argv) - len(petsc_arguments)]
 
 
-def _petsc_options() -> list[str]:
-    """Return the words of the command line from the first of PETSc's options on."""
-    return [*dropwhile(lambda word: not word.startswith("-crack_"), sys.argv[1:])]
+def _petsc_arguments() -> list[str]:
+    """Return the words of the command line from the first ``-crack_`` on."""
+    return [*dropwhile(lambda argument: not argument.startswith("-crack_"), sys.argv[1:])]
 
 
-def _be_silent() -> None:
-    """Discard what this rank prints; faults of the program go to the true standard error."""
+def _discard_rank_output() -> None:
+    """Discard the output of this rank; tracebacks still reach the true standard error."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
 
-def _say(text: str, stream: TextIO | None = None) -> None:
-    """Print the last line, if that is possible."""
+def _print_message(text: str, stream: TextIO | None = None) -> None:
+    """Print a message, by default to standard error; a closed stream is ignored."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
 
 
-def _explain(errors: Sequence[InputError]) -> None:
-    """Print a line for each error, of a missing key with an example, and lines to be pasted where
-    tables are missing."""
-    blocks = []
-    for error in errors:
-        key, example = KEYS.get(error.key, error.key), ""
-        if error.value is None:
-            from fenics_crack.cli.given import line_of, lines_of
+def _print_input_errors(input_errors: Sequence[InputError]) -> None:
+    """Print a line for each error, with examples for missing input.
 
-            line = "" if key in error.allowed else line_of(key, error.allowed)
-            example = f"; for example {line}" if line else ""
-            blocks.append(lines_of(key) if error.example is None else error.example)
-        _say(f"{type(error)(key, error.value, error.allowed)}{example}")
-    if lines := "\n\n".join(filter(None, blocks)):
-        print(f"for example:\n\n{lines}", file=sys.stderr)
+    The example for a key ends the error's line; examples for tables follow all errors.
+    """
+    example_blocks = []
+    for input_error in input_errors:
+        scene_key, example_text = SCENE_KEY_BY_ARGUMENT.get(input_error.key, input_error.key), ""
+        if input_error.value is None:
+            from fenics_crack.cli.given import example_line, example_table
+
+            example_assignment = (
+                ""
+                if scene_key in input_error.allowed
+                else example_line(scene_key, input_error.allowed)
+            )
+            example_text = f"; for example {example_assignment}" if example_assignment else ""
+            example_blocks.append(
+                example_table(scene_key) if input_error.example is None else input_error.example
+            )
+        _print_message(
+            f"{type(input_error)(scene_key, input_error.value, input_error.allowed)}{example_text}"
+        )
+    if example_lines := "\n\n".join(filter(None, example_blocks)):
+        print(f"for example:\n\n{example_lines}", file=sys.stderr)
 
 
-def _discard_output() -> None:
-    """Spare Python the attempt to write at its end what could not be written before."""
+def _redirect_stdout_to_null() -> None:
+    """Redirect standard output to the null device, so that Python's exit writes nothing."""
     with contextlib.suppress(OSError):  # it may be no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _shortage(error: Exception) -> str:
-    """Describe the resource that ran out if an error is due to that, else return ""."""
-    said = any(words in str(error) for words in OUT_OF_MEMORY)
+def _describe_resource_shortage(error: Exception) -> str:
+    """Describe the lack of memory or disk space behind an error, else ""."""
+    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
-    near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
-    if isinstance(error, MemoryError) or said or near_limit:
+    is_near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
+    if isinstance(error, MemoryError) or is_reported or is_near_limit:
         return "memory was not enough"
     if isinstance(error, OSError) and error.errno in FULL:
         return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
     return ""
 
 
-def _run(given: argparse.Namespace) -> Exit:
-    """Read what a command is given, prepare this process, and call it.
+def _run_command(arguments: argparse.Namespace) -> Exit:
+    """Read the inputs of a command, prepare this process, and call the command.
 
-    MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
-    process, rank 0 reads for all.
+    Inputs are read before MPI and PETSc are loaded, so that wrong input is refused at once. Under
+    mpirun, rank 0 reads for all ranks.
     """
-    if given.command == "doctor":  # which asks what is there
-        return _command(given, None, None) or Exit.DONE
+    if arguments.command == "doctor":  # checks itself which libraries are there
+        return _call_command(arguments, None, None) or Exit.DONE
     threads.check_modules()
-    from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared
+    from fenics_crack.cli.given import (
+        STRUCTURE_FILE_NAME,
+        Console,
+        read_inputs,
+        read_prepared_study,
+    )
 
-    launched = threads.launched()
-    prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
-    inputs = None if launched or prepared else read_inputs(given)
-    of_scene = launched or not ("scene" in given and inputs is None)
+    is_launched = threads.launched()
+    is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
+    inputs = None if is_launched or is_prepared_file else read_inputs(arguments)
+    may_need_mesh = is_launched or not ("scene" in arguments and inputs is None)
     has_structure_file = (
-        inputs and not vars(given).get("fresh", True) and (inputs.folder / STRUCTURE_FILE).exists()
+        inputs
+        and not vars(arguments).get("fresh", True)
+        and (inputs.folder / STRUCTURE_FILE_NAME).exists()
     )
-    meshes = (
-        given.command not in ("new", "clean") and not (prepared or has_structure_file) and of_scene
+    needs_mesh = (
+        arguments.command not in ("new", "clean")
+        and not (is_prepared_file or has_structure_file)
+        and may_need_mesh
     )
-    if meshes and not (inputs and inputs.scene.structure):
+    if needs_mesh and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
     with threads.one_process_settings():
         from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
-        _be_silent()
+        _discard_rank_output()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
-    for number in STOPS:
-        signal.signal(number, signal.default_int_handler)
-    with threads.alone(), Messages(quiet=given.quiet):
-        if prepared:
-            inputs = read_prepared(given, comm)
-        elif launched:
-            inputs = on_root(comm, lambda: read_inputs(given))
-        pictures = vars(given).get("pictures", "png")
-        console = Console(comm, given.format, given.quiet, given.verbose, pictures)
-        exit_code = _command(given, inputs, console) or Exit.DONE
-        console.warn(*map("PETSc option {}: no solver has read it".format, unread_options()))
+    for signal_number in STOPS:
+        signal.signal(signal_number, signal.default_int_handler)
+    with threads.alone(), Messages(quiet=arguments.quiet):
+        if is_prepared_file:
+            inputs = read_prepared_study(arguments, comm)
+        elif is_launched:
+            inputs = on_root(comm, lambda: read_inputs(arguments))
+        picture_format = vars(arguments).get("pictures", "png")
+        console = Console(
+            comm, arguments.format, arguments.quiet, arguments.verbose, picture_format
+        )
+        exit_code = _call_command(arguments, inputs, console) or Exit.DONE
+        console.print_warnings(
+            *map("PETSc option {}: no solver has read it".format, unread_options())
+        )
         return exit_code
 
 
-def _command(
-    given: argparse.Namespace, inputs: Inputs | None, console: Console | None
+def _call_command(
+    arguments: argparse.Namespace, inputs: CommandInputs | None, console: Console | None
 ) -> Exit | None:
-    """Call a command; return how it ended where that may differ."""
-    name, *_ = COMMANDS[given.command][1].split()
-    command: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{name}")
-    if not name.startswith("cli."):
-        from fenics_crack.cli.commands import compute
+    """Call a command, with a writable folder and the kept structure.
 
-        command = partial(compute, command)
-    if inputs is None or ("output" not in given and given.command != "check"):
-        return command(given, inputs, console)
+    Returns None for exit code 0.
+    """
+    function_path, *_ = HELP_AND_CALL_BY_COMMAND[arguments.command][1].split()
+    command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
+    if not function_path.startswith("cli."):
+        from fenics_crack.cli.commands import run_and_report_function
+
+        command_function = partial(run_and_report_function, command_function)
+    if inputs is None or ("output" not in arguments and arguments.command != "check"):
+        return command_function(arguments, inputs, console)
     from fenics_crack.basics.ranks import on_root
-    from fenics_crack.cli.given import STRUCTURE_FILE, make_writable
+    from fenics_crack.cli.given import STRUCTURE_FILE_NAME, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
     from fenics_crack.study.sharing import SHELVES
 
     assert console is not None
-    if given.command not in ("check", "clean"):
+    if arguments.command not in ("check", "clean"):
         make_writable(inputs.folder, console.comm)
-    if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
+    if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
         from fenics_crack.study.shelf import Shelf
 
-        path = inputs.folder / STRUCTURE_FILE
-        is_read = on_root(console.comm, lambda: path.is_file() and not path.is_symlink())
-        SHELVES[:] = [Shelf(path, console.note, is_read=is_read and not fresh)]
-    if given.command != "clean":  # before the mesh, which may take minutes
-        console.remark(*remarks_on_scene(inputs.scene))
+        structure_path = inputs.folder / STRUCTURE_FILE_NAME
+        can_read_structure = on_root(
+            console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
+        )
+        SHELVES[:] = [
+            Shelf(structure_path, console.print_notes, is_read=can_read_structure and not is_fresh)
+        ]
+    if arguments.command != "clean":  # before the mesh, which may take minutes
+        console.print_remarks(*remarks_on_scene(inputs.scene))
     try:
-        return command(given, inputs, console)
+        return command_function(arguments, inputs, console)
     finally:
         SHELVES.clear()
 
@@ -285,81 +338,94 @@ def _command(
 # --- arguments ------------------------------------------------------------------------------------
 
 
-class OrderRange(argparse.Action):
-    """Changes ``tip_timing.orders`` to the whole numbers of a range."""
+class OrderRangeAction(argparse.Action):
+    """Set ``tip_timing.orders`` to the whole numbers of a range."""
 
-    def __call__(self, _: Any, words: argparse.Namespace, ends: Any, option: Any = None) -> None:
-        """Called by argparse with the first order and the last one."""
-        first_order, last_order = ends
-        if not 1 <= first_order <= last_order <= HIGHEST_ORDER:
-            allowed_range = f"whole numbers, 1 <= FIRST <= LAST <= {HIGHEST_ORDER}"
-            raise InputError("--orders", ends, allowed_range)
-        orders = [*range(first_order, last_order + 1)]
-        words.set = [*words.set, f"tip_timing.orders={orders}"]
+    def __call__(
+        self, _: Any, arguments: argparse.Namespace, order_range: Any, option_string: Any = None
+    ) -> None:
+        """Add the orders to the values of --set, called by argparse."""
+        first_order, last_order = order_range
+        if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
+            requirement_text = f"whole numbers, 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
+            raise InputError("--orders", order_range, requirement_text)
+        engine_orders = [*range(first_order, last_order + 1)]
+        arguments.set = [*arguments.set, f"tip_timing.orders={engine_orders}"]
 
 
 def path(text: str) -> Path:
-    """A path that can be opened, and written in the files of results; argparse refuses others."""
+    """Convert an argument to a path; argparse names this function in errors.
+
+    Raises ValueError for paths that cannot be opened, or written into files of results.
+    """
     if b"\0" in text.encode("utf-8"):
         raise ValueError
     return Path(text)
 
 
-SOLVED = "scene --set --output"
-COMMANDS = {
+COMMON_ARGUMENTS_TEXT = "scene --set --output"
+HELP_AND_CALL_BY_COMMAND = {
     "new": (
         "write a commented scene to start from",
-        "cli.given:new file --blade --timing --identify --solid --disk --cad",
+        "cli.given:write_new_scene file --blade --timing --identify --solid --disk --cad",
     ),
     "check": (
         "mesh and assemble a scene without solving it",
-        "cli.scenes:check scene --set --fresh",
+        "cli.scenes:compute_and_print_figures scene --set --fresh",
     ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
-        f"runs.solve:modes {SOLVED} --count",
+        f"runs.solve:modes {COMMON_ARGUMENTS_TEXT} --count",
     ),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
-        f"study.campbell:campbell {SOLVED} --count --speeds --pictures",
+        f"study.campbell:campbell {COMMON_ARGUMENTS_TEXT} --count --speeds --pictures",
     ),
     "disk": (
         "natural frequencies of a bladed disk over the nodal diameter, and how much random "
         "mistuning amplifies the response of a blade, with pictures",
-        f"cli.commands:disk {SOLVED} --patterns --deviation --pictures",
+        f"cli.commands:compute_and_report_disk {COMMON_ARGUMENTS_TEXT} --patterns --deviation "
+        "--pictures",
     ),
     "reduce": (
         "write what a scene's mesh gives to a file with which solve and curve need no mesh",
-        "cli.commands:reduce scene --set --output=FILE.h5",
+        "cli.commands:write_prepared_study scene --set --output=FILE.h5",
     ),
-    "solve": ("steady vibration at excitation.omega", f"runs.solve:solve {SOLVED} --fresh"),
+    "solve": (
+        "steady vibration at excitation.omega",
+        f"runs.solve:solve {COMMON_ARGUMENTS_TEXT} --fresh",
+    ),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"errors.verify:verify {SOLVED} --fresh --pictures",
+        f"errors.verify:verify {COMMON_ARGUMENTS_TEXT} --fresh --pictures",
     ),
-    "curve": ("response curve of the table [curve]", f"runs.curve:curve {SOLVED} --fresh"),
+    "curve": (
+        "response curve of the table [curve]",
+        f"runs.curve:curve {COMMON_ARGUMENTS_TEXT} --fresh",
+    ),
     "integrate": (
         "motion in time by the table [integration]",
-        f"runs.integrate:integrate {SOLVED}",
+        f"runs.integrate:integrate {COMMON_ARGUMENTS_TEXT}",
     ),
     "sweep": (
         "all cases of the table [sweep.over]; goes on where it stopped",
-        f"cli.commands:sweep {SOLVED} --fresh",
+        f"cli.commands:run_and_report_sweep {COMMON_ARGUMENTS_TEXT} --fresh",
     ),
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
         "goes on where it stopped",
-        f"fatigue.growth:grow {SOLVED} --pictures",
+        f"fatigue.growth:grow {COMMON_ARGUMENTS_TEXT} --pictures",
     ),
     "timing": (
         "arrivals of the blade tip at the probes of [tip_timing], and the vibration in them",
-        "cli.timing:timing scene arrivals --blade=N --orders --set --output --pictures",
+        "cli.timing:fit_and_report_timing scene arrivals --blade=N --orders --set --output "
+        "--pictures",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
-        "cli.commands:identify scene measurements --arrivals --before --blade=N --modes --set "
-        "--output --pictures",
+        "cli.commands:identify_and_report_crack scene measurements --arrivals --before --blade=N "
+        "--modes --set --output --pictures",
     ),
     "plot": (
         "pictures of a result, of all in a folder, of several curves in one, or of a scene's mesh; "
@@ -368,20 +434,23 @@ COMMANDS = {
     ),
     "report": (
         "one HTML page with all of some results, or of a folder, to be read anywhere",
-        "cli.report:report results --output=FILE",
+        "cli.report:write_report_page results --output=FILE",
     ),
     "clean": (
         "remove the structure that earlier commands have kept in the folder for the results",
-        f"cli.commands:clean {SOLVED}",
+        f"cli.commands:remove_kept_structure {COMMON_ARGUMENTS_TEXT}",
     ),
     "doctor": (
         "what this installation consists of, and whether it computes known numbers",
-        "cli.doctor:doctor",
+        "cli.doctor:run_and_print_checks",
     ),
 }
-"""Description of each command; its function and its own arguments. A function of ``cli`` takes
-these, any other one a scene and what else it takes of them."""
-ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
+"""Description, function and arguments by command name.
+
+A function of ``cli`` takes arguments, inputs and console. Any other function takes a scene, and
+arguments by the names of parameters.
+"""
+HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
     "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
@@ -433,7 +502,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "--orders": (
         "engine orders that may be in the arrivals, from FIRST to LAST; those of "
         "tip_timing.orders (default: the load's, or 1 to 24 where it is not known)",
-        {"type": int, "nargs": 2, "metavar": ("FIRST", "LAST"), "action": OrderRange},
+        {"type": int, "nargs": 2, "metavar": ("FIRST", "LAST"), "action": OrderRangeAction},
     ),
     "arrivals": (
         "source of the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
@@ -486,87 +555,133 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-COMPLETED_KEYS = {
+KEY_COMPLETION_BY_SHELL = {
     "bash": "_fenics_crack_keys", "zsh": "_fenics_crack_keys", "fish": "(_fenics_crack_keys)",
 }  # fmt: skip
-COMPLETED_PATHS = {
+"""Completion of ``--set`` for shtab, by shell: the function defined below."""
+PATH_COMPLETION_BY_SHELL = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
-"""Completion of ``--set`` and of paths, by shell, as shtab takes it; the function behind the first,
-whose body has the keys of scenes."""
-KEY_FUNCTIONS = {
+"""Completion of paths for shtab, by shell."""
+KEY_FUNCTION_CODE_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
 }
+"""Shell function for the completion of ``--set``, by shell; {} stands for all scene keys."""
 
 
-class Parser(argparse.ArgumentParser):
-    """Asks what may be meant by a command, or an option, that there is not."""
+class SuggestingParser(argparse.ArgumentParser):
+    """Parse arguments, and suggest commands or options for unknown ones."""
 
     def error(self, message: str) -> NoReturn:
         """Print the error and suggestions, and exit."""
-        wrong = re.search(r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message)
+        wrong_word_match = re.search(
+            r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message
+        )
         if re.search(r"unrecognized arguments: [\w.]+=", message):
             message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
-        elif wrong and wrong[2]:
-            option = wrong[2].partition("=")[0]
-            takers = [name for name in COMMANDS if option in options_of(name)]
-            message += f"; {meant([] if takers else near(option, options_of(*COMMANDS)))}"
-            message += f"of {', '.join(takers)} alone" if takers else ""
-        elif wrong:
-            calls = "\n".join(in_other_words(wrong[1]))
-            others = [name for name in COMMANDS if re.search(rf"fc\.(run_)?{name}\(", calls)]
-            message += f"; {meant(near(wrong[1], COMMANDS) or others)}"
+        elif wrong_word_match and wrong_word_match[2]:
+            unknown_option = wrong_word_match[2].partition("=")[0]
+            commands_with_option = [
+                command_name
+                for command_name in HELP_AND_CALL_BY_COMMAND
+                if unknown_option in list_options(command_name)
+            ]
+            all_options = list_options(*HELP_AND_CALL_BY_COMMAND)
+            message += (
+                f"; {meant([] if commands_with_option else near(unknown_option, all_options))}"
+            )
+            message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
+        elif wrong_word_match:
+            python_calls = "\n".join(in_other_words(wrong_word_match[1]))
+            suggested_commands = [
+                command_name
+                for command_name in HELP_AND_CALL_BY_COMMAND
+                if re.search(rf"fc\.(run_)?{command_name}\(", python_calls)
+            ]
+            similar_commands = near(wrong_word_match[1], HELP_AND_CALL_BY_COMMAND)
+            message += f"; {meant(similar_commands or suggested_commands)}"
         super().error(message.rstrip("; "))
 
 
-class Completion(argparse.Action):
+class CompletionAction(argparse.Action):
     """Print what a shell needs to complete the program's words, and exit."""
 
-    def __call__(self, parser: argparse.ArgumentParser, *given: Any) -> NoReturn:
-        """Called by argparse: the namespace, the shell, and the option."""
+    def __call__(self, parser: argparse.ArgumentParser, *call_arguments: Any) -> NoReturn:
+        """Print the completion; argparse passes the namespace, the shell and the option."""
         from fenics_crack.scene.scene import known_keys
 
         try:
             import shtab
         except ImportError:
             parser.error("--completion needs shtab: python -m pip install shtab")
-        keys = " ".join(known_keys())
-        preamble = {shell: text.format(keys) for shell, text in KEY_FUNCTIONS.items()}
-        print(shtab.complete(parser, given[1], preamble=preamble))
+        keys_text = " ".join(known_keys())
+        preamble_by_shell = {
+            shell: function_code.format(keys_text)
+            for shell, function_code in KEY_FUNCTION_CODE_BY_SHELL.items()
+        }
+        print(shtab.complete(parser, call_arguments[1], preamble=preamble_by_shell))
         parser.exit()
 
 
-def options_of(*commands: str) -> list[str]:
-    """The options of some commands, each once."""
-    words = " ".join(COMMANDS[name][1] for name in commands).split()
-    own = [word.partition("=")[0] for word in words if word.startswith("--")]
-    return list(dict.fromkeys([*own, "--format", "--quiet", "--verbose", "--help"]))
+def list_options(*command_names: str) -> list[str]:
+    """Return the options of several commands without repetition."""
+    argument_names = " ".join(
+        HELP_AND_CALL_BY_COMMAND[command_name][1] for command_name in command_names
+    ).split()
+    command_options = [
+        argument_name.partition("=")[0]
+        for argument_name in argument_names
+        if argument_name.startswith("--")
+    ]
+    return list(dict.fromkeys([*command_options, "--format", "--quiet", "--verbose", "--help"]))
 
 
-def parser() -> argparse.ArgumentParser:
-    """The arguments of all commands."""
-    whole = Parser(
+def build_parser() -> argparse.ArgumentParser:
+    """Build the parser for all commands and arguments."""
+    program_parser = SuggestingParser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",
-        epilog=EPILOG,
+        epilog=HELP_EPILOG_TEXT,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    whole.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
-    shell = 'print what a shell needs to complete words: eval "$(fenics-crack --completion bash)"'
-    whole.add_argument("--completion", action=Completion, choices=(*KEY_FUNCTIONS,), help=shell)
-    group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, (text, words) in COMMANDS.items():
-        command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])
-        for argument in [*words.split()[1:], "--format"]:
-            explained, options = ARGUMENTS[argument]
-            added = command.add_argument(argument.partition("=")[0], help=explained, **options)
-            if argument == "--set" or options.get("type") is path:
-                shells = COMPLETED_KEYS if argument == "--set" else COMPLETED_PATHS
-                added.complete = shells  # type: ignore[attr-defined]
-        loud = command.add_mutually_exclusive_group()
-        loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
-        loud.add_argument("--verbose", action="store_true", help="report how long each part took")
-    return whole
+    program_parser.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
+    completion_help = (
+        'print what a shell needs to complete words: eval "$(fenics-crack --completion bash)"'
+    )
+    program_parser.add_argument(
+        "--completion",
+        action=CompletionAction,
+        choices=(*KEY_FUNCTION_CODE_BY_SHELL,),
+        help=completion_help,
+    )
+    command_group = program_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for command_name, (
+        command_help,
+        function_and_arguments_text,
+    ) in HELP_AND_CALL_BY_COMMAND.items():
+        command_parser = command_group.add_parser(
+            command_name, help=command_help, description=command_help[0].upper() + command_help[1:]
+        )
+        for argument_name in [*function_and_arguments_text.split()[1:], "--format"]:
+            argument_help, argument_options = HELP_AND_OPTIONS_BY_ARGUMENT[argument_name]
+            argument_action = command_parser.add_argument(
+                argument_name.partition("=")[0], help=argument_help, **argument_options
+            )
+            if argument_name == "--set" or argument_options.get("type") is path:
+                completion_by_shell = (
+                    KEY_COMPLETION_BY_SHELL
+                    if argument_name == "--set"
+                    else PATH_COMPLETION_BY_SHELL
+                )
+                argument_action.complete = completion_by_shell  # type: ignore[attr-defined]
+        verbosity_group = command_parser.add_mutually_exclusive_group()
+        verbosity_group.add_argument(
+            "--quiet", action="store_true", help="print the table and nothing else"
+        )
+        verbosity_group.add_argument(
+            "--verbose", action="store_true", help="report how long each part took"
+        )
+    return program_parser

@@ -1,4 +1,4 @@
-"""The commands that solve a scene: each computes, writes its files and reports."""
+"""Commands that compute a result, write files and print a report."""
 
 from __future__ import annotations
 
@@ -14,10 +14,16 @@ from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError,
 from fenics_crack.basics.ranks import on_root, uninterrupted
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import speed_in_words
-from fenics_crack.cli.account import printed
-from fenics_crack.cli.drawn import Drawn
-from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
-from fenics_crack.cli.kinds import KINDS, draw, report_of
+from fenics_crack.cli.account import printed_table
+from fenics_crack.cli.drawn import PictureFiles
+from fenics_crack.cli.given import (
+    STRUCTURE_FILE_NAME,
+    CommandInputs,
+    Console,
+    format_command,
+    keep_previous_result,
+)
+from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result
 from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.sharing import SHELVES
@@ -28,196 +34,291 @@ if TYPE_CHECKING:
     from fenics_crack.scene.scene import Scene
 
 
-def compute(
-    function: Callable[..., Any], given: Namespace, inputs: Inputs, console: Console
+def run_and_report_function(
+    package_function: Callable[..., Any],
+    arguments: Namespace,
+    inputs: CommandInputs,
+    console: Console,
 ) -> Exit:
-    """A command that is a function of the package: call it with the scene and what else it takes of
-    the arguments, the folder and the ranks; write and print its result."""
+    """Run a package function as a command, write the result, print the report.
+
+    The function gets the scene (or the study from a file of ``reduce``), and arguments, folder,
+    ranks and progress by the names of parameters. Ctrl-C is ignored while files are written. An
+    interrupted result replaces no earlier file: the new name then ends in "_interrupted".
+    """
     folder = inputs.folder
-    if given.command == "curve" and inputs.scene.curve is None:
-        from fenics_crack.cli.scenes import without_curve
+    if arguments.command == "curve" and inputs.scene.curve is None:
+        from fenics_crack.cli.scenes import missing_curve_error
 
-        raise without_curve(inputs.scene, console)
-    offered = {"comm": console.comm, "progress": console.progress, "few": FEW_MODES}
-    offered |= vars(given) | vars(inputs) | {"scene": inputs.prepared or inputs.scene}
-    options = {name: offered[name] for name in signature(function).parameters if name in offered}
-    with console.stage(given.command, bars="folder" in options):
-        result = function(**options)
-    name, report = KINDS[result.KIND].name, None
+        raise missing_curve_error(inputs.scene, console)
+    values_by_parameter = {
+        "comm": console.comm,
+        "progress": console.shows_progress,
+        "few": FEW_MODES,
+    }
+    values_by_parameter |= (
+        vars(arguments) | vars(inputs) | {"scene": inputs.prepared_study or inputs.scene}
+    )
+    arguments_by_parameter = {
+        parameter_name: values_by_parameter[parameter_name]
+        for parameter_name in signature(package_function).parameters
+        if parameter_name in values_by_parameter
+    }
+    with console.report_stage(arguments.command, has_bars="folder" in arguments_by_parameter):
+        result = package_function(**arguments_by_parameter)
+    file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
-    stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
+    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
     try:
-        with console.stage("errors"):
-            if run is not None and not stopped:
+        with console.report_stage("errors"):
+            if run is not None and not is_stopped:
                 result = replace(run, stated=run.errors)
-            report = report_of(result)
+            report = build_report(result)
     except KeyboardInterrupt:
-        stopped = True
+        is_stopped = True
     with uninterrupted():
-        if stopped and on_root(console.comm, (folder / f"{name}.h5").exists):
-            console.note(
-                f"{folder / name}.* is unchanged: the interrupted result has a name of its own"
+        if is_stopped and on_root(console.comm, (folder / f"{file_stem}.h5").exists):
+            console.print_notes(
+                f"{folder / file_stem}.* is unchanged: the interrupted result has a name of its own"
             )
-            name = f"{name}_interrupted"  # a part takes the place of no result
+            file_stem = f"{file_stem}_interrupted"
         if report is None:
-            _save(result, folder / f"{name}.h5", console)
-            raise StoppedError(f"stopped; {folder / name}.h5 has the result so far")
-        return tell(report, folder / name, console, result, vars(given).get("pictures"))
+            _save_result(result, folder / f"{file_stem}.h5", console)
+            raise StoppedError(f"stopped; {folder / file_stem}.h5 has the result so far")
+        return write_and_print_report(
+            report, folder / file_stem, console, result, vars(arguments).get("pictures")
+        )
 
 
-def _save(result: Any, path: Path, console: Console) -> None:
-    """Write the file of a result; a run is saved by the ranks that share it."""
+def _save_result(result: Any, path: Path, console: Console) -> None:
+    """Save a result; only a run knows the ranks without the console."""
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
-def tell(
-    report: Report, path: Path, console: Console, result: Any = None, pictures: str | None = None
+def write_and_print_report(
+    report: Report,
+    stem_path: Path,
+    console: Console,
+    result: Any = None,
+    picture_format: str | None = None,
 ) -> Exit:
-    """Write a result, unless it is there already, the tables of its report, and its pictures if
-    their kind is given, under a path without its ending; print what there is to say. Returns how
-    that ended."""
-    replaced = ""
+    """Write a result with tables and pictures, and print the report.
+
+    Parameters
+    ----------
+    stem_path : Path
+        Path of all files without ending.
+    result
+        Result to be saved; None if the file exists already.
+    picture_format : str or None
+        Ending of pictures; None: no pictures.
+
+    Returns
+    -------
+    Exit
+        Exit code.
+    """
+    replacement_note = ""
     for shelf in SHELVES:
         shelf.keep(console.comm)
     if result is not None:
-        replaced = keep_before(Path(f"{path}.json"), report.table.formatted("json"), console.comm)
-    with together() as files:
+        replacement_note = keep_previous_result(
+            Path(f"{stem_path}.json"), report.table.formatted("json"), console.comm
+        )
+    with together() as file_stack:
         if result is not None:
-            _save(result, Path(f"{path}.h5"), console)
+            _save_result(result, Path(f"{stem_path}.h5"), console)
 
-        def write() -> None:
-            report.table.save(f"{path}.json")
-            (report.rows or report.table).save(f"{path}.csv")
-            files.close()
+        def write_tables() -> None:
+            report.table.save(f"{stem_path}.json")
+            (report.rows or report.table).save(f"{stem_path}.csv")
+            file_stack.close()
 
-        on_root(console.comm, write)
-    if pictures:
-        on_root(console.comm, lambda: draw(result, Drawn(path.parent, pictures)))
-    console.table(printed(report) if console.form == "text" else report.table)
-    for heading, further in report.further.items():
-        console.note(f"{heading}:\n{further.formatted('text')}".rstrip())
-    drawn = f".{pictures}" if pictures else f"pictures: {command('plot', f'{path}.h5')}"
-    console.note(f"{path}.h5, .csv, .json{', ' if pictures else '; '}{drawn}", replaced)
-    return say(report, console)
+        on_root(console.comm, write_tables)
+    if picture_format:
+        on_root(
+            console.comm,
+            lambda: draw_result(result, PictureFiles(stem_path.parent, picture_format)),
+        )
+    console.print_table(printed_table(report) if console.table_format == "text" else report.table)
+    for heading, further_table in report.further.items():
+        console.print_notes(f"{heading}:\n{further_table.formatted('text')}".rstrip())
+    picture_text = (
+        f".{picture_format}"
+        if picture_format
+        else f"pictures: {format_command('plot', f'{stem_path}.h5')}"
+    )
+    console.print_notes(
+        f"{stem_path}.h5, .csv, .json{', ' if picture_format else '; '}{picture_text}",
+        replacement_note,
+    )
+    return print_report_sentences(report, console)
 
 
-def say(report: Report, console: Console) -> Exit:
-    """Print the sentences of a report; return how its command ended."""
-    console.note(*report.notes)
-    console.remark(*report.remarks)
-    console.warn(*report.warnings)
-    console.note(report.closing)
+def print_report_sentences(report: Report, console: Console) -> Exit:
+    """Print notes, remarks, warnings and conclusion of a report; return the exit code."""
+    console.print_notes(*report.notes)
+    console.print_remarks(*report.remarks)
+    console.print_warnings(*report.warnings)
+    console.print_notes(report.closing)
     return report.exit
 
 
-def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
-    """All cases of a sweep, or those that an earlier run has left."""
+def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+    """Run the unsolved cases of a sweep, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
-    scene, path = inputs.scene, inputs.folder / "sweep"
-    with console.stage("sweep", bars=True):
-        found = run_sweep(scene, f"{path}.h5", console.comm, progress=console.progress)
-    return tell(report_of(found), path, console)
+    scene, stem_path = inputs.scene, inputs.folder / "sweep"
+    with console.report_stage("sweep", has_bars=True):
+        sweep_result = run_sweep(
+            scene, f"{stem_path}.h5", console.comm, progress=console.shows_progress
+        )
+    return write_and_print_report(build_report(sweep_result), stem_path, console)
 
 
-def clean(_: Namespace, inputs: Inputs, console: Console) -> None:
-    """Remove the structure that earlier commands have kept."""
-    on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE, "--output"))
+def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
+    """Remove the structure that earlier commands have kept in the folder."""
+    on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE_NAME, "--output"))
 
 
-def reduce(given: Namespace, inputs: Inputs, console: Console) -> None:
-    """Write what the mesh of a scene gives to a file."""
+def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
+    """Write a scene's prepared study to a file, which replaces the mesh."""
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 
-    path = given.output or inputs.folder / f"{given.scene.stem}.h5"
-    with console.stage("mesh, modes and statics"):
-        save_prepared(prepare(inputs.scene, console.comm, whole=True), path)
-    console.note(f"{path}: {inputs.scene!r}; now: {command('solve', path)}")
+    prepared_path = arguments.output or inputs.folder / f"{arguments.scene.stem}.h5"
+    with console.report_stage("mesh, modes and statics"):
+        save_prepared(prepare(inputs.scene, console.comm, whole=True), prepared_path)
+    console.print_notes(
+        f"{prepared_path}: {inputs.scene!r}; now: {format_command('solve', prepared_path)}"
+    )
 
 
-def disk(given: Namespace, inputs: Inputs, console: Console) -> Exit:
-    """Frequencies over the nodal diameter, and amplification by patterns of mistuning."""
+def compute_and_report_disk(arguments: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+    """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
-    with console.stage("nodal diameters"):
-        found = nodal_diameters(scene, comm)
-    ended = tell(report_of(found), folder / "disk", console, found, given.pictures)
-    if not given.patterns:
-        return ended
-    with console.stage("patterns of mistuning"):
-        many = amplification(scene, given.patterns, given.deviation, comm=comm)
-    return tell(report_of(many), folder / "amplification", console, many, given.pictures)
+    with console.report_stage("nodal diameters"):
+        nodal_result = nodal_diameters(scene, comm)
+    exit_code = write_and_print_report(
+        build_report(nodal_result), folder / "disk", console, nodal_result, arguments.pictures
+    )
+    if not arguments.patterns:
+        return exit_code
+    with console.report_stage("patterns of mistuning"):
+        amplification_result = amplification(
+            scene, arguments.patterns, arguments.deviation, comm=comm
+        )
+    return write_and_print_report(
+        build_report(amplification_result),
+        folder / "amplification",
+        console,
+        amplification_result,
+        arguments.pictures,
+    )
 
 
-def _measured_by(
-    source: dict[int, ArrivalTimes] | Path, scene: Scene, console: Console, *, before: bool = False
+def _convert_arrivals(
+    arrival_source: dict[int, ArrivalTimes] | Path,
+    scene: Scene,
+    console: Console,
+    *,
+    is_uncracked: bool = False,
 ) -> Measurements:
-    """Return measurements from arrivals: displacements, or in a run-up the natural frequencies
-    of the resonances passed, with ``before`` of the blade before it had a crack."""
+    """Convert arrivals to measurements for an identification.
+
+    At constant speed they are displacements; in a run-up, natural frequencies of the resonances
+    passed. ``is_uncracked`` marks arrivals of the blade before it had a crack: only a run-up.
+
+    Raises
+    ------
+    InputError
+        The arrivals have no resonance, or do not fit the scene.
+    """
     from fenics_crack.arrivals.arrival_times import STEADY
-    from fenics_crack.monitoring import scene_timing as timing
+    from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
 
-    blades, run = timing.arrivals_of_blades(scene, source, console.comm)
-    [times] = blades.values()
-    console.remark(*([] if run else timing.remarks_on_arrivals(times)))
-    key = "--before" if before else "arrivals"
-    if timing.is_run_up(times, run):
-        with console.stage("resonances"):
-            blade = scene.replace(without_crack(scene) or {}) if before else scene
-            found = timing.modes_passed(blade, times)
-        console.note(*(timing.passed_in_words(*one) for one in found))
-        fits, modes, _ = zip(*found, strict=True) if found else ((), (), ())
-        if not any(modes):
-            allowed = "of a constant speed, or a run-up through a resonance of the blade"
-            raise InputError(key, repr(times), allowed)
-        quantity = "frequency_uncracked" if before else "frequency_resonance"
-        return Measurements.from_passages(fits, modes, quantity=quantity)
-    if before:
-        raise InputError(key, repr(times), "those of a run-up, or frequency responses")
-    held = scene.speed > 0.0 and scene.excitation.order is None
-    if held and abs(times.mean_speed / scene.speed - 1.0) > STEADY:
-        seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
-        allowed = f"at {own}, the speed of [rotation], unless the load is an excitation.order"
-        raise InputError(key, seen, allowed)
-    order = timing.engine_order(scene.given("tip_timing"), scene)
-    tip, against = timing.probed_displacement(scene)
-    return Measurements.from_arrivals(times, order, tip, against=against)
+    arrivals_by_blade, run = scene_timing.arrivals_of_blades(scene, arrival_source, console.comm)
+    [arrivals] = arrivals_by_blade.values()
+    console.print_remarks(*([] if run else scene_timing.remarks_on_arrivals(arrivals)))
+    option_name = "--before" if is_uncracked else "arrivals"
+    if scene_timing.is_run_up(arrivals, run):
+        with console.report_stage("resonances"):
+            blade_scene = scene.replace(without_crack(scene) or {}) if is_uncracked else scene
+            passed_modes = scene_timing.modes_passed(blade_scene, arrivals)
+        console.print_notes(
+            *(scene_timing.passed_in_words(*passed_mode) for passed_mode in passed_modes)
+        )
+        passage_fits, mode_numbers, _ = (
+            zip(*passed_modes, strict=True) if passed_modes else ((), (), ())
+        )
+        if not any(mode_numbers):
+            requirement_text = "of a constant speed, or a run-up through a resonance of the blade"
+            raise InputError(option_name, repr(arrivals), requirement_text)
+        measured_quantity = "frequency_uncracked" if is_uncracked else "frequency_resonance"
+        return Measurements.from_passages(passage_fits, mode_numbers, quantity=measured_quantity)
+    if is_uncracked:
+        raise InputError(option_name, repr(arrivals), "those of a run-up, or frequency responses")
+    has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
+    if has_fixed_speed and abs(arrivals.mean_speed / scene.speed - 1.0) > STEADY:
+        measured_speed, scene_speed = (
+            speed_in_words(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
+        )
+        requirement_text = (
+            f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"
+        )
+        raise InputError(option_name, measured_speed, requirement_text)
+    engine_order = scene_timing.engine_order(scene.given("tip_timing"), scene)
+    tip_displacement, reference_text = scene_timing.probed_displacement(scene)
+    return Measurements.from_arrivals(
+        arrivals, engine_order, tip_displacement, against=reference_text
+    )
 
 
-def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
-    """A crack from measurements: what it is, how sure, and where to measure next."""
+def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
+    """Identify a crack from measurements, and propose where to measure next."""
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
-    from fenics_crack.monitoring.identification import identify as search  # SciPy
+    from fenics_crack.monitoring.identification import identify as search_module  # SciPy
     from fenics_crack.monitoring.identification.report import Identified
 
     scene, folder = inputs.scene, inputs.folder
-    parts = [] if inputs.measurements is None else [inputs.measurements]
-    if inputs.arrivals is not None:
-        parts.append(_measured_by(inputs.arrivals, scene, console))
-    if inputs.before is not None:
-        parts.append(_measured_by(inputs.before, scene, console, before=True))
-    how = {"folder": folder, "comm": console.comm, "progress": console.progress}
-    with console.stage("identification", bars=True):
-        found = search.identify(scene, sum(parts[1:], parts[0]), **how)
-    worth = found.where_to_measure()
+    measurement_sets = [] if inputs.measurements is None else [inputs.measurements]
+    if inputs.arrival_source is not None:
+        measurement_sets.append(_convert_arrivals(inputs.arrival_source, scene, console))
+    if inputs.uncracked_source is not None:
+        measurement_sets.append(
+            _convert_arrivals(inputs.uncracked_source, scene, console, is_uncracked=True)
+        )
+    run_options = {"folder": folder, "comm": console.comm, "progress": console.shows_progress}
+    with console.report_stage("identification", has_bars=True):
+        identification = search_module.identify(
+            scene, sum(measurement_sets[1:], measurement_sets[0]), **run_options
+        )
+    measurement_plan = identification.where_to_measure()
 
-    def write() -> None:
+    def write_results() -> None:
         with together():
-            found.save(folder)
-            worth.to_csv(folder / "where_to_measure.csv")
-            found.fit_table().save(folder / "fit.csv")
-            for kind in {"png", console.pictures}:  # a report takes the first
-                draw_posterior(found, path=folder / f"posterior.{kind}")
+            identification.save(folder)
+            measurement_plan.to_csv(folder / "where_to_measure.csv")
+            identification.fit_table().save(folder / "fit.csv")
+            for picture_format in {"png", console.picture_format}:  # a report takes the first
+                draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
-    fit, others = found.fit_table().formatted("csv"), ("identify", "posterior", "where_to_measure")
-    replaced = keep_before(folder / "fit.csv", fit, console.comm, *others)
-    on_root(console.comm, write)
-    console.table(found.table())
-    names = f"posterior.{console.pictures}, fit.csv, where_to_measure.csv"
-    console.note(f"{folder / 'identify.h5'}, .json; {names}", replaced)
-    report = report_of(Identified(scene, found.summary(), folder / "posterior.png"))
-    remarks = [*report.remarks, *remarks_on_scene(scene)]
-    return say(replace(report, remarks=remarks, done=not found.doubts), console)
+    fit_text, other_stems = (
+        identification.fit_table().formatted("csv"),
+        ("identify", "posterior", "where_to_measure"),
+    )
+    replacement_note = keep_previous_result(
+        folder / "fit.csv", fit_text, console.comm, *other_stems
+    )
+    on_root(console.comm, write_results)
+    console.print_table(identification.table())
+    file_names = f"posterior.{console.picture_format}, fit.csv, where_to_measure.csv"
+    console.print_notes(f"{folder / 'identify.h5'}, .json; {file_names}", replacement_note)
+    report = build_report(Identified(scene, identification.summary(), folder / "posterior.png"))
+    remark_texts = [*report.remarks, *remarks_on_scene(scene)]
+    return print_report_sentences(
+        replace(report, remarks=remark_texts, done=not identification.doubts), console
+    )

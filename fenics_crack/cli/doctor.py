@@ -1,6 +1,6 @@
-"""The command ``doctor``: what an installation consists of, and whether it computes known numbers.
+"""The command ``doctor``: versions in an installation, and checks against known numbers.
 
-It takes nothing for granted: each check imports what it needs, and what goes wrong is its fault.
+Each check imports all libraries that it needs, so a missing library is a fault of the check.
 """
 
 from __future__ import annotations
@@ -27,12 +27,15 @@ from fenics_crack.basics.progress import LOGGER
 from fenics_crack.basics.threads import check_modules, loaded_libraries, one_process_settings
 from fenics_crack.version import VERSION
 
-OLDEST_NUMPY = (1, 24)
-"""Debian 12's."""
-LARGEST_DISPLACEMENTS = (2.19791942, -2.94941155)
-"""Maximum and minimum of x'' + 0.1 x' + x + max(x, 0) = cos t in one period, integrated from one
-switching instant to the next by another program (docs/verification, bilinear oscillator)."""
-PLATE = {
+MIN_NUMPY_VERSION = (1, 24)
+"""Oldest supported NumPy, from Debian 12."""
+REFERENCE_DISPLACEMENTS = (2.19791942, -2.94941155)
+"""Maximum and minimum of x in a period of x'' + 0.1 x' + x + max(x, 0) = cos t.
+
+Another program integrated from one switching instant to the next (docs/verification, bilinear
+oscillator).
+"""
+PLATE_SCENE_TABLES = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
     "crack": {"edge": "left", "height": 0.05, "length": 0.05},
     "material": {"young": 2e9, "poisson": 0.0, "density": 7800.0},
@@ -41,76 +44,99 @@ PLATE = {
     "contact": {"stiffness": 1e9},
     "mesh": {"layout": "grid", "cells": "quadrilateral", "columns": 2, "rows": 8, "order": 2},
 }
-"""A plate of 0.1 m whose Poisson's ratio is zero: without its crack it has the longitudinal modes
-of a bar, sin((2 n - 1) pi y / (2 L))."""
+"""Scene tables for a plate, 0.1 m wide and high, with Poisson's ratio zero.
+
+Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y / (2 L)).
+"""
 
 
-def doctor(given: Namespace, *_: object) -> Exit:
-    """Print a table of the checks; return whether all is well."""
+def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
+    """Print a table of all checks; return FAULT if any check fails."""
     with loading():
         from fenics_crack.basics.tables import Table  # NumPy
-    rows = [
-        (name, "FAULT" if is_fault else "ok", finding)
-        for name, finding, is_fault in examine(CHECKS)
+    check_rows = [
+        (check_name, "FAULT" if is_fault else "ok", finding_text)
+        for check_name, finding_text, is_fault in run_checks(CHECKS_BY_NAME)
     ]
-    print(Table(("check", "verdict", "finding"), rows).formatted(given.format), end="", flush=True)
-    return Exit.FAULT if any(verdict == "FAULT" for _, verdict, _ in rows) else Exit.DONE
+    print(
+        Table(("check", "verdict", "finding"), check_rows).formatted(arguments.format),
+        end="",
+        flush=True,
+    )
+    return Exit.FAULT if any(verdict == "FAULT" for _, verdict, _ in check_rows) else Exit.DONE
 
 
-def examine(checks: dict[str, Callable[[], str]]) -> Iterator[tuple[str, str, bool]]:
-    """Yield the name of each check, its finding in one line, and whether that is a fault.
+def run_checks(checks_by_name: dict[str, Callable[[], str]]) -> Iterator[tuple[str, str, bool]]:
+    """Run checks, and yield the findings.
 
-    Warnings of the program are faults, too. A fault that an earlier check has met is not repeated.
+    Warnings from the program are faults, too. A fault known from an earlier check is "as above".
+
+    Yields
+    ------
+    check_name, finding_text : str
+    is_fault : bool
     """
-    warnings: list[str] = []
-    handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: warnings.append(record.getMessage())  # type: ignore[method-assign]
-    LOGGER.addHandler(handler)
+    warning_texts: list[str] = []
+    log_handler = logging.Handler(logging.WARNING)
+    log_handler.emit = lambda record: warning_texts.append(record.getMessage())  # type: ignore[method-assign]
+    LOGGER.addHandler(log_handler)
     try:
-        for name, check in checks.items():
-            earlier_warnings = [*warnings]
+        for check_name, check_function in checks_by_name.items():
+            earlier_warnings = [*warning_texts]
             try:
-                finding = check()
+                finding_text = check_function()
             except Exception as error:
-                finding = " ".join(f"{error}".split()) or type(error).__name__
-                warnings.append(finding)
-            is_fault = len(warnings) > len(earlier_warnings)
+                finding_text = " ".join(f"{error}".split()) or type(error).__name__
+                warning_texts.append(finding_text)
+            is_fault = len(warning_texts) > len(earlier_warnings)
             if is_fault:
-                finding = "as above" if warnings[-1] in earlier_warnings else warnings[-1]
-            yield name, finding, is_fault
+                finding_text = (
+                    "as above" if warning_texts[-1] in earlier_warnings else warning_texts[-1]
+                )
+            yield check_name, finding_text, is_fault
     finally:
-        LOGGER.removeHandler(handler)
+        LOGGER.removeHandler(log_handler)
 
 
-def _program() -> str:
-    place = Path(__file__).parents[1]
-    return f"fenics_crack {VERSION}, {place}; Python {platform.python_version()}, {sys.prefix}"
+def _describe_program() -> str:
+    """Return version and folder of the program and Python."""
+    package_folder = Path(__file__).parents[1]
+    return (
+        f"fenics_crack {VERSION}, {package_folder}; Python {platform.python_version()}, "
+        f"{sys.prefix}"
+    )
 
 
-def _numpy() -> str:
+def _check_numpy() -> str:
+    """Return the versions of NumPy and SciPy; InputError if NumPy is too old."""
     check_modules()
     with loading():
         import numpy
         import scipy
-    if tuple(map(int, numpy.__version__.split(".")[:2])) < OLDEST_NUMPY:
+    if tuple(map(int, numpy.__version__.split(".")[:2])) < MIN_NUMPY_VERSION:
         raise InputError("NumPy", numpy.__version__, "1.24 or newer")
     return f"NumPy {numpy.__version__}, SciPy {scipy.__version__}"
 
 
-def _mpi() -> str:
+def _check_mpi() -> str:
+    """Return MPI library and launcher; InputError if they do not fit together."""
     with one_process_settings():
         from fenics_crack.basics.ranks import MPI
-    vendor, version = MPI.get_vendor()
-    if len(libraries := loaded_libraries(r"libmpi\.")) > 1:
-        raise InputError("MPI", ", ".join(libraries), "one library: each knows other ranks")
-    launcher = program_on_path("mpirun")
-    if launcher and ("Open MPI" in version_of(launcher)) != (vendor == "Open MPI"):
-        raise foreign_launcher(launcher, vendor)
-    place = launcher or "no mpirun on PATH"
-    return f"{vendor} {'.'.join(map(str, version))}, ranks: {MPI.COMM_WORLD.size}; {place}"
+    mpi_vendor, mpi_version = MPI.get_vendor()
+    if len(library_paths := loaded_libraries(r"libmpi\.")) > 1:
+        raise InputError("MPI", ", ".join(library_paths), "one library: each knows other ranks")
+    launcher_path = program_on_path("mpirun")
+    if launcher_path and ("Open MPI" in version_of(launcher_path)) != (mpi_vendor == "Open MPI"):
+        raise foreign_launcher(launcher_path, mpi_vendor)
+    launcher_text = launcher_path or "no mpirun on PATH"
+    return (
+        f"{mpi_vendor} {'.'.join(map(str, mpi_version))}, ranks: {MPI.COMM_WORLD.size}; "
+        f"{launcher_text}"
+    )
 
 
-def _petsc() -> str:
+def _check_petsc() -> str:
+    """Return the versions of PETSc and SLEPc; InputError without MUMPS."""
     from fenics_crack.basics.ranks import check_scalars, slepc
 
     check_scalars()
@@ -118,11 +144,12 @@ def _petsc() -> str:
 
     if not PETSc.Sys.hasExternalPackage("mumps"):
         raise InputError("PETSc", "without MUMPS", "built with MUMPS")
-    versions = [".".join(map(str, one.Sys.getVersion())) for one in (PETSc, slepc())]
-    return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*versions)
+    version_texts = [".".join(map(str, package.Sys.getVersion())) for package in (PETSc, slepc())]
+    return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*version_texts)
 
 
-def _gmsh() -> str:
+def _check_gmsh() -> str:
+    """Return the version of gmsh."""
     from fenics_crack.basics import gmsh_process  # noqa: F401
 
     with loading():
@@ -130,7 +157,8 @@ def _gmsh() -> str:
     return f"gmsh {gmsh.__version__}"
 
 
-def _dolfinx() -> str:
+def _check_dolfinx() -> str:
+    """Return the version of DOLFINx."""
     from fenics_crack.fem import compat  # noqa: F401
 
     with loading():
@@ -138,76 +166,96 @@ def _dolfinx() -> str:
     return f"DOLFINx {dolfinx.__version__}"
 
 
-def _compiler() -> str:
-    compiler = c_compiler()
-    return f"{compiler}: {version_of(compiler)}"
+def _check_compiler() -> str:
+    """Return path and version of the C compiler."""
+    compiler_path = c_compiler()
+    return f"{compiler_path}: {version_of(compiler_path)}"
 
 
-def _caches() -> str:
+def _check_caches() -> str:
+    """Settle the folder for compiled forms, and return it."""
     settle_caches()
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return f"{home}/fenics takes compiled forms"
+    cache_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return f"{cache_folder}/fenics takes compiled forms"
 
 
-def _pictures() -> str:
+def _check_pictures() -> str:
+    """Return the versions of Matplotlib and pyvista."""
     with loading():
-        matplotlib, pyvista = map(import_module, ("matplotlib", "pyvista"))
-    return f"Matplotlib {matplotlib.__version__}, pyvista {pyvista.__version__}"
+        matplotlib_module, pyvista_module = map(import_module, ("matplotlib", "pyvista"))
+    return f"Matplotlib {matplotlib_module.__version__}, pyvista {pyvista_module.__version__}"
 
 
-def _two_masses() -> str:
+def _check_two_masses() -> str:
+    """Compare the gap extrema of two masses at stops with known values."""
     import numpy as np
 
-    fc = import_module("fenics_crack")
+    package_module = import_module("fenics_crack")
     stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])  # in phase they are two single oscillators
-    masses = fc.Structure.from_matrices(
+    structure = package_module.Structure.from_matrices(
         np.eye(2), stiffness, gap=np.eye(2), force_cos=[1.0, 1.0], damping=0.1 * np.eye(2)
     )
-    orbit = fc.solve_harmonic_balance(masses, 1.0, fc.UnilateralPenalty(1.0), harmonics=40)
+    orbit = package_module.solve_harmonic_balance(
+        structure, 1.0, package_module.UnilateralPenalty(1.0), harmonics=40
+    )
     gaps = orbit.gap(np.linspace(0.0, orbit.period, 4096))
-    error = np.max(np.abs(np.array([gaps.max(), gaps.min()]) / LARGEST_DISPLACEMENTS - 1.0))
-    return _known("two masses at their stops", error, 1e-3)
+    relative_error = np.max(
+        np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_DISPLACEMENTS - 1.0)
+    )
+    return _check_error("two masses at their stops", relative_error, 1e-3)
 
 
-def _plate() -> str:
+def _check_plate() -> str:
+    """Compare a plate's frequency with a bar's, and its vibration by two solvers."""
     import numpy as np
 
-    fc = import_module("fenics_crack")
-    scene = fc.Scene.from_mapping(PLATE)
-    whole = fc.build_structure(scene.replace({"crack": None, "contact": None}))
-    bar = 0.5 * np.pi / 0.1 * np.sqrt(2e9 / 7800.0)
-    error = np.min(np.abs(fc.solve_modes(whole, 4).omega / bar - 1.0))
-    plate, law = fc.build_structure(scene), fc.UnilateralPenalty(1e9)
-    condensed, block = (
-        fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=5, form=form).gap_coefficients
-        for form in ("condensed", "block")
+    package_module = import_module("fenics_crack")
+    plate_scene = package_module.Scene.from_mapping(PLATE_SCENE_TABLES)
+    uncracked_structure = package_module.build_structure(
+        plate_scene.replace({"crack": None, "contact": None})
     )
-    difference = np.max(np.abs(condensed - block)) / np.max(np.abs(block))
+    bar_omega = 0.5 * np.pi / 0.1 * np.sqrt(2e9 / 7800.0)
+    frequency_error = np.min(
+        np.abs(package_module.solve_modes(uncracked_structure, 4).omega / bar_omega - 1.0)
+    )
+    cracked_structure, contact_law = (
+        package_module.build_structure(plate_scene),
+        package_module.UnilateralPenalty(1e9),
+    )
+    condensed_coefficients, block_coefficients = (
+        package_module.solve_harmonic_balance(
+            cracked_structure, 2000.0, contact_law, harmonics=5, form=solver_form
+        ).gap_coefficients
+        for solver_form in ("condensed", "block")
+    )
+    relative_difference = np.max(np.abs(condensed_coefficients - block_coefficients)) / np.max(
+        np.abs(block_coefficients)
+    )
     return (
-        f"{_known('natural frequency of a bar', error, 1e-5)}; "
-        f"{_known('vibration by two solvers', difference, 1e-8)}"
+        f"{_check_error('natural frequency of a bar', frequency_error, 1e-5)}; "
+        f"{_check_error('vibration by two solvers', relative_difference, 1e-8)}"
     )
 
 
-def _known(quantity: str, error: float, allowed: float) -> str:
-    """Say how far a quantity is from its known value; ArithmeticError if too far."""
-    text = f"{quantity}: {error:.0e} from the known value"
-    if not error <= allowed:
-        raise ArithmeticError(f"{text}, at most {allowed:g} is allowed")
-    return text
+def _check_error(quantity_name: str, relative_error: float, tolerance: float) -> str:
+    """Return a sentence on the error of a quantity; ArithmeticError above the tolerance."""
+    error_text = f"{quantity_name}: {relative_error:.0e} from the known value"
+    if not relative_error <= tolerance:
+        raise ArithmeticError(f"{error_text}, at most {tolerance:g} is allowed")
+    return error_text
 
 
-CHECKS = {
-    "program": _program,
-    "NumPy": _numpy,
-    "compiler": _compiler,
-    "caches": _caches,
-    "gmsh": _gmsh,
-    "MPI": _mpi,
-    "PETSc": _petsc,
-    "DOLFINx": _dolfinx,
-    "pictures": _pictures,
-    "two masses": _two_masses,
-    "plate": _plate,
+CHECKS_BY_NAME = {
+    "program": _describe_program,
+    "NumPy": _check_numpy,
+    "compiler": _check_compiler,
+    "caches": _check_caches,
+    "gmsh": _check_gmsh,
+    "MPI": _check_mpi,
+    "PETSc": _check_petsc,
+    "DOLFINx": _check_dolfinx,
+    "pictures": _check_pictures,
+    "two masses": _check_two_masses,
+    "plate": _check_plate,
 }
-"""By their names, in an order in which each needs those before it at most."""
+"""Checks by name; a check needs at most the libraries of earlier checks."""

@@ -1,4 +1,4 @@
-"""Pictures of a result, as they are drawn."""
+"""Paths and captions for the pictures of a result."""
 
 from __future__ import annotations
 
@@ -7,31 +7,34 @@ from pathlib import Path
 
 
 @dataclass
-class Drawn:
-    """Pictures of a result in a folder.
+class PictureFiles:
+    """Record the pictures of results that are drawn into a folder.
 
     Attributes
     ----------
     folder : Path
-        Where they are.
-    kind : str
-        Their kind, "png".
-    meshes : bool
+        Folder of all files.
+    file_format : str
+        Ending of the pictures, "png".
+    has_vtk_files : bool
         True if files for ParaView are written, too.
-    files : dict of Path to str
-        What is drawn, with a sentence each; files for ParaView have none.
+    captions_by_path : dict of Path to str
+        Sentence below each picture; empty for files for ParaView.
     notes : list of str
-        What is left out, and why.
+        Pictures that are left out, with the reasons.
     """
 
     folder: Path
-    kind: str = "png"
-    meshes: bool = False
-    files: dict[Path, str] = field(default_factory=dict)
+    file_format: str = "png"
+    has_vtk_files: bool = False
+    captions_by_path: dict[Path, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
 
-    def __call__(self, name: str, sentence: str, kind: str = "") -> Path:
-        """The path of a picture, which has its own kind or that of all."""
-        path = self.folder / f"{name}.{kind or self.kind}"
-        self.files[path] = sentence
-        return path
+    def __call__(self, file_stem: str, caption: str, file_format: str = "") -> Path:
+        """Return the path of a new picture, and record the caption.
+
+        ``file_format`` replaces the common format for this picture.
+        """
+        picture_path = self.folder / f"{file_stem}.{file_format or self.file_format}"
+        self.captions_by_path[picture_path] = caption
+        return picture_path

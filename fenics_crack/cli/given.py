@@ -1,11 +1,11 @@
-"""Inputs of a command: a scene with its changes, measurements and arrivals, read from text, and the
-folder and console for its output; and the scene that ``new`` writes.
+"""Inputs and output of a command, and new scenes.
 
-Reading it needs NumPy alone, which loads in a tenth of the time of the libraries that compute.
+Inputs are a scene with changes, measurements and arrivals, all read from text. Output goes to a
+folder and a console. This module loads NumPy alone, in a tenth of the time of the libraries that
+compute.
 
-Lines of the template of ``new`` that end in a mark, ``(--blade)``, are commented out, or in, where
-that is requested: a blade on a rotor in place of a plate, probes in its casing, a crack that is
-looked for.
+In the template of a plate, some lines end in a mark, ``(--blade)``. With the option, such a line is
+commented out, or commented in: a blade on a rotor, probes in its casing, or an unknown crack.
 """
 
 from __future__ import annotations
@@ -41,393 +41,590 @@ if TYPE_CHECKING:
     from fenics_crack.monitoring.identification.measurements import Measurements
     from fenics_crack.study.prepare import Study
 
-    Source = Path | dict[int, ArrivalTimes] | None
+    ArrivalSource = Path | dict[int, ArrivalTimes] | None
 
-COMMENTED = "cli/new_scene.toml"
-RECORDS = (".csv", ".h5")
-"""Endings of files of arrivals, and of results from which arrivals are computed."""
-STRUCTURE_FILE = "prepared.h5"
-"""Name of the file of a command's structure."""
-PERIOD = "solution_period"
-"""Folder below that for results, of the frames of a period."""
+PLATE_TEMPLATE_PATH = "cli/new_scene.toml"
+RECORD_SUFFIXES = (".csv", ".h5")
+"""Endings of files with measured arrivals, or with results for computed arrivals."""
+STRUCTURE_FILE_NAME = "prepared.h5"
+"""Name of the file with the structure kept for later commands."""
+PERIOD_FRAMES_FOLDER = "solution_period"
+"""Folder for the frames of a period, inside the folder for results."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
-"""Endings of the files of a result."""
-OF_PREPARED = ("solve", "curve")
-"""Commands that a file of ``reduce`` has all for."""
-JOINABLE_SCENES = ("blade", "timing", "identify")
-"""Scenes that ``new`` writes besides a plate."""
-WHOLE_SCENES = ("solid", "disk")
-"""Scenes that have files of their own."""
+"""Endings of result files."""
+COMMANDS_FOR_PREPARED_FILES = ("solve", "curve")
+"""Commands that accept a file from ``reduce`` in place of a scene."""
+COMBINABLE_NEW_OPTIONS = ("blade", "timing", "identify")
+"""Options of ``new`` that change the plate's template, also together."""
+EXCLUSIVE_NEW_OPTIONS = ("solid", "disk")
+"""Options of ``new`` with a separate template, never combined."""
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """Inputs that were read; None where the command has no such input beside its scene."""
+class CommandInputs:
+    """Hold the inputs of a command; None for absent inputs.
+
+    Attributes
+    ----------
+    scene : Scene
+    folder : Path
+        Folder for results.
+    measurements : Measurements or None
+    arrival_source : dict of ArrivalTimes, Path or None
+        Measured arrivals by blade, or the path to a result for computed arrivals.
+    uncracked_source : dict of ArrivalTimes, Path or None
+        Same for the blade before the crack.
+    speeds : (n_speeds,) [rad/s] or None
+        Speeds of a Campbell diagram.
+    prepared_study : Study or None
+        Study from a ``reduce`` file.
+    """
 
     scene: Scene
-    folder: Path  # for results
+    folder: Path
     measurements: Measurements | None = None
-    arrivals: Source = None  # or the result from which they are computed
-    before: Source = None  # of the blade before it had a crack
-    speeds: np.ndarray | None = None  # of a Campbell diagram [rad/s]
-    prepared: Study | None = None  # of a file, for its scene
+    arrival_source: ArrivalSource = None
+    uncracked_source: ArrivalSource = None
+    speeds: np.ndarray | None = None
+    prepared_study: Study | None = None
 
 
-def read_inputs(given: Namespace) -> Inputs | None:
-    """Read the text files that a command is given; None where it has no scene, as with a record
-    of ``timing``.
+def read_inputs(arguments: Namespace) -> CommandInputs | None:
+    """Read the text files that a command is given.
+
+    The result is None without a scene, as for a record of ``timing``.
 
     Raises
     ------
     InputError
-        One of them cannot be used.
+        A file or an option cannot be used.
     """
-    of_record = given.command == "timing" and given.scene.suffix.lower() == ".csv"
-    if "scene" not in given or of_record:
+    is_arrival_record = arguments.command == "timing" and arguments.scene.suffix.lower() == ".csv"
+    if "scene" not in arguments or is_arrival_record:
         return None
-    changed = changes(given.set)
+    changes_by_key = parse_changes(arguments.set)
     try:
-        scene = Scene.load(given.scene, changed)
-    except InputError as error:
-        error.others = tuple(_errors_behind(error, given.scene, changed))
+        scene = Scene.load(arguments.scene, changes_by_key)
+    except InputError as scene_error:
+        scene_error.others = tuple(
+            _find_further_errors(scene_error, arguments.scene, changes_by_key)
+        )
         raise
-    _check_options(given, scene)
-    output = vars(given).get("output")
-    if given.command == "reduce" and output is not None:
-        if output.suffix.lower() != ".h5":
-            raise InputError("--output", str(output), "a .h5 file")
-        output = output.parent
-    folder = output or Path("output") / given.scene.stem
-    arrivals = _arrivals(scene, given, vars(given).get("arrivals"))
-    if given.command != "identify":
-        return Inputs(scene, folder, arrivals=arrivals, speeds=_speeds(given, scene))
-    seen = given.before is not None and given.before.suffix.lower() in RECORDS
-    before = _arrivals(scene, given, given.before) if seen else None
-    rows = _measurements(given, scene, None if seen else given.before)
-    return Inputs(scene, folder, rows, arrivals, before)
+    _check_option_numbers(arguments, scene)
+    output_path = vars(arguments).get("output")
+    if arguments.command == "reduce" and output_path is not None:
+        if output_path.suffix.lower() != ".h5":
+            raise InputError("--output", str(output_path), "a .h5 file")
+        output_path = output_path.parent
+    result_folder = output_path or Path("output") / arguments.scene.stem
+    arrival_source = _read_arrivals(scene, arguments, vars(arguments).get("arrivals"))
+    if arguments.command != "identify":
+        return CommandInputs(
+            scene,
+            result_folder,
+            arrival_source=arrival_source,
+            speeds=_campbell_speeds(arguments, scene),
+        )
+    has_uncracked_record = (
+        arguments.before is not None and arguments.before.suffix.lower() in RECORD_SUFFIXES
+    )
+    uncracked_source = (
+        _read_arrivals(scene, arguments, arguments.before) if has_uncracked_record else None
+    )
+    measurements = _read_measurements(
+        arguments, scene, None if has_uncracked_record else arguments.before
+    )
+    return CommandInputs(scene, result_folder, measurements, arrival_source, uncracked_source)
 
 
-def read_prepared(given: Namespace, comm: MPI.Comm) -> Inputs:
-    """Read the file of ``reduce`` that a command is given in place of a scene (collective).
+def read_prepared_study(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
+    """Read a file of ``reduce`` in place of a scene (collective).
 
     Raises
     ------
     InputError
-        It cannot be used, a changed key needs a mesh, or the command does.
+        The file cannot be used, or the command or a changed key needs a mesh.
     """
-    if given.command not in OF_PREPARED:
-        allowed = f"a scene for {given.command}; a file of reduce is one for "
-        raise InputError("scene", str(given.scene), allowed + " and ".join(OF_PREPARED))
+    if arguments.command not in COMMANDS_FOR_PREPARED_FILES:
+        requirement_text = f"a scene for {arguments.command}; a file of reduce is one for "
+        raise InputError(
+            "scene",
+            str(arguments.scene),
+            requirement_text + " and ".join(COMMANDS_FOR_PREPARED_FILES),
+        )
     from fenics_crack.study.artefact import load_prepared  # the solver
 
-    study = load_prepared(given.scene, changes(given.set), comm)
-    return Inputs(study.scene, given.output or Path("output") / given.scene.stem, prepared=study)
+    study = load_prepared(arguments.scene, parse_changes(arguments.set), comm)
+    return CommandInputs(
+        study.scene, arguments.output or Path("output") / arguments.scene.stem, prepared_study=study
+    )
 
 
-def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iterator[InputError]:
-    """Yield the errors of further keys of a scene with the changes that are given.
+def _find_further_errors(
+    error: InputError, scene_path: Path, changes_by_key: dict[str, Any]
+) -> Iterator[InputError]:
+    """Yield the errors of further keys of a scene with changes.
 
-    From then on a missing key or table, and a wrong number, are those of the template, an unknown
-    key is left out, and a wrong word is the one that may be meant, or ends it. Behind a value of
-    the template only what is missing or unknown is reported: other errors may be due to that value.
+    After each error the scene is corrected and read again. A missing key or table, and a wrong
+    number, get the template's value; an unknown key is removed; a wrong word is replaced by the
+    suggestion. Once the template's value is in the scene, only missing and unknown keys are
+    reported: other errors may be due to that value. A key that fails again ends the search.
     """
-    changed, passed, meant, alone = {**given}, {"scene"}, "", True
-    tables = {} if error.key == "scene" else tomllib.loads(text_of(path))
-    while error.key not in passed:
-        passed.add(error.key)
-        table, _, name = error.key.partition(".")
-        value = re.search(r"; did you mean (.+)\?$", error.allowed)
+    corrected_changes, reported_keys = {**changes_by_key}, {"scene"}
+    suggestions_text, has_no_template_value = "", True
+    tables_by_name = {} if error.key == "scene" else tomllib.loads(text_of(scene_path))
+    while error.key not in reported_keys:
+        reported_keys.add(error.key)
+        table_name, _, key_name = error.key.partition(".")
+        suggestion_match = re.search(r"; did you mean (.+)\?$", error.allowed)
         if error.allowed.startswith("left out; "):
-            meant += error.allowed.partition(" known ")[0]
-            changed.pop(error.key, None)
-            held = tables.get(table) if name else tables
-            if isinstance(held, dict):
-                held.pop(name or table, None)
+            suggestions_text += error.allowed.partition(" known ")[0]
+            corrected_changes.pop(error.key, None)
+            target_table = tables_by_name.get(table_name) if key_name else tables_by_name
+            if isinstance(target_table, dict):
+                target_table.pop(key_name or table_name, None)
         else:
-            lines = line_of(error.key, error.allowed) if name else lines_of(table)
-            lines = f"{name} = {value[1]}" if value else lines
+            template_lines = (
+                example_line(error.key, error.allowed) if key_name else example_table(table_name)
+            )
+            template_lines = (
+                f"{key_name} = {suggestion_match[1]}" if suggestion_match else template_lines
+            )
             with suppress(ValueError):  # no value is meant
-                held = tomllib.loads(lines)
-                for key, right in (held if name else held.get(table, {})).items():
-                    if error.value is None or value or not isinstance(right, str):
-                        changed[f"{table}.{key}"] = right
-            alone = alone and value is not None
+                target_table = tomllib.loads(template_lines)
+                for key, template_value in (
+                    target_table if key_name else target_table.get(table_name, {})
+                ).items():
+                    if (
+                        error.value is None
+                        or suggestion_match
+                        or not isinstance(template_value, str)
+                    ):
+                        corrected_changes[f"{table_name}.{key}"] = template_value
+            has_no_template_value = has_no_template_value and suggestion_match is not None
         try:
-            Scene.from_mapping(tables, path.parent, changed)
+            Scene.from_mapping(tables_by_name, scene_path.parent, corrected_changes)
             return
-        except InputError as later:
-            error = later
-        reported = alone or error.value is None or error.allowed.startswith("left out; ")
-        if reported and error.key not in passed and f"{error.key}?" not in meant:
+        except InputError as next_error:
+            error = next_error
+        is_reportable = (
+            has_no_template_value or error.value is None or error.allowed.startswith("left out; ")
+        )
+        if (
+            is_reportable
+            and error.key not in reported_keys
+            and f"{error.key}?" not in suggestions_text
+        ):
             yield error
 
 
-def _check_options(given: Namespace, scene: Scene) -> None:
-    """Raise InputError for a number of a command's options that it cannot take."""
-    if (count := vars(given).get("count")) is not None:
-        check_count("--count", count, 1)
-    if given.command == "disk":
+def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
+    """Raise InputError if a numerical option is out of range."""
+    if (mode_count := vars(arguments).get("count")) is not None:
+        check_count("--count", mode_count, 1)
+    if arguments.command == "disk":
         scene.given("disk")
-        check_count("--patterns", given.patterns, 0, MAX_CASES)
-        if not 0.0 <= given.deviation <= 0.1:
-            raise InputError("--deviation", given.deviation, "a number from 0 to 0.1")
+        check_count("--patterns", arguments.patterns, 0, MAX_CASES)
+        if not 0.0 <= arguments.deviation <= 0.1:
+            raise InputError("--deviation", arguments.deviation, "a number from 0 to 0.1")
 
 
-def _speeds(given: Namespace, scene: Scene) -> np.ndarray | None:
-    """The speeds of a Campbell diagram [rad/s]; None of other commands."""
-    if given.command != "campbell":
+def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
+    """Return the Campbell diagram's speeds [rad/s]; None for other commands."""
+    if arguments.command != "campbell":
         return None
     scene.given("rotation")
-    factor = RPM if scene.in_rpm else 1.0
-    start, stop, steps = given.speeds or (0.0, 1.5 * scene.speed / factor, 13)
-    if not (0.0 <= start < stop < np.inf and 2 <= steps <= MAX_CASES and steps % 1 == 0):
-        allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
-        raise InputError("--speeds", given.speeds or (start, stop, steps), allowed)
-    return factor * np.linspace(start, stop, int(steps))
+    unit_factor = RPM if scene.in_rpm else 1.0
+    first_speed, last_speed, n_speeds = arguments.speeds or (
+        0.0,
+        1.5 * scene.speed / unit_factor,
+        13,
+    )
+    if not (
+        0.0 <= first_speed < last_speed < np.inf
+        and 2 <= n_speeds <= MAX_CASES
+        and n_speeds % 1 == 0
+    ):
+        requirement_text = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
+        raise InputError(
+            "--speeds", arguments.speeds or (first_speed, last_speed, n_speeds), requirement_text
+        )
+    return unit_factor * np.linspace(first_speed, last_speed, int(n_speeds))
 
 
-def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measurements | None:
-    """Read the measurements of all files, and responses before the crack; None: arrivals only."""
-    files, modes = given.measurements, given.modes
-    if not files and given.arrivals is None:
-        allowed = "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
-        raise InputError("measurements", None, allowed)
-    if not files and before is None and not modes:
+def _read_measurements(
+    arguments: Namespace, scene: Scene, uncracked_path: Path | None
+) -> Measurements | None:
+    """Read the measurements of all files, and frequency responses before the crack.
+
+    The result is None if there are arrivals only.
+    """
+    measurement_paths, mode_numbers = arguments.measurements, arguments.modes
+    if not measurement_paths and arguments.arrivals is None:
+        requirement_text = (
+            "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
+        )
+        raise InputError("measurements", None, requirement_text)
+    if not measurement_paths and uncracked_path is None and not mode_numbers:
         return None
     from fenics_crack.monitoring.identification.measurements import UNIVERSAL, Measurements
 
-    if modes and before is None and not any(one.suffix.lower() in UNIVERSAL for one in files):
-        allowed = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
-        raise InputError("--modes", list(modes), allowed)
-    parts = [Measurements.read(one, modes) for one in files]
-    if before is not None:
-        parts.append(Measurements.from_responses(before, modes, quantity="frequency_uncracked"))
-    rows = sum(parts[1:], parts[0])
-    if files:
-        rows.check(scene)
-    return rows
+    if (
+        mode_numbers
+        and uncracked_path is None
+        and not any(path.suffix.lower() in UNIVERSAL for path in measurement_paths)
+    ):
+        requirement_text = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
+        raise InputError("--modes", list(mode_numbers), requirement_text)
+    measurement_sets = [Measurements.read(path, mode_numbers) for path in measurement_paths]
+    if uncracked_path is not None:
+        measurement_sets.append(
+            Measurements.from_responses(
+                uncracked_path, mode_numbers, quantity="frequency_uncracked"
+            )
+        )
+    measurements = sum(measurement_sets[1:], measurement_sets[0])
+    if measurement_paths:
+        measurements.check(scene)
+    return measurements
 
 
-def _arrivals(scene: Scene, given: Namespace, source: Path | None) -> Source:
-    """Measured arrivals by the numbers of the blades: of a bladed disk all, else of the one that is
-    given if the file has several; of a result its path."""
-    if source is None or source.suffix.lower() == ".h5":
-        return source
-    table = scene.given("tip_timing")
+def _read_arrivals(scene: Scene, arguments: Namespace, path: Path | None) -> ArrivalSource:
+    """Read measured arrivals by blade number; return a result's path unchanged.
+
+    A bladed disk has arrivals from all blades. Otherwise the option --blade selects a blade.
+    """
+    if path is None or path.suffix.lower() == ".h5":
+        return path
+    timing_table = scene.given("tip_timing")
     from fenics_crack.arrivals.arrival_times import probes_of_blades, read_record
 
-    probes: Any = np.radians(table.probes)
+    probe_angles: Any = np.radians(timing_table.probes)
     if scene.disk is not None:
-        probes = probes_of_blades(probes, scene.disk.sectors)
-    blades = read_record(source, tip_radius=table.tip_radius, probes=probes)
-    return one_of(blades, given.blade, source, several=scene.disk is not None)
+        probe_angles = probes_of_blades(probe_angles, scene.disk.sectors)
+    arrivals_by_blade = read_record(path, tip_radius=timing_table.tip_radius, probes=probe_angles)
+    return select_blades(
+        arrivals_by_blade, arguments.blade, path, allows_several=scene.disk is not None
+    )
 
 
-def one_of(
-    blades: dict[int, ArrivalTimes], blade: int | None, source: Path, *, several: bool = True
+def select_blades(
+    arrivals_by_blade: dict[int, ArrivalTimes],
+    blade_number: int | None,
+    record_path: Path,
+    *,
+    allows_several: bool = True,
 ) -> dict[int, ArrivalTimes]:
-    """All blades of a record, where ``several`` may be taken, or the one whose number is given."""
-    if blade is None and (several or len(blades) == 1):
-        return blades
-    if blade is None or blade not in blades:
-        allowed = f"one of {', '.join(map(str, blades))} in {source}"
-        raise InputError("--blade", blade, f"{'given: ' if blade is None else ''}{allowed}")
-    return {blade: blades[blade]}
+    """Select a blade of a record by number.
+
+    Without a number, all blades are returned if ``allows_several``, or if the record has only one.
+    """
+    if blade_number is None and (allows_several or len(arrivals_by_blade) == 1):
+        return arrivals_by_blade
+    if blade_number is None or blade_number not in arrivals_by_blade:
+        requirement_text = f"one of {', '.join(map(str, arrivals_by_blade))} in {record_path}"
+        raise InputError(
+            "--blade",
+            blade_number,
+            f"{'given: ' if blade_number is None else ''}{requirement_text}",
+        )
+    return {blade_number: arrivals_by_blade[blade_number]}
 
 
-def changes(given: Sequence[str]) -> dict[str, Any]:
-    """Keys and values of ``--set key=value``: TOML, or else a word; ``none`` removes a key."""
-    found: dict[str, Any] = {}
-    for text in given:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip():
-            raise InputError("--set", text, "key=value, for example contact.stiffness=1e9")
-        value = value.strip()
+def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
+    """Parse the assignments of ``--set key=value`` into values by key.
+
+    A value is TOML, or else a word; ``none`` becomes None, which removes the key.
+    """
+    values_by_key: dict[str, Any] = {}
+    for assignment in assignments:
+        key_text, equals_sign, value_text = assignment.partition("=")
+        if not equals_sign or not key_text.strip():
+            raise InputError("--set", assignment, "key=value, for example contact.stiffness=1e9")
+        value_text = value_text.strip()
         try:
-            parsed = tomllib.loads(f"value = {value}")["value"]
+            key_value = tomllib.loads(f"value = {value_text}")["value"]
         except (ValueError, RecursionError):
-            parsed = None if value == "none" else value
-        found[key.strip()] = parsed
-    return found
+            key_value = None if value_text == "none" else value_text
+        values_by_key[key_text.strip()] = key_value
+    return values_by_key
 
 
-def command(*words: object) -> str:
-    """A call of the program, as a shell takes it."""
+def format_command(*words: object) -> str:
+    """Return a call of the program, quoted for a shell."""
     return shlex.join(["fenics-crack", *map(str, words)])
 
 
-# --- where it prints and writes -------------------------------------------------------------------
+# --- console and folder of the output -------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Console:
-    """Prints a command's table to standard output, all else to standard error."""
+    """Print a command's table to standard output, all else to standard error.
 
-    comm: MPI.Comm  # rank 0 writes files
-    form: str  # of the table: "text", "csv" or "json"
-    quiet: bool  # print the table alone
-    verbose: bool  # print how long each part took
-    pictures: str = "png"  # their kind
+    Attributes
+    ----------
+    comm : MPI.Comm
+        Rank 0 writes files.
+    table_format : str
+        "text", "csv" or "json".
+    is_quiet : bool
+        Print the table and warnings alone.
+    is_verbose : bool
+        Print how long each part took.
+    picture_format : str
+        Ending of pictures, "png".
+    printed_remarks : set of str
+        Remarks that were printed already.
+    """
+
+    comm: MPI.Comm
+    table_format: str
+    is_quiet: bool
+    is_verbose: bool
+    picture_format: str = "png"
     printed_remarks: set[str] = field(default_factory=set)
 
     @property
-    def progress(self) -> bool:
-        """True if a progress bar is to be shown."""
-        return not self.quiet and (self.verbose or sys.stderr.isatty())
+    def shows_progress(self) -> bool:
+        """Return True if progress bars are shown."""
+        return not self.is_quiet and (self.is_verbose or sys.stderr.isatty())
 
-    def table(self, table: Table) -> None:
+    def print_table(self, table: Table) -> None:
         """Print a table."""
-        print(table.formatted(self.form), end="", flush=True)
+        print(table.formatted(self.table_format), end="", flush=True)
 
-    def note(self, *texts: str) -> None:
-        """Print notes, unless they are empty or quiet is requested."""
-        for text in filter(None, texts):
-            LOGGER.info("%s", text)
+    def print_notes(self, *note_texts: str) -> None:
+        """Print notes that are not empty, unless quiet."""
+        for note_text in filter(None, note_texts):
+            LOGGER.info("%s", note_text)
 
-    def remark(self, *remarks: object) -> None:
-        """Print remarks on a scene, each once, unless quiet is requested."""
-        unprinted_texts = [text for text in map(str, remarks) if text not in self.printed_remarks]
+    def print_remarks(self, *remarks: object) -> None:
+        """Print remarks on a scene, each once, unless quiet."""
+        unprinted_texts = [
+            remark_text
+            for remark_text in map(str, remarks)
+            if remark_text not in self.printed_remarks
+        ]
         self.printed_remarks.update(unprinted_texts)
-        self.note(*(f"remark: {text}" for text in unprinted_texts))
+        self.print_notes(*(f"remark: {remark_text}" for remark_text in unprinted_texts))
 
-    def warn(self, *texts: str) -> None:
+    def print_warnings(self, *warning_texts: str) -> None:
         """Print warnings, even if quiet."""
-        for text in texts:
-            LOGGER.warning("%s", text)
+        for warning_text in warning_texts:
+            LOGGER.warning("%s", warning_text)
 
     @contextmanager
-    def stage(self, name: str, *, bars: bool = False) -> Iterator[None]:
-        """Print how long a part took, if verbose, and unless quiet is requested its stages while
-        they are done: where no progress is shown, now and then, and none beside ``bars`` of all
-        that is done."""
-        started, silent = time.perf_counter(), self.quiet or (bars and self.progress)
-        with nullcontext() if silent else StageLines(kept=self.progress):
-            begin(name)
+    def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
+        """Print the stages of running code, and the duration if verbose.
+
+        Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). If no
+        progress is shown, a message appears every few seconds.
+        """
+        start_time, is_silent = (
+            time.perf_counter(),
+            self.is_quiet or (has_bars and self.shows_progress),
+        )
+        with nullcontext() if is_silent else StageLines(kept=self.shows_progress):
+            begin(stage_name)
             yield
-        if self.verbose:
-            LOGGER.info("%s: %.2f s", name, time.perf_counter() - started)
+        if self.is_verbose:
+            LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
 
 
 def make_writable(folder: Path, comm: MPI.Comm) -> None:
-    """Make a folder for results; InputError unless files can be written there (collective)."""
+    """Create a folder for results; InputError unless files can be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD)))
+    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD_FRAMES_FOLDER)))
 
 
-def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
-    """Keep an earlier result in the folder :data:`BEFORE` beside it, too, one generation, where the
-    text of its table is not that of the one that takes its place; return a line that says so, or
-    why it could not be kept, or nothing (collective).
+def keep_previous_result(
+    table_path: Path, table_text: str, comm: MPI.Comm, *other_stems: str
+) -> str:
+    """Keep files of the previous result in the folder ``BEFORE`` (collective).
 
-    Its files are those of the name of the table and of the ``others``.
+    Only one generation is kept, and nothing if the previous table has the same text.
+
+    Parameters
+    ----------
+    table_path : Path
+        Table of the previous result; its stem and the ``other_stems`` name the files.
+    table_text : str
+        Text of the new table.
+
+    Returns
+    -------
+    str
+        Note that files were kept, or why they were not; empty if there was nothing to keep.
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    before = table.with_name(BEFORE)
-    files = [f"{name}{kind}" for name in (table.stem, *others) for kind in RESULT_ENDINGS]
+    previous_folder = table_path.with_name(BEFORE)
+    file_names = [
+        f"{file_stem}{file_suffix}"
+        for file_stem in (table_path.stem, *other_stems)
+        for file_suffix in RESULT_ENDINGS
+    ]
 
-    def work() -> str:
+    def keep_files_on_root() -> str:
         try:
-            if content_of(table, links=False) == text.encode():
+            if content_of(table_path, links=False) == table_text.encode():
                 return ""
         except FileNotFoundError:
             return ""
         except OSError:  # no table of ours
             pass
         try:
-            if not keep_files(files, table.parent, before):
+            if not keep_files(file_names, table_path.parent, previous_folder):
                 return ""
         except OSError as error:
-            return f"{before}: the previous result could not be kept here ({error.strerror})"
-        return f"{before}: the previous result, which this one has replaced, is kept here"
+            return (
+                f"{previous_folder}: the previous result could not be kept here ({error.strerror})"
+            )
+        return f"{previous_folder}: the previous result, which this one has replaced, is kept here"
 
-    return on_root(comm, work)
+    return on_root(comm, keep_files_on_root)
 
 
-# --- the scene that is written --------------------------------------------------------------------
+# --- new scenes -----------------------------------------------------------------------------------
 
 
-def new(given: Namespace, _: None, console: Console) -> None:
+def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    path: Path = given.file
-    kinds = [kind for kind in JOINABLE_SCENES if vars(given)[kind]]
-    alone = [name for name in WHOLE_SCENES if vars(given)[name]]
-    alone += ["cad"] if given.cad else []
-    if alone and len(alone + kinds) > 1:
-        other = f"with --{(alone[1:] + kinds)[0]}"
-        raise InputError(f"--{alone[0]}", other, "used alone: it is another scene")
-    rows = path.with_name(f"{path.stem}_measured.csv")
-    if given.cad:
-        from fenics_crack.cli.part import part_scene  # gmsh and VTK
+    scene_path: Path = arguments.file
+    options = [option for option in COMBINABLE_NEW_OPTIONS if vars(arguments)[option]]
+    exclusive_options = [option for option in EXCLUSIVE_NEW_OPTIONS if vars(arguments)[option]]
+    exclusive_options += ["cad"] if arguments.cad else []
+    if exclusive_options and len(exclusive_options + options) > 1:
+        other_option = f"with --{(exclusive_options[1:] + options)[0]}"
+        raise InputError(
+            f"--{exclusive_options[0]}", other_option, "used alone: it is another scene"
+        )
+    measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
+    if arguments.cad:
+        from fenics_crack.cli.part import propose_part_scene  # gmsh and VTK
 
-        text, picture = on_root(console.comm, lambda: part_scene(given.cad, path))
-        console.note(f"{picture}: the faces of {given.cad}, with numbers")
-        files = {path: text}
-    elif alone:
-        text = packaged(f"cli/new_{alone[0]}.toml")
-        files = {path: text.replace("SCENE", shlex.quote(path.name))}
+        scene_text, picture_path = on_root(
+            console.comm, lambda: propose_part_scene(arguments.cad, scene_path)
+        )
+        console.print_notes(f"{picture_path}: the faces of {arguments.cad}, with numbers")
+        texts_by_path = {scene_path: scene_text}
+    elif exclusive_options:
+        scene_text = packaged(f"cli/new_{exclusive_options[0]}.toml")
+        texts_by_path = {scene_path: scene_text.replace("SCENE", shlex.quote(scene_path.name))}
     else:
-        files = {path: new_scene(path.name, rows.name, kinds)}
-    if "identify" in kinds:
-        files[rows] = packaged("cli/new_measured.csv")
+        texts_by_path = {
+            scene_path: build_scene_text(scene_path.name, measurements_path.name, options)
+        }
+    if "identify" in options:
+        texts_by_path[measurements_path] = packaged("cli/new_measured.csv")
 
-    def write() -> None:
-        for file in files:
-            if os.path.exists(file):  # False for a name too long, which writing will say
-                raise InputError("scene", str(file), "the name of a new file; this one exists")
-        for file, text in files.items():
-            write_whole(file, text, "scene")
+    def write_files() -> None:
+        for file_path in texts_by_path:
+            if os.path.exists(file_path):  # False for a name too long, which writing will say
+                raise InputError("scene", str(file_path), "the name of a new file; this one exists")
+        for file_path, scene_text in texts_by_path.items():
+            write_whole(file_path, scene_text, "scene")
 
-    on_root(console.comm, write)
-    console.note(f"{path}: a scene to start from; now: {command('check', path)}")
-    if rows in files:
-        console.note(f"{rows}: what was measured; then: {command('identify', path, rows)}")
-
-
-def new_scene(name: str, rows: str, kinds: Collection[str]) -> str:
-    """A scene of some :data:`JOINABLE_SCENES` under a name, with a file of measurements."""
-    marks = [f"(--{kind})" for kind in {*kinds, *(["blade"] if "timing" in kinds else [])}]
-    lines = packaged(COMMENTED).splitlines()
-    lines = [_turned(line) if line.endswith(tuple(marks)) else line for line in lines]
-    whole = "\n".join([*map(_without_mark, lines), ""])
-    return whole.replace("SCENE", shlex.quote(name)).replace("MEASURED", shlex.quote(rows))
+    on_root(console.comm, write_files)
+    console.print_notes(
+        f"{scene_path}: a scene to start from; now: {format_command('check', scene_path)}"
+    )
+    if measurements_path in texts_by_path:
+        console.print_notes(
+            f"{measurements_path}: what was measured; then: "
+            f"{format_command('identify', scene_path, measurements_path)}"
+        )
 
 
-def line_of(key: str, allowed: str) -> str:
-    """The line by which a template gives a key, or another of its table that the allowed values of
-    an error name; empty where none gives it."""
-    table, _, name = key.partition(".")
-    names = name, *re.findall(rf"\b{re.escape(table)}\.(\w+)", allowed)
-    lines = [line.partition("  #")[0].strip() for block in _blocks(table) for line in block]
-    return next((line for one in names for line in lines if line.startswith(f"{one} = ")), "")
+def build_scene_text(scene_name: str, measurements_name: str, options: Collection[str]) -> str:
+    """Build a new scene's text from the template of a plate.
+
+    ``options`` are from :data:`COMBINABLE_NEW_OPTIONS`. Both names are file names that the text
+    mentions.
+    """
+    line_marks = [
+        f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
+    ]
+    template_lines = packaged(PLATE_TEMPLATE_PATH).splitlines()
+    template_lines = [
+        _toggle_comment(template_line)
+        if template_line.endswith(tuple(line_marks))
+        else template_line
+        for template_line in template_lines
+    ]
+    scene_text = "\n".join([*map(_remove_mark, template_lines), ""])
+    return scene_text.replace("SCENE", shlex.quote(scene_name)).replace(
+        "MEASURED", shlex.quote(measurements_name)
+    )
 
 
-def lines_of(table: str) -> str:
-    """The lines by which a template gives a scene a table; empty where none has it."""
-    return "\n".join(next(_blocks(table), ()))
+def example_line(key: str, requirement_text: str) -> str:
+    """Return the template line that sets a key, or "" without any.
+
+    If an error's ``requirement_text`` names other keys of the table, lines with these keys are
+    accepted, too.
+    """
+    table_name, _, key_name = key.partition(".")
+    key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)
+    template_lines = [
+        template_line.partition("  #")[0].strip()
+        for table_lines in _template_blocks(table_name)
+        for template_line in table_lines
+    ]
+    return next(
+        (
+            template_line
+            for name in key_names
+            for template_line in template_lines
+            if template_line.startswith(f"{name} = ")
+        ),
+        "",
+    )
 
 
-def _blocks(table: str) -> Iterator[list[str]]:
-    """Lines by which templates give a table."""
-    texts = map(packaged, (COMMENTED, *(f"cli/new_{name}.toml" for name in WHOLE_SCENES)))
-    for block in itertools.chain.from_iterable(text.split("\n\n") for text in texts):
-        lines = block.splitlines()
-        for place, line in enumerate(lines):
-            if line.removeprefix("# ").startswith((f"[{table}]", f"[{table}.")):
-                asleep = line.startswith("#")
-                chosen = (one for one in lines[place:] if one.startswith("#") == asleep)
-                yield [_without_mark(_turned(one) if asleep else one) for one in chosen]
+def example_table(table_name: str) -> str:
+    """Return the template lines that set a table, or "" without any."""
+    return "\n".join(next(_template_blocks(table_name), ()))
 
 
-def _without_mark(line: str) -> str:
+def _template_blocks(table_name: str) -> Iterator[list[str]]:
+    """Yield the lines that set a table, without marks, template by template.
+
+    A table that is commented out is commented in.
+    """
+    template_texts = map(
+        packaged,
+        (
+            PLATE_TEMPLATE_PATH,
+            *(f"cli/new_{option_name}.toml" for option_name in EXCLUSIVE_NEW_OPTIONS),
+        ),
+    )
+    for block_text in itertools.chain.from_iterable(text.split("\n\n") for text in template_texts):
+        block_lines = block_text.splitlines()
+        for line_index, line in enumerate(block_lines):
+            if line.removeprefix("# ").startswith((f"[{table_name}]", f"[{table_name}.")):
+                is_commented = line.startswith("#")
+                table_lines = (
+                    line
+                    for line in block_lines[line_index:]
+                    if line.startswith("#") == is_commented
+                )
+                yield [
+                    _remove_mark(_toggle_comment(line) if is_commented else line)
+                    for line in table_lines
+                ]
+
+
+def _remove_mark(line: str) -> str:
     return re.sub(r"\s+(# )?\(--\w+\)$", "", line)
 
 
-def _turned(line: str) -> str:
-    """A line without the ``#`` that it begins with, or with one; its remark stays in place."""
+def _toggle_comment(line: str) -> str:
+    """Comment a line out or in; a remark keeps the column."""
     if line.startswith("# "):
         return line.removeprefix("# ").replace("  #", "    #", 1)
     return "# " + line.replace("    #", "  #", 1)

@@ -1,5 +1,7 @@
-"""Kinds of results, which no other module knows all of: their files, headings, reports, pictures
-and readers. Functions are named here, and loaded when a result of their kind is met."""
+"""All kinds of results: files, headings, reports, readers and pictures.
+
+The table names the functions of each kind. A function is loaded when a result needs it.
+"""
 
 from __future__ import annotations
 
@@ -9,123 +11,127 @@ from typing import Any, NamedTuple
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
-from fenics_crack.cli.drawn import Drawn
+from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.files.store import Stored
 
 
-class Kind(NamedTuple):
-    """A kind of result, by the functions of the package that handle it: "folder.file:function".
+class ResultKind(NamedTuple):
+    """Name the functions that handle a kind of result, as "folder.file:function".
 
     Attributes
     ----------
-    name : str
-        Of its files: "curve" for curve.h5.
+    file_stem : str
+        Name of the files without ending: "curve" for curve.h5.
     heading : str
-        In a report.
-    report : str
-        Function of a result that builds its :class:`Report`.
-    read : str
-        Function of a file that has been read.
-    draw : str
-        Function of a result and of :class:`Drawn`; with a ``sentence`` that of one picture, of a
-        result and a ``path``.
-    sentence : str
-        Below the one picture.
+        Heading in a report.
+    report_function_path : str
+        Builds a :class:`Report` from a result.
+    reader_function_path : str
+        Builds a result from a :class:`Stored` file.
+    drawing_function_path : str
+        Draws a result: into ``file``, :class:`PictureFiles`; with a ``caption`` one picture, to
+        ``path``.
+    caption : str
+        Sentence below the only picture; empty if there may be several.
     """
 
-    name: str
+    file_stem: str
     heading: str
-    report: str
-    read: str
-    draw: str
-    sentence: str = ""
+    report_function_path: str
+    reader_function_path: str
+    drawing_function_path: str
+    caption: str = ""
 
 
-KINDS = {
-    "set of modes": Kind(
+RESULT_KINDS = {
+    "set of modes": ResultKind(
         "modes", "Modes", "cli.results:report_of_modes", "runs.load:read_run",
-        "cli.pictures:draw_modes_of",
+        "cli.pictures:draw_mode_shapes",
     ),
-    "periodic solution": Kind(
+    "periodic solution": ResultKind(
         "solution", "Steady vibration", "cli.results:report_of_solution", "runs.load:read_run",
         "cli.pictures:draw_solution",
     ),
-    "response curve": Kind(
+    "response curve": ResultKind(
         "curve", "Response curve", "cli.results:report_of_curve", "runs.load:read_run",
-        "cli.pictures:draw_curve_of",
+        "cli.pictures:draw_curve_pictures",
     ),
-    "sweep": Kind(
+    "sweep": ResultKind(
         "sweep", "Sweep", "cli.studies:report_of_sweep", "sweep.result:SweepResult.of",
         "cli.pictures:draw_sweep",
     ),
-    "time history": Kind(
+    "time history": ResultKind(
         "integration", "Motion in time", "cli.results:report_of_history", "runs.load:read_run",
         "cli.pictures:draw_history",
     ),
-    "crack growth": Kind(
+    "crack growth": ResultKind(
         "growth", "Growth of the crack", "fatigue.growth:report_of_growth",
-        "fatigue.growth:Growth.of", "cli.pictures:draw_growth_of",
+        "fatigue.growth:Growth.of", "cli.pictures:draw_crack_growth",
     ),
-    "identification": Kind(
+    "identification": ResultKind(
         "identify", "Identification",
         "monitoring.identification.report:report_of_identification",
-        "monitoring.identification.report:Identified.of", "cli.pictures:draw_identified",
+        "monitoring.identification.report:Identified.of", "cli.pictures:copy_posterior_picture",
     ),
-    "verification": Kind(
+    "verification": ResultKind(
         "verify", "Convergence study", "cli.studies:report_of_verification",
         "errors.verification:Verification.of", "draw.plot_study:draw_verification",
         "Distance of each quantity from its extrapolated value; contributions to its error.",
     ),
-    "Campbell diagram": Kind(
+    "Campbell diagram": ResultKind(
         "campbell", "Campbell diagram", "study.campbell:report_of_campbell",
-        "study.campbell:Campbell.of", "cli.pictures:draw_campbell_of",
+        "study.campbell:Campbell.of", "cli.pictures:draw_campbell_diagram",
     ),
-    "nodal diameters": Kind(
+    "nodal diameters": ResultKind(
         "disk", "Nodal diameters", "disk.bladed_disk:report_of_diameters",
         "disk.bladed_disk:NodalDiameters.of", "disk.plot_disk:draw_nodal_diameters",
         "Natural frequencies over the nodal diameter; rings: what the engine order excites.",
     ),
-    "amplification": Kind(
+    "amplification": ResultKind(
         "amplification", "Mistuning", "disk.bladed_disk:report_of_amplification",
         "disk.bladed_disk:Amplification.of", "disk.plot_disk:draw_amplification",
         "Amplification factors of the patterns, and the share of patterns below a factor.",
     ),
-    "tip timing": Kind(
+    "tip timing": ResultKind(
         "timing", "Tip timing", "monitoring.timing:report_of_timing",
         "monitoring.timing:Timing.of", "cli.pictures:draw_timing",
     ),
 }  # fmt: skip
-"""By their ``KIND``, in the order of a report."""
+"""Kinds of results by the class attribute ``KIND``, in a report's order."""
 
 
-def loaded(name: str) -> Callable[..., Any]:
-    """A function of the package by its name, "folder.file:function"."""
-    function: Callable[..., Any] = pkgutil.resolve_name(f"fenics_crack.{name}")
-    return function
+def load_function(function_path: str) -> Callable[..., Any]:
+    """Import a function of the package from "folder.file:function"."""
+    package_function: Callable[..., Any] = pkgutil.resolve_name(f"fenics_crack.{function_path}")
+    return package_function
 
 
-def report_of(result: Any) -> Report:
+def build_report(result: Any) -> Report:
     """Return the report of a result (collective)."""
-    report: Report = loaded(KINDS[result.KIND].report)(result)
+    report: Report = load_function(RESULT_KINDS[result.KIND].report_function_path)(result)
     return report
 
 
-def draw(result: Any, drawn: Drawn) -> None:
+def draw_result(result: Any, picture_files: PictureFiles) -> None:
     """Draw the pictures of a result."""
-    kind = KINDS[result.KIND]
-    where = {"path": drawn(kind.name, kind.sentence)} if kind.sentence else {"file": drawn}
-    loaded(kind.draw)(result, **where)
+    result_kind = RESULT_KINDS[result.KIND]
+    path_keywords = (
+        {"path": picture_files(result_kind.file_stem, result_kind.caption)}
+        if result_kind.caption
+        else {"picture_files": picture_files}
+    )
+    load_function(result_kind.drawing_function_path)(result, **path_keywords)
 
 
-def result_of(stored: Stored) -> Any:
-    """The result of a file that one rank has read.
+def restore_result(stored_file: Stored) -> Any:
+    """Build a result from a file read on one rank.
 
     Raises
     ------
     InputError
-        It is no result of a command.
+        The file holds no result of a command.
     """
-    if stored.kind not in KINDS:
-        allowed = f"a result of one of these kinds: {', '.join(KINDS)}"
-        raise InputError("result", str(stored.path), allowed)
-    return loaded(KINDS[stored.kind].read)(stored)
+    if stored_file.kind not in RESULT_KINDS:
+        requirement_text = f"a result of one of these kinds: {', '.join(RESULT_KINDS)}"
+        raise InputError("result", str(stored_file.path), requirement_text)
+    return load_function(RESULT_KINDS[stored_file.kind].reader_function_path)(stored_file)

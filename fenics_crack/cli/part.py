@@ -1,4 +1,4 @@
-"""A scene for a part from a CAD file: its faces, and a proposal of clamp, load and crack."""
+"""A scene for a part from a CAD file: list of faces, and proposals of clamp, load and crack."""
 
 from __future__ import annotations
 
@@ -14,125 +14,191 @@ from fenics_crack.draw.plot_mesh import draw_faces
 from fenics_crack.fem.solid import ray_length, read_part_triangles_and_owners
 from fenics_crack.version import packaged
 
-MOST_FACES = 40
-"""Largest faces that a scene lists and a picture numbers."""
-ROOT = 0.2
-"""Height of the proposed crack above the clamp, over the part's length."""
+MAX_LISTED_FACES = 40
+"""Maximum number of faces in the scene and the picture, largest first."""
+CRACK_HEIGHT_FRACTION = 0.2
+"""Height of the proposed crack above the clamp, relative to the part's length."""
 
 
 @dataclass(frozen=True)
-class _Surface:
-    """Triangles of a part's faces, and a point in the middle of each face.
+class _PartSurface:
+    """Hold a part's triangles, and a point on each face.
 
     Attributes
     ----------
     triangles : (n, 3, 3) [m]
         Corners.
-    owners, areas, normals, middles : (n,), (n,) [m^2], (n, 3), (n, 3) [m]
-        Of each triangle: the number of its face, its size, outward direction and middle.
-    faces : list of int
-        Numbers of the faces, the largest first.
-    points : (n_faces, 3) [m]
-        The triangles' middles that are nearest to the faces' centers.
+    face_numbers : (n,)
+        Face number of each triangle.
+    triangle_areas : (n,) [m^2]
+    triangle_normals : (n, 3)
+        Outward unit vectors.
+    triangle_centers : (n, 3) [m]
+    sorted_face_numbers : list of int
+        Numbers of the faces, the largest face first.
+    face_points : (n_faces, 3) [m]
+        Triangle center nearest to the center of each face, in the order of ``sorted_face_numbers``.
     """
 
     triangles: np.ndarray
-    owners: np.ndarray
-    areas: np.ndarray
-    normals: np.ndarray
-    middles: np.ndarray
-    faces: list[int]
-    points: np.ndarray
+    face_numbers: np.ndarray
+    triangle_areas: np.ndarray
+    triangle_normals: np.ndarray
+    triangle_centers: np.ndarray
+    sorted_face_numbers: list[int]
+    face_points: np.ndarray
 
-    def area(self, face: int) -> float:
+    def face_area(self, face_number: int) -> float:
         """Return the area of a face [m^2]."""
-        return float(self.areas[self.owners == face].sum())
+        return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
-    def end(self, axis: int, *, high: bool) -> int:
-        """Return the place of the largest face whose point is at an end of the part."""
-        heights = self.points[:, axis]
-        tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
-        at_end = (
-            heights > heights.max() - tolerance if high else heights < heights.min() + tolerance
+    def find_end_face(self, axis: int, *, at_top: bool) -> int:
+        """Find the largest face among those with the highest, or lowest, point.
+
+        Returns the face's index in ``sorted_face_numbers``.
+        """
+        point_heights = self.face_points[:, axis]
+        height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
+        is_at_end = (
+            point_heights > point_heights.max() - height_tolerance
+            if at_top
+            else point_heights < point_heights.min() + height_tolerance
         )
-        return int(at_end.argmax())
+        return int(is_at_end.argmax())
 
 
-def _surface_of(part: Path, unit: str | None) -> _Surface:
+def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
     """Measure the faces of a part."""
-    surface = read_part_triangles_and_owners(str(part), unit)
-    triangles, owners = surface["triangles"], surface["owners"]
-    sides = triangles[:, 1:] - triangles[:, :1]
-    normals, middles = np.cross(sides[:, 0], sides[:, 1]), triangles.mean(axis=1)
-    areas = 0.5 * np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(2.0 * areas, 1e-300)[:, None]
-    faces = sorted(set(owners.tolist()), key=lambda face: -areas[owners == face].sum())
-    points = []
-    for face in faces:
-        belongs = owners == face
-        center = areas[belongs] @ middles[belongs] / areas[belongs].sum()
-        distances = np.linalg.norm(middles[belongs] - center, axis=1)
-        points.append(middles[belongs][distances.argmin()])
-    return _Surface(triangles, owners, areas, normals, middles, faces, np.array(points))
-
-
-def _crack_start(surface: _Surface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Propose a crack above the clamp, on the largest face along an axis: its point [m], the
-    normal of the face there, and the depth of the part behind it [m]."""
-    along_axis = np.eye(3)[axis]
-    start_height, end_height = (
-        surface.triangles[..., axis].min(),
-        surface.triangles[..., axis].max(),
+    arrays_by_name = read_part_triangles_and_owners(str(part_path), length_unit)
+    triangles, face_numbers = arrays_by_name["triangles"], arrays_by_name["owners"]
+    edge_vectors = triangles[:, 1:] - triangles[:, :1]
+    triangle_normals = np.cross(edge_vectors[:, 0], edge_vectors[:, 1])
+    triangle_centers = triangles.mean(axis=1)
+    triangle_areas = 0.5 * np.linalg.norm(triangle_normals, axis=1)
+    triangle_normals /= np.maximum(2.0 * triangle_areas, 1e-300)[:, None]
+    sorted_face_numbers = sorted(
+        set(face_numbers.tolist()),
+        key=lambda face_number: -triangle_areas[face_numbers == face_number].sum(),
     )
-    slopes = [np.abs(surface.normals[surface.owners == face][:, axis]).max()
-              for face in surface.faces]  # fmt: skip
-    place = int((np.array(slopes) < 0.7).argmax())
-    belongs = surface.owners == surface.faces[place]
-    target = surface.points[place] * (1.0 - along_axis)
-    target[axis] = start_height + ROOT * (end_height - start_height)
-    nearest_triangle = np.linalg.norm(surface.middles[belongs] - target, axis=1).argmin()
-    start, normal = (
-        surface.middles[belongs][nearest_triangle],
-        surface.normals[belongs][nearest_triangle],
+    face_points = []
+    for face_number in sorted_face_numbers:
+        is_on_face = face_numbers == face_number
+        face_center = (
+            triangle_areas[is_on_face]
+            @ triangle_centers[is_on_face]
+            / triangle_areas[is_on_face].sum()
+        )
+        center_distances = np.linalg.norm(triangle_centers[is_on_face] - face_center, axis=1)
+        face_points.append(triangle_centers[is_on_face][center_distances.argmin()])
+    return _PartSurface(
+        triangles,
+        face_numbers,
+        triangle_areas,
+        triangle_normals,
+        triangle_centers,
+        sorted_face_numbers,
+        np.array(face_points),
     )
-    return start, normal, ray_length(start, -normal, surface.triangles)
 
 
-def part_scene(part: Path, scene: Path) -> tuple[str, Path]:
-    """Return the text of a scene for a part, and the picture that it writes of the faces.
+def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Propose a crack above the clamp, on the largest face along an axis.
+
+    Returns
+    -------
+    crack_point : (3,) [m]
+    face_normal : (3,)
+        Outward normal at the point.
+    part_depth : float [m]
+        Distance through the part along the inward normal.
+    """
+    axis_direction = np.eye(3)[axis]
+    min_height = part_surface.triangles[..., axis].min()
+    max_height = part_surface.triangles[..., axis].max()
+    axis_components = [
+        np.abs(
+            part_surface.triangle_normals[part_surface.face_numbers == face_number][:, axis]
+        ).max()
+        for face_number in part_surface.sorted_face_numbers
+    ]
+    face_index = int((np.array(axis_components) < 0.7).argmax())
+    is_on_face = part_surface.face_numbers == part_surface.sorted_face_numbers[face_index]
+    target_point = part_surface.face_points[face_index] * (1.0 - axis_direction)
+    target_point[axis] = min_height + CRACK_HEIGHT_FRACTION * (max_height - min_height)
+    triangle_index = np.linalg.norm(
+        part_surface.triangle_centers[is_on_face] - target_point, axis=1
+    ).argmin()
+    crack_point = part_surface.triangle_centers[is_on_face][triangle_index]
+    face_normal = part_surface.triangle_normals[is_on_face][triangle_index]
+    return crack_point, face_normal, ray_length(crack_point, -face_normal, part_surface.triangles)
+
+
+def propose_part_scene(part_path: Path, scene_path: Path) -> tuple[str, Path]:
+    """Return a part's scene text, and draw the faces.
+
+    Returns
+    -------
+    scene_text : str
+    picture_path : Path
+        Picture of the faces, beside the scene.
 
     Raises
     ------
     InputError
         The file of the part cannot be used.
     """
-    unit = "mm" if part.suffix.lower() == ".brep" else None
-    surface = _surface_of(part, unit)
-    extents = np.ptp(surface.triangles.reshape(-1, 3), axis=0)
-    axis = int(extents.argmax())
-    clamp, tip = (surface.points[surface.end(axis, high=high)] for high in (False, True))
-    start, normal, depth = _crack_start(surface, axis)
-    shown_faces = surface.faces[:MOST_FACES]
-    picture = scene.with_name(f"{scene.stem}_faces.png")
-    draw_faces(surface.triangles, surface.owners, shown_faces, surface.points, path=picture)
-    lines = [f"clamp = [{_vector(clamp)}]", f"tip = [{_vector(tip)}]"]
-    for number, (face, point) in enumerate(zip(shown_faces, surface.points, strict=False), 1):
-        area = 1e6 * surface.area(face)
-        lines.append(f"# face_{number} = [{_vector(point)}]  # {area:.4g} mm^2")
-    words = {
-        "EXTENTS": " x ".join(f"{x:.4g}" for x in extents), "UNIT": f'unit = "{unit}"',
-        "PART": json.dumps(os.path.relpath(part, scene.parent)), "PICTURE": picture.name,
-        "FACES": "\n".join(lines), "POINT": _vector(start), "NORMAL": _vector(np.eye(3)[axis]),
-        "DIRECTION": _vector(np.cross(np.eye(3)[axis], normal)), "LOAD": _vector(tip),
-        "RADII": _vector([0.5 * depth, 0.3 * depth]),
-        "FORCE": _vector(np.eye(3)[np.abs(normal).argmax()]),
-        "SIZE": f"{min(depth, extents[axis] / 15.0):.2g}", "SCENE": shlex.quote(scene.name),
-    }  # fmt: skip
-    text = packaged("cli/new_part.toml")
-    for word, value in words.items():
-        text = text.replace(word, value if word != "UNIT" or unit else "")
-    return text, picture
+    length_unit = "mm" if part_path.suffix.lower() == ".brep" else None
+    part_surface = _measure_surface(part_path, length_unit)
+    part_extents = np.ptp(part_surface.triangles.reshape(-1, 3), axis=0)
+    longest_axis = int(part_extents.argmax())
+    clamp_point, tip_point = (
+        part_surface.face_points[part_surface.find_end_face(longest_axis, at_top=at_top)]
+        for at_top in (False, True)
+    )
+    crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
+    listed_faces = part_surface.sorted_face_numbers[:MAX_LISTED_FACES]
+    picture_path = scene_path.with_name(f"{scene_path.stem}_faces.png")
+    draw_faces(
+        part_surface.triangles,
+        part_surface.face_numbers,
+        listed_faces,
+        part_surface.face_points,
+        path=picture_path,
+    )
+    face_lines = [
+        f"clamp = [{_format_vector(clamp_point)}]",
+        f"tip = [{_format_vector(tip_point)}]",
+    ]
+    for line_number, (face_number, face_point) in enumerate(
+        zip(listed_faces, part_surface.face_points, strict=False), 1
+    ):
+        area_mm2 = 1e6 * part_surface.face_area(face_number)
+        face_lines.append(
+            f"# face_{line_number} = [{_format_vector(face_point)}]  # {area_mm2:.4g} mm^2"
+        )
+    text_by_placeholder = {
+        "EXTENTS": " x ".join(f"{part_extent:.4g}" for part_extent in part_extents),
+        "UNIT": f'unit = "{length_unit}"',
+        "PART": json.dumps(os.path.relpath(part_path, scene_path.parent)),
+        "PICTURE": picture_path.name,
+        "FACES": "\n".join(face_lines),
+        "POINT": _format_vector(crack_point),
+        "NORMAL": _format_vector(np.eye(3)[longest_axis]),
+        "DIRECTION": _format_vector(np.cross(np.eye(3)[longest_axis], face_normal)),
+        "LOAD": _format_vector(tip_point),
+        "RADII": _format_vector([0.5 * part_depth, 0.3 * part_depth]),
+        "FORCE": _format_vector(np.eye(3)[np.abs(face_normal).argmax()]),
+        "SIZE": f"{min(part_depth, part_extents[longest_axis] / 15.0):.2g}",
+        "SCENE": shlex.quote(scene_path.name),
+    }
+    scene_text = packaged("cli/new_part.toml")
+    for placeholder, replacement_text in text_by_placeholder.items():
+        scene_text = scene_text.replace(
+            placeholder, replacement_text if placeholder != "UNIT" or length_unit else ""
+        )
+    return scene_text, picture_path
 
 
-def _vector(values: np.ndarray | list[float]) -> str:
-    return json.dumps([float(f"{round(x, 9):.6g}") + 0.0 for x in values])
+def _format_vector(components: np.ndarray | list[float]) -> str:
+    """Write the components of a vector as a list with six digits."""
+    return json.dumps([float(f"{round(component, 9):.6g}") + 0.0 for component in components])

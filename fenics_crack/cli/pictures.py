@@ -1,6 +1,6 @@
-"""Pictures of one result of each kind, and its files for ParaView.
+"""Pictures for all kinds of results, and files for ParaView.
 
-Matplotlib is loaded here, and VTK where a mesh is drawn.
+This module loads Matplotlib; functions for meshes load VTK.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from fenics_crack.basics.atomic_files import write_whole
 from fenics_crack.basics.errors import FEW_MODES, InputError
 from fenics_crack.basics.tables import percent, readable, with_unit
 from fenics_crack.basics.untrusted_files import content_of
-from fenics_crack.cli.drawn import Drawn
-from fenics_crack.cli.given import PERIOD
-from fenics_crack.cli.results import Waves, waves_of
+from fenics_crack.cli.drawn import PictureFiles
+from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER
+from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
 from fenics_crack.fatigue.growth import Growth
@@ -45,321 +45,508 @@ from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
-"""Colour and line of the closing of one crack after the other."""
+CRACK_CLOSING_LINE_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+"""Colour and line style of the closing, crack by crack."""
 
-NO_MESH = "no mesh: what would be drawn on one is left out"
+NO_MESH_NOTE = "no mesh: what would be drawn on one is left out"
 
 
 def draw_scene(
-    scene: Scene, folder: Path, structure: Structure | None = None, kind: str = "png"
+    scene: Scene, folder: Path, structure: Structure | None = None, file_format: str = "png"
 ) -> Path:
-    """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
-    file = folder / f"mesh.{kind}"
+    """Draw the mesh of a scene, and return the picture's path.
+
+    Without a structure, the scene is meshed.
+    """
+    picture_path = folder / f"mesh.{file_format}"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
-    plot_mesh.draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
-    return file
+    plot_mesh.draw_mesh(
+        structure, path=picture_path, title=f"{structure.n_dofs} degrees of freedom"
+    )
+    return picture_path
 
 
-def draw_modes_of(run: Run[Modes], file: Drawn) -> None:
-    """Draw the shapes of modes that have a mesh."""
+def draw_mode_shapes(run: Run[Modes], picture_files: PictureFiles) -> None:
+    """Draw mode shapes, if the structure has a mesh."""
     if run.structure.whole.drawable_nodes is None:
-        file.notes.append(NO_MESH)
+        picture_files.notes.append(NO_MESH_NOTE)
         return
-    words = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
-    plot_mesh.draw_modes(run.result, path=file("modes", words))
-    if file.meshes:
+    caption = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
+    plot_mesh.draw_modes(run.result, path=picture_files("modes", caption))
+    if picture_files.has_vtk_files:
         from fenics_crack.draw.vtk import write_modes  # VTK
 
-        write_modes(run.result, file("modes", "", "vtu"))
+        write_modes(run.result, picture_files("modes", "", "vtu"))
 
 
-def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
-    """Draw a period of a solution, its harmonics, and where it moves."""
-    found, dof = run.result, run.watched_dof
-    title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
-    if known := describe_error(run):
-        title += f", error {known.partition(',')[0]}"
-    elif found.gap_coefficients.size and found.report.estimated:
-        title += f", error {'unknown' if found.report.unknown else percent(found.report.total)}"
-    if found.stability is not None:
-        title += f", {found.stability.verdict}"
-    if not found.converged:
+def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
+    """Draw a solution: waveforms, harmonics, orbits and the moving mesh."""
+    solution, watched_dof = run.result, run.watched_dof
+    title = f"{frequency_in_words(run.scene, solution.omega)}, H = {solution.harmonics}"
+    if error_text := describe_error(run):
+        title += f", error {error_text.partition(',')[0]}"
+    elif solution.gap_coefficients.size and solution.report.estimated:
+        title += (
+            f", error {'unknown' if solution.report.unknown else percent(solution.report.total)}"
+        )
+    if solution.stability is not None:
+        title += f", {solution.stability.verdict}"
+    if not solution.converged:
         title += ", NOT CONVERGED"
-    words = "Displacement at the output point, and closing of the crack faces."
-    _waves(run, waves_of(run), found.omega, path=file("solution_waves", words), title=title)
-    words = "Amplitudes of the harmonics; enough are kept if the last are small."
-    plot.draw_spectrum(found, dof, path=file("solution_spectrum", words), title=title)
-    words = "The motion in the phase plane; thick where the crack faces touch."
-    plot.draw_orbits(found, dof, path=file("solution_orbits", words), title=title)
-    if friction_of(found.contact) is not None:
-        heading = f"Friction, {frequency_in_words(run.scene, found.omega)}"
-        words = "Friction force over the sliding of the crack faces; the area is the energy lost."
-        plot.draw_friction_loops(found, path=file("solution_friction_loops", words), title=heading)
+    caption = "Displacement at the output point, and closing of the crack faces."
+    _draw_waveforms(
+        run,
+        sample_waveforms(run),
+        solution.omega,
+        path=picture_files("solution_waves", caption),
+        title=title,
+    )
+    caption = "Amplitudes of the harmonics; enough are kept if the last are small."
+    plot.draw_spectrum(
+        solution, watched_dof, path=picture_files("solution_spectrum", caption), title=title
+    )
+    caption = "The motion in the phase plane; thick where the crack faces touch."
+    plot.draw_orbits(
+        solution, watched_dof, path=picture_files("solution_orbits", caption), title=title
+    )
+    if friction_of(solution.contact) is not None:
+        friction_title = f"Friction, {frequency_in_words(run.scene, solution.omega)}"
+        caption = "Friction force over the sliding of the crack faces; the area is the energy lost."
+        plot.draw_friction_loops(
+            solution, path=picture_files("solution_friction_loops", caption), title=friction_title
+        )
     if run.scene.disk is not None:
         from fenics_crack.disk.plot_disk import draw_wheel
 
-        words = "The wheel where it moves most, magnified; cracked blades have orange numbers."
-        draw_wheel(found, path=file("solution_wheel", words), title=title)
-    if found.structure.whole.drawable_nodes is None:
-        file.notes.append(NO_MESH)
+        caption = "The wheel where it moves most, magnified; cracked blades have orange numbers."
+        draw_wheel(solution, path=picture_files("solution_wheel", caption), title=title)
+    if solution.structure.whole.drawable_nodes is None:
+        picture_files.notes.append(NO_MESH_NOTE)
     else:
-        _on_mesh(run, file)
-    _tips(run, file, "solution_tips")
+        _draw_solution_on_mesh(run, picture_files)
+    _draw_stress_intensity(run, picture_files, "solution_tips")
 
 
-def _on_mesh(run: Run[PeriodicSolution], file: Drawn) -> None:
-    """Draw what needs a mesh: contact along the crack, and the motion."""
+def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
+    """Draw contact along the crack, and the motion of the mesh."""
     from fenics_crack.draw.animation import animate_period  # VTK
 
-    found, material = run.result, run.scene.material
-    if found.gap_coefficients.shape[1] > 1:
-        heading = "Where and when the crack is closed"
-        words = "Contact of the crack faces along the crack and over the period."
-        plot.draw_contact_map(found, path=file("solution_contact_map", words), title=heading)
-    words = "One period, slowed down and magnified as stated above the plate."
-    animate_period(found, file("solution_breathing_crack", words, "gif"), material=material)
-    if file.meshes:
+    solution, material = run.result, run.scene.material
+    if solution.gap_coefficients.shape[1] > 1:
+        contact_title = "Where and when the crack is closed"
+        caption = "Contact of the crack faces along the crack and over the period."
+        plot.draw_contact_map(
+            solution, path=picture_files("solution_contact_map", caption), title=contact_title
+        )
+    caption = "One period, slowed down and magnified as stated above the plate."
+    animate_period(
+        solution, picture_files("solution_breathing_crack", caption, "gif"), material=material
+    )
+    if picture_files.has_vtk_files:
         from fenics_crack.draw.vtk import write_period
 
-        write_period(found, file(PERIOD, "", "pvd"), material=material)
+        write_period(solution, picture_files(PERIOD_FRAMES_FOLDER, "", "pvd"), material=material)
 
 
-def draw_history(run: Run[TimeHistory], file: Drawn) -> None:
+def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
     """Draw a motion in time."""
-    table, load, omega = run.scene.integration, run.scene.excitation.omega, None
+    integration_table, load_omega, period_omega = (
+        run.scene.integration,
+        run.scene.excitation.omega,
+        None,
+    )
     title = "Free decay"
-    if table is None or not table.free:
-        title = f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load)}"
-        omega = load
-    words = "The motion in time, its last periods or a free decay."
-    _waves(run, waves_of(run), omega, path=file("integration_waves", words), title=title)
-    _tips(run, file, "integration_tips")
+    if integration_table is None or not integration_table.free:
+        title = (
+            f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load_omega)}"
+        )
+        period_omega = load_omega
+    caption = "The motion in time, its last periods or a free decay."
+    _draw_waveforms(
+        run,
+        sample_waveforms(run),
+        period_omega,
+        path=picture_files("integration_waves", caption),
+        title=title,
+    )
+    _draw_stress_intensity(run, picture_files, "integration_tips")
 
 
-def _tips(run: Run[Any], file: Drawn, name: str) -> None:
-    """Draw the stress intensity at the tips of a plate's cracks, where it is known."""
+def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem: str) -> None:
+    """Draw stress intensities over the period, if they can be computed."""
     with suppress(InputError):  # a tip next to an edge, or no plate
-        found = stress_intensity(run)
-        factor, unit = readable(float(found.effective.max()), "Pa m^0.5")
-        title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
-        words = "Stress intensity at the crack tips over the period."
-        plot.draw_stress_intensity(found, path=file(name, words), title=title)
-        if found.three is not None and file.meshes:
+        stress_intensities = stress_intensity(run)
+        unit_factor, unit = readable(float(stress_intensities.effective.max()), "Pa m^0.5")
+        title = (
+            "Stress intensity, range while open "
+            f"{unit_factor * stress_intensities.effective.max():.4g} "
+            f"{unit}"
+        )
+        caption = "Stress intensity at the crack tips over the period."
+        plot.draw_stress_intensity(
+            stress_intensities, path=picture_files(file_stem, caption), title=title
+        )
+        if stress_intensities.three is not None and picture_files.has_vtk_files:
             from fenics_crack.draw.vtk import write_fronts
 
-            write_fronts(found, file(f"{name}_along_fronts", "", "vtu"))
+            write_fronts(stress_intensities, picture_files(f"{file_stem}_along_fronts", "", "vtu"))
 
 
-def _waves(run: Run, found: Waves, omega: float | None, **where: Any) -> None:
-    """Draw the displacement of the load's dof and the gap at the mouths over time, in periods of a
-    frequency [rad/s], else in seconds."""
-    styles = itertools.cycle(STYLES)
-    time, touch = found.time - found.time[0], "crack faces touch" if found.closings else None
-    waves = [plot.Wave(run.watched_name, time, found.motion[:, 0])]
-    for place, wave in found.closings.items():
-        waves.append(plot.Wave(f"closing {place}", time, wave, *next(styles)))
+def _draw_waveforms(
+    run: Run, waveforms: Waveforms, omega: float | None, **picture_options: Any
+) -> None:
+    """Draw the first watched displacement and the closings of cracks over time.
+
+    Time is in periods of the frequency ``omega`` [rad/s], or in seconds if that is None.
+    """
+    line_styles = itertools.cycle(CRACK_CLOSING_LINE_STYLES)
+    time = waveforms.time - waveforms.time[0]
+    zero_label = "crack faces touch" if waveforms.closings_by_place else None
+    drawn_waves = [plot.Wave(run.watched_name, time, waveforms.displacement[:, 0])]
+    for crack_place, crack_closing in waveforms.closings_by_place.items():
+        drawn_waves.append(
+            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(line_styles))
+        )
     period = None if omega is None else 2.0 * np.pi / omega
-    plot.draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
+    plot.draw_waves(
+        drawn_waves, quantity="displacement", period=period, zero=zero_label, **picture_options
+    )
 
 
-def draw_curve_of(run: Run[ResponseCurve], file: Drawn) -> None:
-    """Draw a curve, its harmonics and its multipliers."""
-    found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
-    title, without = f"{run.watched_name}, {found.method}", _without_contact(run)
-    words = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
-    words += "faint: large estimated error."
-    if found.multipliers is None:
-        words = "Response; its stability was not examined. Faint: large estimated error."
-    path = file("curve", words)
-    plot_curve.draw_curve(found, dof, path=path, title=title, in_hertz=in_hertz, behind=without)
-    path = file("curve_content", "Amplitudes of the lowest harmonics.")
-    plot_curve.draw_content(found, dof, path=path, title=title, in_hertz=in_hertz)
+def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
+    """Draw response, harmonics and multipliers along a curve, and all blades."""
+    curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
+    title, linear_responses = f"{run.watched_name}, {curve.method}", _compute_linear_responses(run)
+    caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
+    caption += "faint: large estimated error."
+    if curve.multipliers is None:
+        caption = "Response; its stability was not examined. Faint: large estimated error."
+    picture_path = picture_files("curve", caption)
+    plot_curve.draw_curve(
+        curve,
+        watched_dof,
+        path=picture_path,
+        title=title,
+        in_hertz=in_hertz,
+        behind=linear_responses,
+    )
+    picture_path = picture_files("curve_content", "Amplitudes of the lowest harmonics.")
+    plot_curve.draw_content(curve, watched_dof, path=picture_path, title=title, in_hertz=in_hertz)
     if run.scene.disk is not None:
         from fenics_crack.disk.plot_disk import draw_blades
 
-        heading = f"Every blade, {found.method}"
-        path = file("curve_blades", "Response of every blade; cracked blades are orange.")
-        draw_blades(found, path=path, title=heading, in_hertz=in_hertz)
-    if found.multipliers is not None:
-        words = "The orbit is stable where the largest multiplier is below 1."
-        title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers", words)
-        plot_curve.draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
+        blades_title = f"Every blade, {curve.method}"
+        picture_path = picture_files(
+            "curve_blades", "Response of every blade; cracked blades are orange."
+        )
+        draw_blades(curve, path=picture_path, title=blades_title, in_hertz=in_hertz)
+    if curve.multipliers is not None:
+        caption = "The orbit is stable where the largest multiplier is below 1."
+        title = "Largest Floquet multiplier along the curve"
+        picture_path = picture_files("curve_multipliers", caption)
+        plot_curve.draw_multipliers(curve, path=picture_path, title=title, in_hertz=in_hertz)
 
 
-def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return the curves over the frequency without contact: crack always open, always bonded, and
-    the plate without the crack if the program meshes it: frequencies [rad/s], amplitudes [m]."""
-    found, scene, structure = run.result, run.scene, run.structure
-    if found.parameter != "omega":
+def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Compute responses without contact: crack open, crack bonded, and no crack.
+
+    The plate without its crack is included if the program meshes it. Responses without vibration
+    are left out. A curve over another parameter than the load frequency has none.
+
+    Returns
+    -------
+    dict of str to (omega, amplitudes)
+        Frequencies [rad/s] and amplitudes [m] by label.
+    """
+    curve, scene, structure = run.result, run.scene, run.structure
+    if curve.parameter != "omega":
         return {}
-    words = {"open": "open", "tied": "bonded"}
-    lines = {f"crack always {words[n]}": (structure, run.watched_dof, n) for n in LIP_STATES}
+    crack_word_by_lips = {"open": "open", "tied": "bonded"}
+    arguments_by_label = {
+        f"crack always {crack_word_by_lips[lips]}": (structure, run.watched_dof, lips)
+        for lips in LIP_STATES
+    }
     if scene.geometry is not None and scene.geometry.width is not None:
-        no_crack = dict.fromkeys(
+        removed_keys = dict.fromkeys(
             ("crack", "cracks", "contact", "sweep", "identify", "growth", "output.quantities")
         )
-        whole = prepare(scene.replace(no_crack), MPI.COMM_SELF)
-        lines["no crack"] = whole.structure, whole.watched[0].dof, "open"
-    drawn = {label: _linear_line(found.omega, *line) for label, line in lines.items()}
-    least = NEGLIGIBLE * np.max(found.amplitude(run.watched_dof))  # what is less is still
-    return {label: line for label, line in drawn.items() if np.max(line[1]) > least}
+        uncracked_study = prepare(scene.replace(removed_keys), MPI.COMM_SELF)
+        arguments_by_label["no crack"] = (
+            uncracked_study.structure,
+            uncracked_study.watched[0].dof,
+            "open",
+        )
+    responses_by_label = {
+        case_label: _compute_linear_response(curve.omega, *response_arguments)
+        for case_label, response_arguments in arguments_by_label.items()
+    }
+    min_amplitude = NEGLIGIBLE * np.max(curve.amplitude(run.watched_dof))  # less is no vibration
+    return {
+        case_label: (omega_values, amplitudes)
+        for case_label, (omega_values, amplitudes) in responses_by_label.items()
+        if np.max(amplitudes) > min_amplitude
+    }
 
 
-def _linear_line(
-    span: np.ndarray, structure: Structure, dof: int, lips: str
+def _compute_linear_response(
+    curve_omega: np.ndarray, structure: Structure, dof: int, lips: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies, closer together next to natural ones, and amplitudes of a dof."""
-    most = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
-    modes = solve_modes(structure, min(FEW_MODES, most), lips=lips).omega
-    near = np.geomspace(1e-6, 0.1, 30)
-    close = np.outer(modes, np.concatenate([1.0 - near, 1.0 + near])).ravel()
-    low, high = span.min(), span.max()
-    inside = close[(close > low) & (close < high)]
-    omega = np.unique(np.concatenate([np.linspace(low, high, 200), inside]))
-    return omega, linear_response(structure, dof, omega, lips=lips)
+    """Compute a dof's response without contact over a curve's frequencies.
+
+    Returns
+    -------
+    omega : (n,) [rad/s]
+        Frequencies, denser next to natural frequencies.
+    amplitudes : (n,) [m]
+    """
+    max_modes = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
+    natural_omega = solve_modes(structure, min(FEW_MODES, max_modes), lips=lips).omega
+    relative_offsets = np.geomspace(1e-6, 0.1, 30)
+    omega_near_resonances = np.outer(
+        natural_omega, np.concatenate([1.0 - relative_offsets, 1.0 + relative_offsets])
+    ).ravel()
+    min_omega, max_omega = curve_omega.min(), curve_omega.max()
+    omega_within_curve = omega_near_resonances[
+        (omega_near_resonances > min_omega) & (omega_near_resonances < max_omega)
+    ]
+    sampled_omega = np.unique(
+        np.concatenate([np.linspace(min_omega, max_omega, 200), omega_within_curve])
+    )
+    return sampled_omega, linear_response(structure, dof, sampled_omega, lips=lips)
 
 
 # --- a sweep --------------------------------------------------------------------------------------
 
 
-def draw_sweep(found: SweepResult, file: Drawn) -> None:
-    """Draw the quantities of a sweep over the swept numbers.
+def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
+    """Draw the quantities of a sweep over one or two axes.
 
-    To the right goes the frequency, else the longest axis. The next in length gets a line for each
-    value if these are few, and makes a map if they are not too few. Each combination of the other
-    axes has its own pictures, up to a limit. Raises InputError as :func:`_shown_axes`.
+    The horizontal axis is the frequency, else the longest axis. The next longest axis has a line
+    for each of up to 6 values, or a map from 4 values on. Each combination of the other axes has
+    separate pictures; twelve combinations are drawn. Raises InputError as
+    :func:`_select_drawn_axes`.
     """
-    shown = _shown_axes(found)
-    axes = [found.axes[place] for place in shown]
-    others = [place for place in range(len(found.axes)) if place not in shown]
-
-    def pages(values: np.ndarray) -> np.ndarray:
-        """Values by picture, then to the right, then up if there are two axes: (n, x, y)."""
-        sizes = [*(len(axis.values) for axis in axes), 1][:2]
-        return values.transpose(*others, *shown).reshape(-1, *sizes)
-
-    doubtful = pages(found.converged & (found.not_stable | found.inexact))
-    fixed = itertools.product(*(found.axes[place].values for place in others))
-    for number, at in enumerate(itertools.islice(fixed, 12)):  # of each quantity
-        keys = [found.axes[place].key for place in others]
-        words = [f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in zip(keys, at, strict=True)]
-        for name, quantity in found.quantities.items():
-            values = pages(np.where(found.converged, found[name], np.nan))[number]
-            if np.any(np.isfinite(values)):
-                base = f"sweep_{name}{f'_{number + 1}' if others else ''}"
-                draw_swept(axes, values, doubtful[number], quantity, file, base, words)
-
-
-def _shown_axes(found: SweepResult) -> list[int]:
-    """Places of the one or two axes that are drawn: the frequency, then the longest.
-
-    Raises InputError if no axis has two or more numbers, or no case has converged.
-    """
-    axes = found.axes
-    numbers = [
-        place
-        for place, axis in enumerate(axes)
-        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
+    drawn_indices = _select_drawn_axes(sweep_result)
+    drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_indices]
+    fixed_indices = [
+        axis_index
+        for axis_index in range(len(sweep_result.axes))
+        if axis_index not in drawn_indices
     ]
-    if not numbers:
-        raise InputError("sweep.over", [a.key for a in axes], "over numbers, to be drawn")
-    if not np.any(found.converged):
-        raise InputError("path", str(found.path), "a sweep with a case that converged")
-    numbers.sort(key=lambda place: (axes[place].key not in FREQUENCIES, -len(axes[place].values)))
-    return numbers[:2]
+
+    def split_pictures(picture_values: np.ndarray) -> np.ndarray:
+        """Reshape values to (n_pictures, n_x, n_y); n_y is 1 with one axis."""
+        axis_lengths = [*(len(axis.values) for axis in drawn_axes), 1][:2]
+        return picture_values.transpose(*fixed_indices, *drawn_indices).reshape(-1, *axis_lengths)
+
+    is_doubtful = split_pictures(
+        sweep_result.converged & (sweep_result.not_stable | sweep_result.inexact)
+    )
+    fixed_combinations = itertools.product(
+        *(sweep_result.axes[axis_index].values for axis_index in fixed_indices)
+    )
+    for picture_index, fixed_values in enumerate(
+        itertools.islice(fixed_combinations, 12)
+    ):  # of each quantity
+        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_indices]
+        fixed_value_texts = [
+            f"{key_in_words(key)} {value_in_words(key, fixed_value)}"
+            for key, fixed_value in zip(fixed_keys, fixed_values, strict=True)
+        ]
+        for quantity_name, name_and_unit in sweep_result.quantities.items():
+            picture_values = split_pictures(
+                np.where(sweep_result.converged, sweep_result[quantity_name], np.nan)
+            )[picture_index]
+            if np.any(np.isfinite(picture_values)):
+                file_stem = (
+                    f"sweep_{quantity_name}{f'_{picture_index + 1}' if fixed_indices else ''}"
+                )
+                draw_swept(
+                    drawn_axes,
+                    picture_values,
+                    is_doubtful[picture_index],
+                    name_and_unit,
+                    picture_files,
+                    file_stem,
+                    fixed_value_texts,
+                )
+
+
+def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
+    """Return the indices of the one or two axes to be drawn.
+
+    A frequency comes first, then the longest axis. Raises InputError if no axis has two or more
+    numbers, or if no case has converged.
+    """
+    axes = sweep_result.axes
+    axis_indices = [
+        axis_index
+        for axis_index, axis in enumerate(axes)
+        if len(axis.values) > 1
+        and all(isinstance(axis_value, float | int) for axis_value in axis.values)
+    ]
+    if not axis_indices:
+        raise InputError("sweep.over", [axis.key for axis in axes], "over numbers, to be drawn")
+    if not np.any(sweep_result.converged):
+        raise InputError("path", str(sweep_result.path), "a sweep with a case that converged")
+    axis_indices.sort(
+        key=lambda axis_index: (
+            axes[axis_index].key not in FREQUENCIES,
+            -len(axes[axis_index].values),
+        )
+    )
+    return axis_indices[:2]
 
 
 def draw_swept(
     axes: Sequence[Axis],
     values: np.ndarray,
-    doubtful: np.ndarray,
-    quantity: tuple[str, str],
-    file: Drawn,
-    base: str,
-    where: Sequence[str] = (),
+    is_doubtful: np.ndarray,
+    name_and_unit: tuple[str, str],
+    picture_files: PictureFiles,
+    file_stem: str,
+    fixed_texts: Sequence[str] = (),
 ) -> None:
-    """Draw lines, a map, or both of values (x, y) over one axis or two, and where they are
-    doubtful; ``quantity`` is their name and unit, ``where`` says what else is fixed."""
-    places = [np.array(axis.values, dtype=float) for axis in axes]
-    order = [np.argsort(place) for place in places]
-    across = np.ix_(*[*order, np.zeros(1, dtype=int)][:2])
-    values, doubtful = values[across], doubtful[across]
-    scaled = [_axis_words(axis, at[by]) for axis, at, by in zip(axes, places, order, strict=True)]
-    name, unit = quantity
-    title = ", ".join([f"{name[0].upper()}{name[1:]}", *where])
-    lines, over = values.shape[1], " and ".join(key_in_words(axis.key) for axis in axes)
-    sentence = f"{title}, over the {over}; rings: large error, or not stable."
-    if few := lines <= 6:
-        labels = [name]
+    """Draw a quantity over one or two axes: lines, a map, or both.
+
+    Parameters
+    ----------
+    values, is_doubtful : (n_x, n_y)
+        Values, and True for a large error or a case that is not stable.
+    name_and_unit : (str, str)
+        Name and unit of the quantity.
+    file_stem : str
+        Name of the pictures.
+    fixed_texts : sequence of str
+        Names and values on all other axes.
+    """
+    axis_arrays = [np.array(axis.values, dtype=float) for axis in axes]
+    value_orders = [np.argsort(axis_array) for axis_array in axis_arrays]
+    sorted_grid = np.ix_(*[*value_orders, np.zeros(1, dtype=int)][:2])
+    values, is_doubtful = values[sorted_grid], is_doubtful[sorted_grid]
+    scaled_axes = [
+        _scale_axis(axis, axis_array[value_order])
+        for axis, axis_array, value_order in zip(axes, axis_arrays, value_orders, strict=True)
+    ]
+    quantity_name, unit = name_and_unit
+    title = ", ".join([f"{quantity_name[0].upper()}{quantity_name[1:]}", *fixed_texts])
+    n_lines, axes_text = values.shape[1], " and ".join(key_in_words(axis.key) for axis in axes)
+    caption = f"{title}, over the {axes_text}; rings: large error, or not stable."
+    if has_few_lines := n_lines <= 6:
+        line_labels = [quantity_name]
         if len(axes) > 1:
-            key, at = axes[1].key, places[1][order[1]]
-            labels = [f"{key_in_words(key)} {value_in_words(key, float(value))}" for value in at]
-        curves, rings = (dict(zip(labels, part.T, strict=True)) for part in (values, doubtful))
-        how: dict[str, Any] = {"over": scaled[0][1], "doubtful": rings, "unit": unit}
-        path = file(base, sentence)
-        plot.draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
-    if not few or (len(axes) > 1 and min(values.shape) >= 4):
-        (x, x_label), (y, y_label) = scaled
-        factor, prefixed = 1.0, unit
+            key, axis_array = axes[1].key, axis_arrays[1][value_orders[1]]
+            line_labels = [
+                f"{key_in_words(key)} {value_in_words(key, float(line_value))}"
+                for line_value in axis_array
+            ]
+        curves_by_label, doubts_by_label = (
+            dict(zip(line_labels, value_grid.T, strict=True))
+            for value_grid in (values, is_doubtful)
+        )
+        line_options: dict[str, Any] = {
+            "over": scaled_axes[0][1],
+            "doubtful": doubts_by_label,
+            "unit": unit,
+        }
+        picture_path = picture_files(file_stem, caption)
+        plot.draw_response(
+            scaled_axes[0][0],
+            curves_by_label,
+            quantity=quantity_name,
+            path=picture_path,
+            title=title,
+            **line_options,
+        )
+    if not has_few_lines or (len(axes) > 1 and min(values.shape) >= 4):
+        (x_values, x_label), (y_values, y_label) = scaled_axes
+        unit_factor, prefixed_unit = 1.0, unit
         if unit in ("m", "N"):
-            factor, prefixed = readable(float(np.nanmax(np.abs(values))), unit)
-        words: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
-        words["value_label"] = with_unit(name, prefixed)
-        path = file(f"{base}_map", sentence)
-        plot.draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
+            unit_factor, prefixed_unit = readable(float(np.nanmax(np.abs(values))), unit)
+        label_options: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
+        label_options["value_label"] = with_unit(quantity_name, prefixed_unit)
+        picture_path = picture_files(f"{file_stem}_map", caption)
+        plot.draw_map(
+            x_values,
+            y_values,
+            unit_factor * values.T,
+            doubtful=is_doubtful.T,
+            path=picture_path,
+            title=title,
+            **label_options,
+        )
 
 
-def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
-    """The values of an axis as they are drawn, and its label."""
-    unit, factor = unit_of(axis.key), 1.0
+def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
+    """Return an axis's values in a readable unit, and the label."""
+    unit, unit_factor = unit_of(axis.key), 1.0
     if unit and unit not in WHOLE:
-        factor, unit = readable(float(np.abs(values).max()), unit)
-    return factor * values, with_unit(key_in_words(axis.key), unit)
+        unit_factor, unit = readable(float(np.abs(axis_values).max()), unit)
+    return unit_factor * axis_values, with_unit(key_in_words(axis.key), unit)
 
 
-def draw_growth_of(found: Growth, file: Drawn) -> None:
-    """Draw the growth of a crack in the units of its scene."""
-    words = "The crack over the cycles; dots are the lengths that were solved."
-    plot_study.draw_growth(found, path=file("growth", words), in_hertz=found.scene.in_hertz)
+def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
+    """Draw the growth of a crack in the scene's units."""
+    caption = "The crack over the cycles; dots are the lengths that were solved."
+    plot_study.draw_growth(
+        growth, path=picture_files("growth", caption), in_hertz=growth.scene.in_hertz
+    )
 
 
-def draw_campbell_of(found: Campbell, file: Drawn) -> None:
-    """Draw a Campbell diagram in the units of its scene."""
-    scene = found.scene
-    orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
-    words = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
-    how: dict[str, Any] = {"in_hertz": scene.in_hertz or scene.in_rpm, "in_rpm": scene.in_rpm}
-    plot_study.draw_campbell(found, orders, path=file("campbell", words), **how)
+def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> None:
+    """Draw a Campbell diagram in the scene's units."""
+    scene = campbell.scene
+    engine_orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
+    caption = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
+    unit_options: dict[str, Any] = {
+        "in_hertz": scene.in_hertz or scene.in_rpm,
+        "in_rpm": scene.in_rpm,
+    }
+    plot_study.draw_campbell(
+        campbell, engine_orders, path=picture_files("campbell", caption), **unit_options
+    )
 
 
-def draw_timing(found: Timing, file: Drawn) -> None:
-    """Draw the resonances that each blade passes, a run-up, or the blade that vibrates most."""
-    words = "Displacements at the probes over the speed; resonances with their engine orders."
-    for number, (blade, arrivals) in enumerate(found.arrivals.items()):
-        fit, name = found.fits[blade], f"timing_blade_{blade}" if number else "timing"
-        if isinstance(fit, tuple):
-            plot_study.draw_passages(fit, arrivals, path=file(name, words))
-        elif isinstance(fit, TipTrack):
-            words = "Amplitudes over the load's frequency, with their standard errors."
-            in_hertz = found.scene is not None and found.scene.in_hertz
-            plot_study.draw_tip_track(fit, path=file(name, words), in_hertz=in_hertz)
-    if largest := largest_blade(found):
-        words = f"Blade {largest}: arrivals over the period, the fit, the orders that were tried."
-        fit = found.fits[largest]
-        assert isinstance(fit, TipFit)
-        plot_study.draw_tip_fit(fit, found.arrivals[largest], path=file("timing", words))
+def draw_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
+    """Draw each blade's passages or track, or the largest blade's fit."""
+    caption = "Displacements at the probes over the speed; resonances with their engine orders."
+    for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):
+        blade_fit = tip_timing.fits[blade_number]
+        file_stem = f"timing_blade_{blade_number}" if blade_index else "timing"
+        if isinstance(blade_fit, tuple):
+            plot_study.draw_passages(blade_fit, arrivals, path=picture_files(file_stem, caption))
+        elif isinstance(blade_fit, TipTrack):
+            caption = "Amplitudes over the load's frequency, with their standard errors."
+            in_hertz = tip_timing.scene is not None and tip_timing.scene.in_hertz
+            plot_study.draw_tip_track(
+                blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
+            )
+    if largest_blade_number := largest_blade(tip_timing):
+        caption = (
+            f"Blade {largest_blade_number}: arrivals over the period, the fit, the orders that "
+            "were tried."
+        )
+        blade_fit = tip_timing.fits[largest_blade_number]
+        assert isinstance(blade_fit, TipFit)
+        plot_study.draw_tip_fit(
+            blade_fit,
+            tip_timing.arrivals[largest_blade_number],
+            path=picture_files("timing", caption),
+        )
 
 
-def draw_identified(found: Identified, file: Drawn) -> None:
-    """Take the picture that ``identify`` has drawn, which may be written to its own place."""
-    path = file("posterior", "Probability of cracks, given the measurements.")
-    source = found.picture.with_suffix(path.suffix)
+def copy_posterior_picture(identification: Identified, picture_files: PictureFiles) -> None:
+    """Copy the posterior's picture that ``identify`` has drawn.
+
+    Raises
+    ------
+    InputError
+        ``identify`` has drawn no picture in this format.
+    """
+    picture_path = picture_files("posterior", "Probability of cracks, given the measurements.")
+    source_path = identification.picture.with_suffix(picture_path.suffix)
     try:
-        write_whole(path, content_of(source, links=False))
+        write_whole(picture_path, content_of(source_path, links=False))
     except OSError:
-        allowed = f"png, or the --pictures of identify: there is no {source}"
-        raise InputError("--pictures", path.suffix[1:], allowed) from None
-
-
-# --- several curves -------------------------------------------------------------------------------
+        requirement_text = f"png, or the --pictures of identify: there is no {source_path}"
+        raise InputError("--pictures", picture_path.suffix[1:], requirement_text) from None

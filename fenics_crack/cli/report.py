@@ -1,8 +1,8 @@
 """Commands ``plot`` and ``report``: pictures of results, and an HTML page.
 
-The page has pictures, errors and verdicts in words. Nothing is solved again: pictures and words
-follow from the files of the results, their scenes and their meshes. The page holds the pictures
-themselves, and all words are escaped.
+The page has pictures, errors and verdicts in words. Nothing is solved again: all follows from the
+files of the results, with scenes and meshes. The page contains the data of its pictures, and all
+words are escaped.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from fenics_crack.basics.errors import InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import content_of
-from fenics_crack.cli.account import printed
-from fenics_crack.cli.drawn import Drawn
+from fenics_crack.cli.account import printed_table
+from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import Console, make_writable
-from fenics_crack.cli.kinds import KINDS, draw, report_of, result_of
+from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result, restore_result
 from fenics_crack.cli.pictures import draw_scene
-from fenics_crack.cli.scenes import harmonics_in_words
+from fenics_crack.cli.scenes import describe_harmonics
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
@@ -41,251 +41,340 @@ from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
 from fenics_crack.version import VERSION, packaged
 
-LISTED_TABLES = (
+LISTED_TABLE_NAMES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
-"""Tables of a scene whose keys are listed above its text."""
+"""Scene tables with keys listed above the scene's text."""
 DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 
 def plot_results(arguments: Namespace, _: None, console: Console) -> None:
-    """Draw results, several curves in one picture, or a scene's mesh, on rank 0."""
-    path, labels = arguments.results[0], arguments.label
-    is_scene = path.suffix.lower() == ".toml"
-    folder = arguments.output or (Path("output") / path.stem if is_scene else path.parent)
-    if path.is_dir():
-        folder = arguments.output or path
-    make_writable(folder, console.comm)
+    """Draw results, curves in one picture, or a scene's mesh, on rank 0."""
+    first_result_path, curve_labels = arguments.results[0], arguments.label
+    is_scene_file = first_result_path.suffix.lower() == ".toml"
+    picture_folder = arguments.output or (
+        Path("output") / first_result_path.stem if is_scene_file else first_result_path.parent
+    )
+    if first_result_path.is_dir():
+        picture_folder = arguments.output or first_result_path
+    make_writable(picture_folder, console.comm)
 
-    def work() -> list[str]:
-        if is_scene and len(arguments.results) == 1 and not labels:
-            return [str(draw_scene(Scene.load(path), folder, kind=console.pictures))]
-        result_files, note = _read_result_files(arguments.results)
-        if not path.is_dir() and (len(result_files) > 1 or labels):
-            return [str(_draw_curves(result_files, labels, folder, console.pictures))]
-        pictures = Drawn(folder, console.pictures, meshes=True)
-        for file in result_files:
-            draw(result_of(file), pictures)
-        return [*map(str, pictures.files), *dict.fromkeys(pictures.notes), note]
+    def draw_pictures() -> list[str]:
+        if is_scene_file and len(arguments.results) == 1 and not curve_labels:
+            return [
+                str(
+                    draw_scene(
+                        Scene.load(first_result_path),
+                        picture_folder,
+                        file_format=console.picture_format,
+                    )
+                )
+            ]
+        result_files, exclusion_note = _read_result_files(arguments.results)
+        if not first_result_path.is_dir() and (len(result_files) > 1 or curve_labels):
+            return [
+                str(
+                    _draw_curves(result_files, curve_labels, picture_folder, console.picture_format)
+                )
+            ]
+        picture_files = PictureFiles(picture_folder, console.picture_format, has_vtk_files=True)
+        for stored_file in result_files:
+            draw_result(restore_result(stored_file), picture_files)
+        return [
+            *map(str, picture_files.captions_by_path),
+            *dict.fromkeys(picture_files.notes),
+            exclusion_note,
+        ]
 
-    with console.stage("pictures"):
-        lines = on_root(console.comm, work)
-    console.note(*lines)
+    with console.report_stage("pictures"):
+        output_lines = on_root(console.comm, draw_pictures)
+    console.print_notes(*output_lines)
 
 
-def report(arguments: Namespace, _: None, console: Console) -> None:
-    """Write the page of some results, on rank 0."""
-    path = arguments.results[0]
-    target = arguments.output or (path if path.is_dir() else path.parent) / "report.html"
-    words = ["fenics-crack", *arguments.words]
+def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
+    """Write an HTML page on results, on rank 0."""
+    first_result_path = arguments.results[0]
+    page_path = (
+        arguments.output
+        or (first_result_path if first_result_path.is_dir() else first_result_path.parent)
+        / "report.html"
+    )
+    command_words = ["fenics-crack", *arguments.words]
 
-    def work() -> str:
-        result_files, note = _read_result_files(arguments.results)
-        _write_report(result_files, target, words)
-        return note
+    def write_page() -> str:
+        result_files, exclusion_note = _read_result_files(arguments.results)
+        _write_page(result_files, page_path, command_words)
+        return exclusion_note
 
-    with console.stage("report"):
-        note = on_root(console.comm, work)
-    console.note(str(target), note)
+    with console.report_stage("report"):
+        exclusion_note = on_root(console.comm, write_page)
+    console.print_notes(str(page_path), exclusion_note)
 
 
-def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
-    """Read result files and those in folders, without sweeps that are parts of others.
+def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[Stored], str]:
+    """Read result files, also from folders, without parts of other results.
 
     Returns
     -------
-    list of Stored
-        All files if there are only parts; structures that commands keep only if there are no other
-        files.
-    str
-        Note that names the files left out; empty without any.
+    result_files : list of Stored
+        Parts stay if all files are parts. Structures kept by commands stay without any other
+        file.
+    exclusion_note : str
+        File names left out; empty without any.
 
     Raises
     ------
     InputError
-        A file cannot be read, or there is no result in a folder.
+        A file cannot be read, or a folder has no result.
     """
     result_files: list[Stored] = []
-    for path in paths:
-        files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
-        if not files:
-            raise InputError("result", str(path), "a folder with results, .h5 files")
-        result_files += map(read, files)
-    result_files = [file for file in result_files if file.kind != KEPT_KIND] or result_files
-    whole_files = [file for file in result_files if not is_part(file)]
-    part_paths = (
-        ", ".join(str(file.path) for file in result_files if is_part(file)) if whole_files else ""
+    for result_path in result_paths:
+        file_paths = sorted(result_path.glob("*.h5")) if result_path.is_dir() else [result_path]
+        if not file_paths:
+            raise InputError("result", str(result_path), "a folder with results, .h5 files")
+        result_files += map(read, file_paths)
+    result_files = [
+        stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
+    ] or result_files
+    whole_files = [stored_file for stored_file in result_files if not is_part(stored_file)]
+    excluded_paths_text = (
+        ", ".join(str(stored_file.path) for stored_file in result_files if is_part(stored_file))
+        if whole_files
+        else ""
     )
     return (
         whole_files or result_files,
-        f"left out, as parts of other results: {part_paths}" if part_paths else "",
+        f"left out, as parts of other results: {excluded_paths_text}"
+        if excluded_paths_text
+        else "",
     )
 
 
 def _draw_curves(
-    result_files: Sequence[Stored], labels: Sequence[str], folder: Path, kind: str
+    result_files: Sequence[Stored],
+    given_labels: Sequence[str],
+    picture_folder: Path,
+    picture_format: str,
 ) -> Path:
-    """Draw the responses of several curves on the same axes; return the file.
+    """Draw responses from several curves into one picture; return the path.
 
-    ``labels`` name the results. Without labels the differences between the scenes name them, or the
-    files if two scenes have no difference.
+    Without ``labels``, curves are labelled by differences between scenes. If two labels are equal,
+    file names are added.
 
     Raises
     ------
     InputError
-        The files are no curves in the same parameter, or the labels are not as many.
+        The files are no curves over the same parameter, or the label count is wrong.
     """
-    if labels and len(labels) != len(result_files):
-        requirement = f"given {len(result_files)} times, once for each result"
-        raise InputError("--label", list(labels), requirement)
-    paths = [file.path for file in result_files]
-    if {file.kind for file in result_files} != {ResponseCurve.KIND}:
-        kinds = [file.kind for file in result_files]
-        raise InputError("result", kinds, "curves, where several are drawn in one picture")
-    runs: list[Any] = [*map(result_of, result_files)]
-    names = list(labels) or differences([run.scene for run in runs])
-    if len(set(names)) < len(names):
-        places = [str(Path(path).with_suffix("")) for path in paths]
-        names = [", ".join(filter(None, words)) for words in zip(names, places, strict=True)]
-    if len(set(names)) < len(names):
-        raise InputError("result", [str(path) for path in paths], "different files")
-    if len(parameters := {run.result.parameter for run in runs}) > 1:
-        raise InputError("result", sorted(parameters), "curves in one parameter")
-    watched_names = {run.watched_name for run in runs}
+    if given_labels and len(given_labels) != len(result_files):
+        requirement_text = f"given {len(result_files)} times, once for each result"
+        raise InputError("--label", list(given_labels), requirement_text)
+    curve_paths = [stored_file.path for stored_file in result_files]
+    if {stored_file.kind for stored_file in result_files} != {ResponseCurve.KIND}:
+        kind_names = [stored_file.kind for stored_file in result_files]
+        raise InputError("result", kind_names, "curves, where several are drawn in one picture")
+    curve_runs: list[Any] = [*map(restore_result, result_files)]
+    curve_labels = list(given_labels) or differences([curve_run.scene for curve_run in curve_runs])
+    if len(set(curve_labels)) < len(curve_labels):
+        path_texts = [str(Path(curve_path).with_suffix("")) for curve_path in curve_paths]
+        curve_labels = [
+            ", ".join(filter(None, label_and_path))
+            for label_and_path in zip(curve_labels, path_texts, strict=True)
+        ]
+    if len(set(curve_labels)) < len(curve_labels):
+        raise InputError(
+            "result", [str(curve_path) for curve_path in curve_paths], "different files"
+        )
+    if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
+        raise InputError("result", sorted(parameter_names), "curves in one parameter")
+    watched_names = {curve_run.watched_name for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
-    [panel] = picture = Picture(size=(7.0, 4.6), path=folder / f"overlay_curve.{kind}", title=title)
-    for label, run, colour in zip(names, runs, distinct_colours(len(runs)), strict=True):
-        look = {"label": label, "colour": colour, "in_hertz": run.scene.in_hertz}
-        plot_curve.draw_curve(run.result, run.watched_dof, axes=panel, **look)
+    [axes] = picture = Picture(
+        size=(7.0, 4.6), path=picture_folder / f"overlay_curve.{picture_format}", title=title
+    )
+    for curve_label, curve_run, line_colour in zip(
+        curve_labels, curve_runs, distinct_colours(len(curve_runs)), strict=True
+    ):
+        line_options = {
+            "label": curve_label,
+            "colour": line_colour,
+            "in_hertz": curve_run.scene.in_hertz,
+        }
+        plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
     picture.saved()
-    return folder / f"overlay_curve.{kind}"
+    return picture_folder / f"overlay_curve.{picture_format}"
 
 
 # --- the page -------------------------------------------------------------------------------------
 
 
-def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str]) -> None:
-    """Write the page of some results.
+def _write_page(
+    stored_files: Sequence[Stored], page_path: Path, command_words: Sequence[str]
+) -> None:
+    """Write the page on results.
 
     Parameters
     ----------
-    files : sequence of Stored
-        Results with their scenes; the page puts them in the order of :data:`KINDS`.
-    target : Path
+    stored_files : sequence of Stored
+        Results with scenes, which the page sorts by :data:`RESULT_KINDS`.
+    page_path : Path
         The .html file.
-    command : sequence of str
-        The words of the command that requested it.
+    command_words : sequence of str
+        Command line, printed on the page.
 
     Raises
     ------
     InputError
         A file is no result with a scene, or the page cannot be written.
     """
-    if target.suffix.lower() not in (".html", ".htm"):
-        raise InputError("--output", str(target), "a .html file")
+    if page_path.suffix.lower() not in (".html", ".htm"):
+        raise InputError("--output", str(page_path), "a .html file")
     from jinja2 import Environment  # which plots do without
 
-    order = list(KINDS)
-    entries = [(file, result_of(file)) for file in {file.path: file for file in files}.values()]
-    entries.sort(key=lambda entry: (order.index(entry[0].kind), entry[1].scene is None))
-    scene_results = [result for _, result in entries if result.scene is not None]  # or a record
+    kind_order = list(RESULT_KINDS)
+    files_and_results = [
+        (stored_file, restore_result(stored_file))
+        for stored_file in {stored_file.path: stored_file for stored_file in stored_files}.values()
+    ]
+    files_and_results.sort(
+        key=lambda file_and_result: (
+            kind_order.index(file_and_result[0].kind),
+            file_and_result[1].scene is None,
+        )
+    )
+    scene_results = [
+        result for _, result in files_and_results if result.scene is not None
+    ]  # or a record
     scene_differences = iter(
         differences([result.scene.replace({"reduction": None}) for result in scene_results])
     )
-    kinds, stems = [file.kind for file, _ in entries], [file.path.stem for file, _ in entries]
-    folder = passing_folder()
-    page = _describe_scene(scene_results[0], folder) if scene_results else {}
-    parts = []
-    for number, (file, result) in enumerate(entries):
-        part = _describe_result(file, result, folder / str(number)) | {
-            "differs": next(scene_differences, "")
-        }
-        if kinds.count(file.kind) > 1:
-            is_repeated = stems.count(file.path.stem) > 1
-            part["heading"] += f": {file.path.with_suffix('') if is_repeated else file.path.stem}"
-        parts.append(part)
-    page |= {
-        "title": f"Vibration of {entries[0][0].path.resolve().parent.name}",
+    kind_names = [stored_file.kind for stored_file, _ in files_and_results]
+    file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
+    picture_folder = passing_folder()
+    page_fields = _build_scene_fields(scene_results[0], picture_folder) if scene_results else {}
+    fields_of_results = []
+    for result_index, (stored_file, result) in enumerate(files_and_results):
+        result_fields = _build_result_fields(
+            stored_file, result, picture_folder / str(result_index)
+        ) | {"differs": next(scene_differences, "")}
+        if kind_names.count(stored_file.kind) > 1:
+            is_repeated = file_stems.count(stored_file.path.stem) > 1
+            result_fields["heading"] += (
+                f": {stored_file.path.with_suffix('') if is_repeated else stored_file.path.stem}"
+            )
+        fields_of_results.append(result_fields)
+    page_fields |= {
+        "title": f"Vibration of {files_and_results[0][0].path.resolve().parent.name}",
         "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
-        "parts": parts,
-        "doubts": [f"{part['heading']}: {text}" for part in parts for text in part["doubts"]],
-        "versions": _versions([file for file, _ in entries]),
-        "command": shlex.join(command),
+        "parts": fields_of_results,
+        "doubts": [
+            f"{result_fields['heading']}: {doubt_text}"
+            for result_fields in fields_of_results
+            for doubt_text in result_fields["doubts"]
+        ],
+        "versions": _tabulate_versions([stored_file for stored_file, _ in files_and_results]),
+        "command": shlex.join(command_words),
     }
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    template_environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     write_whole(
-        target, environment.from_string(packaged("cli/report.html")).render(page), "--output"
+        page_path,
+        template_environment.from_string(packaged("cli/report.html")).render(page_fields),
+        "--output",
     )
 
 
-def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
-    """Return parts of the page about a result, by the template's names."""
-    summary, pictures = report_of(result), Drawn(folder)
+def _build_result_fields(stored_file: Stored, result: Any, picture_folder: Path) -> dict[str, Any]:
+    """Draw a result, and return template fields about the result."""
+    report, picture_files = build_report(result), PictureFiles(picture_folder)
     try:
-        draw(result, pictures)
+        draw_result(result, picture_files)
     except WriteError:
         raise
     except InputError as error:  # a sweep over words
-        pictures.notes.append(f"no picture: {error}")
-    file_time = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
-    box = (
-        "bad" if not summary.done else "doubtful" if summary.missed or summary.warnings else "good"
+        picture_files.notes.append(f"no picture: {error}")
+    file_time = datetime.fromtimestamp(stored_file.path.stat().st_mtime, UTC).astimezone()
+    box_class = (
+        "bad" if not report.done else "doubtful" if report.missed or report.warnings else "good"
     )
-    tables = summary.tables or {"In numbers": printed(summary)}
+    tables_by_caption = report.tables or {"In numbers": printed_table(report)}
     return {
-        "heading": KINDS[file.kind].heading,
-        "closing": f"{_sentence(summary.closing)}.",
-        "box": box,
-        "notes": [*map(_sentence, filter(None, (*summary.notes, *dict.fromkeys(pictures.notes))))],
-        "doubts": [*map(_sentence, summary.warnings), *map(str, summary.remarks)],  # with keys
-        "pictures": [
-            _picture(path, words) for path, words in pictures.files.items() if path.exists()
+        "heading": RESULT_KINDS[stored_file.kind].heading,
+        "closing": f"{_capitalize_sentence(report.closing)}.",
+        "box": box_class,
+        "notes": [
+            *map(
+                _capitalize_sentence,
+                filter(None, (*report.notes, *dict.fromkeys(picture_files.notes))),
+            )
         ],
-        "tables": {**tables, **summary.further},
-        "path": file.path,
+        "doubts": [
+            *map(_capitalize_sentence, report.warnings),
+            *map(str, report.remarks),
+        ],  # with keys
+        "pictures": [
+            _encode_picture(picture_path, caption)
+            for picture_path, caption in picture_files.captions_by_path.items()
+            if picture_path.exists()
+        ],
+        "tables": {**tables_by_caption, **report.further},
+        "path": stored_file.path,
         "written": f"{file_time:{DATE_FORMAT}}",
     }
 
 
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _capitalize_sentence(sentence: str) -> str:
+    """Return a sentence with a capital first letter; all other letters stay."""
+    return sentence[:1].upper() + sentence[1:]
 
 
-def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
-    """Return parts of the page about a scene: values, mesh, text."""
-    scene, mesh = result.scene, None
+def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
+    """Return template fields about a scene: values, mesh and text."""
+    scene, mesh_picture = result.scene, None
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
-        mesh = _picture(draw_scene(scene, folder, structure), "The mesh with its named parts.")
+        mesh_picture = _encode_picture(
+            draw_scene(scene, picture_folder, structure), "The mesh with its named parts."
+        )
     values_by_key = given_values(scene)
-    keys = [key for table in LISTED_TABLES for key in values_by_key if key.startswith(f"{table}.")]
-    rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, values_by_key[k])) for k in keys]
+    listed_keys = [
+        key for table in LISTED_TABLE_NAMES for key in values_by_key if key.startswith(f"{table}.")
+    ]
+    quantity_rows: list[tuple[str, object]] = [
+        (key_in_words(key), _format_value(key, values_by_key[key])) for key in listed_keys
+    ]
     if scene.excitation.order is not None:
-        rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
-    rows.append(("harmonics", harmonics_in_words(scene)))
-    return {"mesh": mesh, "scene": Table(("quantity", "value"), rows), "toml": scene.as_toml()}
+        quantity_rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
+    quantity_rows.append(("harmonics", describe_harmonics(scene)))
+    return {
+        "mesh": mesh_picture,
+        "scene": Table(("quantity", "value"), quantity_rows),
+        "toml": scene.as_toml(),
+    }
 
 
-def _value(key: str, value: object) -> str:
-    """Return a scene's value in words, of a vector with all components."""
+def _format_value(key: str, value: object) -> str:
+    """Return a scene's value in words; a vector has all components."""
     if isinstance(value, list):
         return f"{value} {unit_of(key)}".rstrip()
     return value_in_words(key, value)
 
 
-def _versions(files: Sequence[Stored]) -> Table:
-    """List the versions that made the results, and those that made the page."""
-    rows = []
-    for file in files:
-        file_versions = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"
-        rows.append((str(file.path), file_versions))
+def _tabulate_versions(stored_files: Sequence[Stored]) -> Table:
+    """Tabulate program versions behind each result and the page."""
+    version_rows = []
+    for stored_file in stored_files:
+        file_versions = (
+            f"fenics_crack {stored_file.attributes['version']}, "
+            f"{stored_file.attributes['versions']}"
+        )
+        version_rows.append((str(stored_file.path), file_versions))
     page_versions = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
-    rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
-    return Table(("file", "made with"), rows)
+    version_rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
+    return Table(("file", "made with"), version_rows)
 
 
-def _picture(path: Path, words: str) -> dict[str, str]:
-    """Return a picture as data for the page, with the sentence below it."""
-    data = base64.b64encode(content_of(path, None)).decode("ascii")
-    return {"words": words, "data": f"data:image/{path.suffix[1:]};base64,{data}"}
+def _encode_picture(picture_path: Path, caption: str) -> dict[str, str]:
+    """Return the data URL and the caption of a picture."""
+    base64_text = base64.b64encode(content_of(picture_path, None)).decode("ascii")
+    return {"words": caption, "data": f"data:image/{picture_path.suffix[1:]};base64,{base64_text}"}

@@ -25,8 +25,8 @@ from fenics_crack.basics.tables import (
     with_unit,
 )
 from fenics_crack.cli import account
-from fenics_crack.cli.account import IN_A_TEST, OTHERS
-from fenics_crack.cli.scenes import remark_on
+from fenics_crack.cli.account import MEANING_BY_BIFURCATION, OTHER_QUANTITIES_BY_NAME
+from fenics_crack.cli.scenes import describe_undamped_harmonics
 from fenics_crack.curves.curve import (
     DESCRIPTION_BY_PARAMETER,
     ResponseCurve,
@@ -52,99 +52,155 @@ from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.time.march import TimeHistory
 
-ERROR = "error [%]"
-"""Heading of the error due to modes, harmonics and mesh, as far as it is known."""
-UNKNOWN_PARTS = ("total_error", "displacement_error")
-"""Parts of an error report that mean nothing where the error is unknown."""
-Row = tuple[str, str, object, str]
-"""Name, words, value, unit."""
+ERROR_COLUMN_HEADING = "error [%]"
+"""Heading for stated errors of numbers, in percent."""
+ERRORS_NAN_IF_UNKNOWN = ("total_error", "displacement_error")
+"""Names of errors that are nan if the error is unknown."""
+QuantityRow = tuple[str, str, object, str]
+"""Name, description, value and unit of a quantity."""
 
 
 def report_of_modes(run: Run[Modes]) -> Report:
-    """Natural frequencies and mode shapes with the crack open."""
+    """Report natural frequencies with the crack open."""
     table = run.result.table()
-    names = [natural_name(run.scene, "open", number) for number in range(1, len(table.rows) + 1)]
+    frequency_names = [
+        natural_name(run.scene, "open", mode_number)
+        for mode_number in range(1, len(table.rows) + 1)
+    ]
     if run.stated is not None:
-        rows = [[*row, _errors(run, name)[0]] for row, name in zip(table.rows, names, strict=True)]
-        table = Table([*table.columns, ERROR], rows)
-    return _report(run, table)
+        rows_with_errors = [
+            [*mode_row, _find_error_and_cause(run, frequency_name)[0]]
+            for mode_row, frequency_name in zip(table.rows, frequency_names, strict=True)
+        ]
+        table = Table([*table.columns, ERROR_COLUMN_HEADING], rows_with_errors)
+    return _make_report(run, table)
 
 
-def _report(run: Run[Any], table: Table, **how: Any) -> Report:
-    """The report of a run, with what all of them have: notes where friction acts along lines and
-    where watched nodes are away from their points, remarks, and the last sentence, also as a
-    quantity where the table has those (collective)."""
-    lines, turning = account.of_lines(run)
-    incomplete_numbers = () if run.stated is None else run.stated.incomplete
-    how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run), *incomplete_numbers]
-    how["warnings"] = [*how.get("warnings", ()), *turning]
+def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
+    """Build a run's report, with notes common to all runs (collective).
+
+    Notes describe friction along lines, watched nodes away from their points, and incomplete
+    errors. In a table of quantities, the conclusion becomes the last row.
+
+    Parameters
+    ----------
+    report_fields
+        Further fields of the :class:`Report`.
+    """
+    friction_notes, friction_warnings = account.describe_friction_lines(run)
+    incomplete_notes = () if run.stated is None else run.stated.incomplete
+    report_fields["notes"] = [
+        *report_fields.get("notes", ()),
+        *friction_notes,
+        *_describe_node_distances(run),
+        *incomplete_notes,
+    ]
+    report_fields["warnings"] = [*report_fields.get("warnings", ()), *friction_warnings]
     if table.columns[0] != "name":
-        return Report(table, conclusion_of(run), remarks=run.remarks, **how)
-    how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
-    report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
-    row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
-    row += ["" for _ in table.columns[len(row) :]]
-    return replace(report, table=Table(table.columns, [*table.rows, row]))
+        return Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
+    report_fields |= {
+        "shown": account.select_printed_quantities(table, run.scene, PRINTED),
+        "tables": _number_tables_by_heading(run, table),
+    }
+    report = Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
+    conclusion_row = ["conclusion", OTHER_QUANTITIES_BY_NAME["conclusion"][0], report.closing, "-"]
+    conclusion_row += ["" for _ in table.columns[len(conclusion_row) :]]
+    return replace(report, table=Table(table.columns, [*table.rows, conclusion_row]))
 
 
-def _watched_away(run: Run[Any]) -> list[str]:
-    """A note on points whose nearest nodes are watched."""
-    away = {w.name.partition(".")[0]: w.distance for w in run.watched if w.distance > 0}
-    places = ", ".join(f"{name} {quantity(distance, 'm')}" for name, distance in away.items())
-    stated = "; not part of the stated errors" if run.stated is not None else ""
-    return [f"watched at the nearest node, at a distance of: {places}{stated}"] if places else []
+def _describe_node_distances(run: Run[Any]) -> list[str]:
+    """Note how far watched nodes are from their points; empty without a distance."""
+    distance_by_point = {
+        watched_displacement.name.partition(".")[0]: watched_displacement.distance
+        for watched_displacement in run.watched
+        if watched_displacement.distance > 0
+    }
+    distances_text = ", ".join(
+        f"{point_name} {quantity(node_distance, 'm')}"
+        for point_name, node_distance in distance_by_point.items()
+    )
+    exclusion_text = "; not part of the stated errors" if run.stated is not None else ""
+    return (
+        [f"watched at the nearest node, at a distance of: {distances_text}{exclusion_text}"]
+        if distances_text
+        else []
+    )
 
 
 # --- a steady vibration ---------------------------------------------------------------------------
 
 
 def report_of_solution(run: Run[PeriodicSolution]) -> Report:
-    """A solution, its error and its stability (collective)."""
-    found, scene = run.result, run.scene
-    table = _quantities(run, found.omega, found.to_dict() | _in_doubt(run))
-    notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
-    asked = scene.harmonic_balance.error
-    if found.converged and found.stability is None and run.contact is not None and asked:
-        reduced = "" if scene.disk is not None else "for a reduced structure (reduction.method), "
-        where = f"{reduced}with contact.law = 'unilateral' for crack faces without mass"
-        notes.append(f"the stability is not assessed, as that would take long; it is {where}")
-    if found.converged and (larger := largest_left_out(found, run.watched_dof)) is not None:
-        share = f"{larger[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
-        left = f"harmonic {larger[0]}, which the solution leaves out"
-        notes.append(f"{left}, is the largest of the higher ones: {share}")
+    """Report a solution with error and stability (collective)."""
+    solution, scene = run.result, run.scene
+    table = _tabulate_quantities(
+        run, solution.omega, solution.to_dict() | _collect_doubts_by_name(run)
+    )
+    note_texts = [describe_undamped_harmonics(run.structure, highest_omega(scene, "solve"))]
+    is_error_requested = scene.harmonic_balance.error
+    if (
+        solution.converged
+        and solution.stability is None
+        and run.contact is not None
+        and is_error_requested
+    ):
+        reduction_text = (
+            "" if scene.disk is not None else "for a reduced structure (reduction.method), "
+        )
+        assessment_condition_text = (
+            f"{reduction_text}with contact.law = 'unilateral' for crack faces without mass"
+        )
+        note_texts.append(
+            f"the stability is not assessed, as that would take long; it is "
+            f"{assessment_condition_text}"
+        )
+    if (
+        solution.converged
+        and (omitted_harmonic := largest_left_out(solution, run.watched_dof)) is not None
+    ):
+        ratio_text = (
+            f"{omitted_harmonic[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
+        )
+        harmonic_text = f"harmonic {omitted_harmonic[0]}, which the solution leaves out"
+        note_texts.append(f"{harmonic_text}, is the largest of the higher ones: {ratio_text}")
     tolerance = scene.harmonic_balance.tolerance
-    missed = tolerance is not None and found.report.total > tolerance
-    warnings = []
-    if not found.converged or missed:
-        warnings.append(f"{'' if found.converged else 'not converged: '}{found.status}")
+    is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
+    warning_texts = []
+    if not solution.converged or is_tolerance_missed:
+        warning_texts.append(f"{'' if solution.converged else 'not converged: '}{solution.status}")
     elif run.structure.n_pairs:
-        warnings += account.of_error(scene, found.report, found.harmonics)
-    if found.still:
-        warnings.append("nothing vibrates: no load changes in time")
-    if found.converged:
-        judged, seen = found.stability, ""
-        if judged is not None:
-            if judged.verdict in ("unstable", "irregular"):
-                seen = _seen_instead(found, run.watched_dof)
-            warnings += account.of_more_modes(run.scene, found, judged.verdict)
-        warnings += account.of_stability(scene, run, judged, seen)
-        warnings += account.of_size(run, account.largest_seen(run))
-        warnings += account.of_friction(found)
-        warnings += run.stated.dents if run.stated is not None else ()
-    return _report(
+        warning_texts += account.describe_large_error(scene, solution.report, solution.harmonics)
+    if solution.still:
+        warning_texts.append("nothing vibrates: no load changes in time")
+    if solution.converged:
+        stability, motion_text = solution.stability, ""
+        if stability is not None:
+            if stability.verdict in ("unstable", "irregular"):
+                motion_text = _describe_departing_motions(solution, run.watched_dof)
+            warning_texts += account.describe_mode_dependence(
+                run.scene, solution, stability.verdict
+            )
+        warning_texts += account.describe_instability(scene, run, stability, motion_text)
+        warning_texts += account.describe_large_motion(run, account.find_largest_displacements(run))
+        warning_texts += account.describe_ambiguous_contact(solution)
+        warning_texts += run.stated.dents if run.stated is not None else ()
+    return _make_report(
         run,
         table,
-        rows=_waves(run, waves_of(run)),
-        notes=notes,
-        warnings=warnings,
-        further=_of_blades(run, "Blades") | _along_fronts(run),
-        done=found.converged,
-        missed=missed or bool(unknown_of_solution(run)),
+        rows=_tabulate_waveforms(run, sample_waveforms(run)),
+        notes=note_texts,
+        warnings=warning_texts,
+        further=_blade_tables_by_heading(run, "Blades") | _front_tables_by_heading(run),
+        done=solution.converged,
+        missed=is_tolerance_missed or bool(unknown_of_solution(run)),
     )
 
 
-def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
-    """The vibration of each blade of a bladed disk (collective)."""
+def _blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
+    """Tabulate the vibration of each blade of a bladed disk (collective).
+
+    The table stands under ``heading``; without a disk the result is empty.
+    """
     if run.scene.disk is None:
         return {}
     from fenics_crack.disk.bladed_disk import blades
@@ -152,408 +208,650 @@ def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
     return {heading: blades(run).table()}
 
 
-def _along_fronts(run: Run[Any]) -> dict[str, Table]:
-    """Stress intensities along the fronts of a solid's cracks, if one is requested (collective)."""
-    places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
-    if run.scene.dimension == 2 or Place.TIPS not in places:
+def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
+    """Tabulate stress intensities along the crack fronts of a solid (collective).
+
+    The result is empty in two dimensions, or if the scene requests none.
+    """
+    requested_places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
+    if run.scene.dimension == 2 or Place.TIPS not in requested_places:
         return {}
-    found = stress_intensity(run)
-    columns = {"position": found.positions, **found.numbers, "K_I while closed": found.closed}
-    units = {name: "m" if name == "position" else "Pa m^0.5" for name in columns}
-    lists = {name: [float(f"{x:.4g}") for x in values] for name, values in columns.items()}
-    return {"Stress intensity along the crack fronts": Table.of(lists, units)}
+    stress_intensities = stress_intensity(run)
+    columns_by_name = {
+        "position": stress_intensities.positions,
+        **stress_intensities.numbers,
+        "K_I while closed": stress_intensities.closed,
+    }
+    units_by_name = {name: "m" if name == "position" else "Pa m^0.5" for name in columns_by_name}
+    lists_by_name = {
+        name: [float(f"{component:.4g}") for component in column]
+        for name, column in columns_by_name.items()
+    }
+    return {"Stress intensity along the crack fronts": Table.of(lists_by_name, units_by_name)}
 
 
-def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
-    """Return the values that cast doubt on a solution, by the names of :data:`OTHERS`; without
-    those that do not."""
-    judged = run.result.stability
-    found: dict[str, object] = {"unknown_error": unknown_of_solution(run)}
-    found["remarks"] = "; ".join(map(str, run.remarks))
-    if judged is not None:
-        found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
-    known = {name: value for name, value in found.items() if value and value == value}
-    return known | (dict.fromkeys(UNKNOWN_PARTS, np.nan) if run.result.report.unknown else {})
+def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
+    """Collect numbers and texts that cast doubt on a solution.
+
+    Keys are names in :data:`OTHER_QUANTITIES_BY_NAME`. Empty texts, zeros and nan are left out. If
+    the error is unknown, its parts in :data:`ERRORS_NAN_IF_UNKNOWN` are nan.
+    """
+    stability = run.result.stability
+    doubts_by_name: dict[str, object] = {"unknown_error": unknown_of_solution(run)}
+    doubts_by_name["remarks"] = "; ".join(map(str, run.remarks))
+    if stability is not None:
+        doubts_by_name |= {
+            "from_rest": stability.from_rest,
+            "rest_amplitude": stability.rest_amplitude,
+        }
+    known_doubts_by_name = {
+        name: doubt for name, doubt in doubts_by_name.items() if doubt and doubt == doubt
+    }
+    return known_doubts_by_name | (
+        dict.fromkeys(ERRORS_NAN_IF_UNKNOWN, np.nan) if run.result.report.unknown else {}
+    )
 
 
-def _in_numbers(run: Run[Any], table: Table) -> dict[str, Table]:
-    """All numbers, of which a page shows the first ones; before them those that are requested."""
-    chosen = run.scene.quantities or ()
-    rows = [row for row in table.rows if str(row[0]).rpartition(".")[2] in chosen]
-    first = {"Requested by the scene": account.readable_rows(Table(table.columns, rows))}
-    return (first if rows else {}) | {"In numbers": account.readable_rows(table)}
+def _number_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
+    """Tabulate all numbers as text, after the numbers requested by the scene."""
+    requested_names = run.scene.quantities or ()
+    requested_rows = [
+        row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
+    ]
+    requested_tables = {
+        "Requested by the scene": account.format_known_quantities(
+            Table(table.columns, requested_rows)
+        )
+    }
+    return (requested_tables if requested_rows else {}) | {
+        "In numbers": account.format_known_quantities(table)
+    }
 
 
-def _seen_instead(found: PeriodicSolution, dof: int) -> str:
-    """Describe the size of the motions that leave an unstable or irregular solution; empty where
-    that is not known (collective)."""
+def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
+    """Describe the size of motions that leave an unstable or irregular solution (collective).
+
+    The text is empty if no motion was found.
+    """
     motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
         motions = [
-            (motion.orbit is not None, motion.periods, motion.amplitudes(dof))
-            for motion in attractors(found.structure, found)
+            (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
+            for attractor in attractors(solution.structure, solution)
         ]
-    settled = dict.fromkeys(_range_of(sizes) for is_orbit, _, sizes in motions if is_orbit)
-    parts = [f"settles to {' or '.join(settled)}"] if settled else []
+    settled_ranges = dict.fromkeys(
+        _describe_range(amplitudes) for is_orbit, _, amplitudes in motions if is_orbit
+    )
+    clauses = [f"settles to {' or '.join(settled_ranges)}"] if settled_ranges else []
     if varying_motions := [
-        (periods, sizes) for is_orbit, periods, sizes in motions if not is_orbit
+        (n_periods, amplitudes) for is_orbit, n_periods, amplitudes in motions if not is_orbit
     ]:
-        periods, sizes = zip(*varying_motions, strict=True)
-        ends = _range_of(np.concatenate(sizes))
-        parts.append(f"still varies after {counted(min(periods), 'period')}, {ends}")
-    return f"; the motion {' or '.join(parts)} half peak-to-peak" if parts else ""
+        period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
+        amplitude_range = _describe_range(np.concatenate(amplitude_arrays))
+        clauses.append(
+            f"still varies after {counted(min(period_counts), 'period')}, {amplitude_range}"
+        )
+    return f"; the motion {' or '.join(clauses)} half peak-to-peak" if clauses else ""
 
 
-def _range_of(sizes: np.ndarray) -> str:
-    """Describe the range of some sizes [m]: "1.2 mm", or "between 1.2 mm and 1.5 mm"."""
-    ends = dict.fromkeys(quantity(size, "m") for size in (sizes.min(), sizes.max()))
-    return f"{'between ' if len(ends) > 1 else ''}{' and '.join(ends)}"
+def _describe_range(amplitudes: np.ndarray) -> str:
+    """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm"."""
+    end_texts = dict.fromkeys(
+        quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
+    )
+    return f"{'between ' if len(end_texts) > 1 else ''}{' and '.join(end_texts)}"
 
 
 # --- a motion in time -----------------------------------------------------------------------------
 
 
 def report_of_history(run: Run[TimeHistory]) -> Report:
-    """A motion in time, and whether it repeats, or how it decays (collective)."""
-    found, scene = run.result, run.scene
-    table = _quantities(run, scene.excitation.omega, vars(found) | {"distance": found.distance})
-    asked, waves = scene.integration or Integration(), waves_of(run)
-    done = found.periods >= asked.periods if asked.free else bool(found.settled <= asked.settle)
-    warnings = []
-    if not done and not asked.free:
-        unsettled = f"the motion has not settled after {found.periods} of {asked.periods} periods"
-        warnings.append(f"{unsettled}{_longer_period(found)}")
-    warnings += account.of_size(run, np.abs(waves.motion).max(axis=0))
-    return _report(run, table, rows=_waves(run, waves), warnings=warnings, done=done)
+    """Report a motion in time, and whether it has settled (collective)."""
+    history, scene = run.result, run.scene
+    table = _tabulate_quantities(
+        run, scene.excitation.omega, vars(history) | {"distance": history.distance}
+    )
+    integration_table, waveforms = scene.integration or Integration(), sample_waveforms(run)
+    is_finished = (
+        history.periods >= integration_table.periods
+        if integration_table.free
+        else bool(history.settled <= integration_table.settle)
+    )
+    warning_texts = []
+    if not is_finished and not integration_table.free:
+        unsettled_text = (
+            f"the motion has not settled after {history.periods} of {integration_table.periods} "
+            "periods"
+        )
+        warning_texts.append(f"{unsettled_text}{_describe_longer_period(history)}")
+    warning_texts += account.describe_large_motion(run, np.abs(waveforms.displacement).max(axis=0))
+    return _make_report(
+        run,
+        table,
+        rows=_tabulate_waveforms(run, waveforms),
+        warnings=warning_texts,
+        done=is_finished,
+    )
 
 
-def _longer_period(found: TimeHistory) -> str:
-    """A hint why a motion has not settled: it may repeat after two or three load periods."""
-    for count in range(2, len(found.by_period(found.time))):
-        if (change := found.change(count)) < 0.1 * found.settled:
-            return f", over {count} periods {change:.2g}: its period is {count} times the load's"
+def _describe_longer_period(history: TimeHistory) -> str:
+    """Describe why a motion has not settled, such as a longer period."""
+    for n_periods in range(2, len(history.by_period(history.time))):
+        if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
+            return (
+                f", over {n_periods} periods {relative_change:.2g}: its period is {n_periods} "
+                "times the load's"
+            )
     return "; it may need more periods (integration.periods), or be irregular"
 
 
-# --- their numbers --------------------------------------------------------------------------------
+# --- numbers of vibrations and motions ------------------------------------------------------------
 
 
-def _quantities(run: Run[Any], omega: float, values: Mapping[str, object]) -> Table:
-    """The numbers of a vibration or a motion at a load frequency [rad/s]: indicators of each
-    watched dof, those of the crack faces, of a vibration natural frequencies near the load's, and
-    others (collective)."""
-    rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
-    rows += [one[:4] for one in observe(run, run.result)]
+def _tabulate_quantities(
+    run: Run[Any], omega: float, values_by_name: Mapping[str, object]
+) -> Table:
+    """Tabulate the numbers of a vibration or motion (collective).
+
+    They are the load frequency ``omega`` [rad/s], indicators of the watched dofs and the crack
+    faces, natural frequencies near the load's (vibration only), and the ``values_by_name`` that
+    :data:`OTHER_QUANTITIES_BY_NAME` has. Without contact pairs, errors and shares are left
+    out.
+    """
+    quantity_rows: list[QuantityRow] = [
+        (name, name, value, UNITS[name]) for name, value in with_frequency({"omega": omega}).items()
+    ]
+    quantity_rows += [observation[:4] for observation in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
-        values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
+        values_by_name = {
+            name: value
+            for name, value in values_by_name.items()
+            if not name.endswith(("_error", "_share"))
+        }
     elif isinstance(run.result, PeriodicSolution):
-        near = bilinear_frequencies(run.structure).nearest(omega)
-        rows += (
-            (name, f"{words}, mode {near['mode']}", float(value), unit)
-            for name, words, unit, value in _with_hertz(near)
+        frequencies_by_name = bilinear_frequencies(run.structure).nearest(omega)
+        quantity_rows += (
+            (name, f"{description}, mode {frequencies_by_name['mode']}", float(value), unit)
+            for name, description, unit, value in _list_natural_frequencies(frequencies_by_name)
         )
-    rows += [(n, words, values[n], unit) for n, (words, unit, _) in OTHERS.items() if n in values]
-    columns = ["name", "quantity", "value", "unit"]
-    rows = [(*row[:3], "-" if row[3] == "1" else row[3]) for row in rows]
+    quantity_rows += [
+        (name, description, values_by_name[name], unit)
+        for name, (description, unit, _) in OTHER_QUANTITIES_BY_NAME.items()
+        if name in values_by_name
+    ]
+    headings = ["name", "quantity", "value", "unit"]
+    quantity_rows = [
+        (*quantity_row[:3], "-" if quantity_row[3] == "1" else quantity_row[3])
+        for quantity_row in quantity_rows
+    ]
     if run.stated is None:
-        return Table(columns, rows)
-    return Table([*columns, ERROR, "most by"], [(*row, *_errors(run, row[0])) for row in rows])
+        return Table(headings, quantity_rows)
+    return Table(
+        [*headings, ERROR_COLUMN_HEADING, "most by"],
+        [
+            (*quantity_row, *_find_error_and_cause(run, quantity_row[0]))
+            for quantity_row in quantity_rows
+        ],
+    )
 
 
-def _errors(run: Run[Any], name: str) -> tuple[float, str]:
-    """Error of a number [%], and what most of it is by; of natural frequencies that of the mode
-    which is named."""
+def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str]:
+    """Return the stated error of a number, and its main cause.
+
+    A natural frequency has the error of the mode nearest to the load.
+
+    Returns
+    -------
+    error_percent : float [%]
+        nan if unknown.
+    cause_text : str
+        Main cause, and the causes not included.
+    """
     assert run.stated is not None
-    kind = name.rpartition("_")[2]
-    if kind in FREQUENCY_KIND_NAMES:
-        mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
-        name = natural_name(run.scene, kind, int(mode))
-    error, cause = run.stated.stated(name)
-    percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
-    missing_causes = run.stated.missing_causes(name) if name in run.stated.values else {}
+    frequency_kind = quantity_name.rpartition("_")[2]
+    if frequency_kind in FREQUENCY_KIND_NAMES:
+        mode_number = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
+        quantity_name = natural_name(run.scene, frequency_kind, int(mode_number))
+    relative_error, cause_text = run.stated.stated(quantity_name)
+    error_percent = 100.0 * max(relative_error, LEAST_ERROR) if relative_error < np.inf else np.nan
+    missing_causes = (
+        run.stated.missing_causes(quantity_name) if quantity_name in run.stated.values else {}
+    )
     if missing_causes:
-        cause += f"; not included: {', '.join(missing_causes)}"
-    return float(f"{percents:.3g}"), cause
+        cause_text += f"; not included: {', '.join(missing_causes)}"
+    return float(f"{error_percent:.3g}"), cause_text
 
 
-def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
-    for name in names_of(Place.MODES):
-        words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
-        yield name, words, unit, near[name]
+def _list_natural_frequencies(
+    frequencies_by_name: Mapping[str, np.ndarray],
+) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Yield natural frequencies, in rad/s and Hz, and frequency ratios.
+
+    Yields
+    ------
+    name, words, unit : str
+        "omega_open" in rad/s, then "frequency_open" in Hz.
+    value : ndarray
+    """
+    for quantity_name in names_of(Place.MODES):
+        description, unit = QUANTITIES[quantity_name].words, QUANTITIES[quantity_name].unit
+        yield quantity_name, description, unit, frequencies_by_name[quantity_name]
         if unit == "rad/s":
-            yield name.replace("omega", "frequency"), words, "Hz", near[name] / (2.0 * np.pi)
+            yield (
+                quantity_name.replace("omega", "frequency"),
+                description,
+                "Hz",
+                frequencies_by_name[quantity_name] / (2.0 * np.pi),
+            )
 
 
-# --- their waves ----------------------------------------------------------------------------------
+# --- waveforms ------------------------------------------------------------------------------------
 
 
-class Waves(NamedTuple):
-    """One period of a solution, or the record of a motion in time.
+class Waveforms(NamedTuple):
+    """Hold a solution's period, or a motion's record in time.
 
     Attributes
     ----------
     time : (n,) [s]
-    motion : (n, n_watched) [m]
-        Displacements of what is watched.
-    closings : dict of str to (n,) [m]
-        Closing of the faces of each crack, by where it is watched.
-    force : (n, n_pairs) [N]
-        Of the contact.
+    displacement : (n, n_watched) [m]
+        Watched displacements.
+    closings_by_place : dict of str to (n,) [m]
+        Gaps at watched pairs, by description of the pair.
+    contact_force : (n, n_pairs) [N]
     """
 
     time: np.ndarray
-    motion: np.ndarray
-    closings: dict[str, np.ndarray]
-    force: np.ndarray
+    displacement: np.ndarray
+    closings_by_place: dict[str, np.ndarray]
+    contact_force: np.ndarray
 
 
-def waves_of(run: Run[Any]) -> Waves:
-    """Return a solution over one period, or a motion over the time that it has recorded."""
-    found, dofs, whole = run.result, [watched.dof for watched in run.watched], run.structure.whole
-    if isinstance(found, TimeHistory):
-        time, motion = found.time, found.displacement(dofs)
-        gap, force = found.gap, found.contact_force
+def sample_waveforms(run: Run[Any]) -> Waveforms:
+    """Return displacements, closings and forces over time.
+
+    A solution is sampled over one period; a motion in time is recorded already.
+    """
+    motion, structure = run.result, run.structure.whole
+    watched_dofs = [watched_displacement.dof for watched_displacement in run.watched]
+    if isinstance(motion, TimeHistory):
+        time, displacement = motion.time, motion.displacement(watched_dofs)
+        gap, contact_force = motion.gap, motion.contact_force
     else:
-        time = np.linspace(0.0, found.period, 401)
-        motion, gap = found.displacement(time, dofs), found.gap(time)
-        force = found.contact_force(time)
-    pairs = whole.watched_pairs.values() if gap.size else ()
-    return Waves(time, motion, {whole.describe_pair(pair): gap[:, pair] for pair in pairs}, force)
+        time = np.linspace(0.0, motion.period, 401)
+        displacement, gap = motion.displacement(time, watched_dofs), motion.gap(time)
+        contact_force = motion.contact_force(time)
+    watched_pairs = structure.watched_pairs.values() if gap.size else ()
+    closings_by_place = {
+        structure.describe_pair(pair_index): gap[:, pair_index] for pair_index in watched_pairs
+    }
+    return Waveforms(time, displacement, closings_by_place, contact_force)
 
 
-def _waves(run: Run, waves: Waves) -> Table:
-    """Watched dofs, the mouths of the cracks and the contact force over time."""
-    columns = ["time [s]", *(f"{watched.words} [m]" for watched in run.watched)]
-    columns += [f"closing {place} [m]" for place in waves.closings]
-    values = [waves.time, *waves.motion.T, *waves.closings.values()]
-    if waves.closings:
-        columns.append("contact force, all pairs [N]")
-        values.append(waves.force.sum(axis=1))
-    return Table(columns, np.column_stack(values).tolist())
+def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
+    """Tabulate watched displacements, crack closings and the sum of contact forces over time."""
+    headings = [
+        "time [s]",
+        *(f"{watched_displacement.words} [m]" for watched_displacement in run.watched),
+    ]
+    headings += [f"closing {crack_place} [m]" for crack_place in waveforms.closings_by_place]
+    column_arrays = [
+        waveforms.time,
+        *waveforms.displacement.T,
+        *waveforms.closings_by_place.values(),
+    ]
+    if waveforms.closings_by_place:
+        headings.append("contact force, all pairs [N]")
+        column_arrays.append(waveforms.contact_force.sum(axis=1))
+    return Table(headings, np.column_stack(column_arrays).tolist())
 
 
 # --- a curve --------------------------------------------------------------------------------------
 
 
 def report_of_curve(run: Run[ResponseCurve]) -> Report:
-    """A curve, its special points, its errors and its stability (collective)."""
-    found, scene = run.result, run.scene
-    along = _along(run, found)
-    special = special_points(run, along)
-    few, hidden = few_special_points(run, special)
-    notes = [_seen_at_largest(run), remark_on(run.structure, highest_omega(scene, "curve"))]
-    if hidden:
-        notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
-    kinds = dict.fromkeys(point.kind for point in found.bifurcations)
-    notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
-    warnings = [*_warnings_of_curve(run), *account.of_size(run, account.largest_seen(run))]
-    shown = found.indicators(run.watched_dof)
-    peak = int(np.argmax(shown.amplitude))
-    if shown.largest_order[peak] > 3:
-        order = f"harmonic {shown.largest_order[peak]:.0f} is the largest of the higher ones"
-        share = f"{shown.ratio_largest[peak]:.2g} of harmonic 1"
-        where = "the largest response" if _passed(found, peak) else "its end"
-        notes.append(f"at {where} {order}, {share}")
+    """Report a curve, its special points, errors and stability (collective)."""
+    curve, scene = run.result, run.scene
+    indicator_columns = _indicator_columns_by_heading(run, curve)
+    special_point_table = tabulate_special_points(run, indicator_columns)
+    shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
+    note_texts = [
+        _describe_unstable_peak(run),
+        describe_undamped_harmonics(run.structure, highest_omega(scene, "curve")),
+    ]
+    if n_hidden_points:
+        note_texts.insert(
+            0, f"{n_hidden_points} more bifurcations and changes of stability: curve.json"
+        )
+    bifurcation_kinds = dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations)
+    note_texts += [
+        f"{kind_in_words(bifurcation_kind)}: {MEANING_BY_BIFURCATION[bifurcation_kind]}"
+        for bifurcation_kind in bifurcation_kinds
+        if bifurcation_kind in MEANING_BY_BIFURCATION
+    ]
+    warning_texts = [
+        *_describe_curve_warnings(run),
+        *account.describe_large_motion(run, account.find_largest_displacements(run)),
+    ]
+    indicators = curve.indicators(run.watched_dof)
+    peak_index = int(np.argmax(indicators.amplitude))
+    if indicators.largest_order[peak_index] > 3:
+        order_text = (
+            f"harmonic {indicators.largest_order[peak_index]:.0f} is the largest of the higher ones"
+        )
+        ratio_text = f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
+        place_text = "the largest response" if _has_passed_point(curve, peak_index) else "its end"
+        note_texts.append(f"at {place_text} {order_text}, {ratio_text}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
-        chosen = found.status.partition("; ")[2] if found.complete else ""
-        notes.append("; ".join(filter(None, (f"by the tolerance: {found.method}", chosen))))
-    if found.exact:
-        width = in_unit(parameter_axis(found.parameter, True), found.resolution)
-        notes.append(f"windows of instability narrower than {width} may lie between points")
-    return _report(
+        status_detail = curve.status.partition("; ")[2] if curve.complete else ""
+        note_texts.append(
+            "; ".join(filter(None, (f"by the tolerance: {curve.method}", status_detail)))
+        )
+    if curve.exact:
+        width_text = in_unit(parameter_axis(curve.parameter, True), curve.resolution)
+        note_texts.append(
+            f"windows of instability narrower than {width_text} may lie between points"
+        )
+    return _make_report(
         run,
-        special,
-        rows=curve_points(run, along),
-        shown=account.in_short(few, scene, SPECIAL),
-        notes=notes,
-        warnings=warnings,
-        tables={"Special points": account.in_short(special, scene, SPECIAL)},
-        further=_of_blades(run, "Blades, each at its largest response"),
-        done=bool(found.complete) and found.status != INTERRUPTED,
+        special_point_table,
+        rows=tabulate_curve_points(run, indicator_columns),
+        shown=account.select_printed_quantities(shortened_table, scene, SPECIAL),
+        notes=note_texts,
+        warnings=warning_texts,
+        tables={
+            "Special points": account.select_printed_quantities(special_point_table, scene, SPECIAL)
+        },
+        further=_blade_tables_by_heading(run, "Blades, each at its largest response"),
+        done=bool(curve.complete) and curve.status != INTERRUPTED,
         missed=bool(unknown_error(run)),
     )
 
 
-def _seen_at_largest(run: Run[ResponseCurve]) -> str:
-    """State that the largest response is unstable or irregular, and which motion is seen in its
-    place; empty where it is not, or where the curve ended early there (collective)."""
-    found = run.result
-    place = int(np.argmax(found.amplitude(run.watched_dof)))
-    judged = found.multipliers is not None and _passed(found, place)
-    verdict = str(found.verdicts[place]) if judged else ""
+def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
+    """State that the largest response is unstable or irregular (collective).
+
+    The text adds the motion that a test would show instead. Without instability, or if the curve
+    ended early at this point, the text is empty.
+    """
+    curve = run.result
+    peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
+    is_assessed = curve.multipliers is not None and _has_passed_point(curve, peak_index)
+    verdict = str(curve.verdicts[peak_index]) if is_assessed else ""
     if verdict not in ("unstable", "irregular"):
         return ""
-    seen = _seen_instead(found.solution(place), run.watched_dof)
-    return f"the largest response is {verdict}{seen}"
+    motion_text = _describe_departing_motions(curve.solution(peak_index), run.watched_dof)
+    return f"the largest response is {verdict}{motion_text}"
 
 
-def _passed(found: ResponseCurve, place: int) -> bool:
-    """Return True if the largest response is a peak, not the point where the curve ended early."""
-    return bool(found.complete) or place < len(found) - 1
+def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
+    """Return False if the curve ended early at the largest response."""
+    return bool(curve.complete) or point_index < len(curve) - 1
 
 
-def _place(run: Run[ResponseCurve], *values: float) -> str:
-    """Values of the parameter in its unit: "50.1 Hz", "50.1 and 50.3 Hz"."""
-    return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *values)
+def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
+    """Return parameter values with unit: "50.1 and 50.3 Hz"."""
+    return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *parameter_values)
 
 
-def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
-    """A large error, where and why the stability is undecided, and an early end."""
-    found, scene = run.result, run.scene
-    if found.status == INTERRUPTED:  # nothing more is assessed; exact orbits have their verdicts
-        early = "" if found.complete else "ended early: it "
-        left = "errors and stability" if found.multipliers is None else "errors"
-        yield f"the curve {early}was interrupted; its {left} were not examined"
+def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
+    """Yield warnings about large errors, undecided stability and an early end."""
+    curve, scene = run.result, run.scene
+    if curve.status == INTERRUPTED:  # nothing more is assessed; exact orbits have their verdicts
+        end_text = "" if curve.complete else "ended early: it "
+        skipped_text = "errors and stability" if curve.multipliers is None else "errors"
+        yield f"the curve {end_text}was interrupted; its {skipped_text} were not examined"
         return
-    peak = int(np.argmax(found.amplitude(run.watched_dof)))
-    looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
-    solutions = {index: found.solution(index) for index in sorted(looked_at)}
-    reports = {index: one.report for index, one in solutions.items()}
-    worst = max(reports, key=lambda index: reports[index].total)
-    where = f" at {_place(run, found.values[worst])}"
-    yield from account.of_error(scene, reports[worst], solutions[worst].harmonics, where)
-    if found.multipliers is not None and _passed(found, peak):
-        for said in account.of_more_modes(run.scene, solutions[peak], found.verdicts[peak]):
-            yield f"at the largest response, {said}"
-    stretches = _undecided_stretches(found)
-    for first, last in stretches[:1]:
-        ends = found.values[[first, last]] if last > first else found.values[[first]]
-        where = f"{'between ' if last > first else ''}{_place(run, *ends)}"
-        reason = found.reason((first + last) // 2)
-        count = counted(last + 1 - first, "point")
-        yield f"the stability is undecided at {count}, {where}: {reason}"
-    if len(stretches) > 1:
-        more = sum(last + 1 - first for first, last in stretches[1:])
-        own = "each for its own reason: curve.reason(index) in Python"
-        yield f"the stability is undecided at {counted(more, 'other point')}, {own}"
-    yield from run.stated.dents if run.stated is not None else ()
-    if not found.complete:
-        yield f"the curve ended early: {found.status}"
-
-
-def _undecided_stretches(found: ResponseCurve) -> list[tuple[int, int]]:
-    """First and last points of stretches along which no point is decided, the longest first."""
-    if found.undecided is None:
-        return []
-    left = np.concatenate([[0], found.undecided, [0]])
-    first, behind = (np.flatnonzero(np.diff(left) == change).tolist() for change in (1, -1))
-    stretches = [(one, other - 1) for one, other in zip(first, behind, strict=True)]
-    return sorted(stretches, key=lambda ends: ends[0] - ends[1])
-
-
-# --- its points -----------------------------------------------------------------------------------
-
-
-Columns = dict[str, np.ndarray]
-"""Values at every point of a curve, by their headings."""
-
-
-def curve_points(run: Run[ResponseCurve], along: Columns | None = None) -> Table:
-    """Every point of a curve with its indicators, perhaps known already."""
-    names = [name for name in run.result.to_dict() if name not in QUANTITIES]
-    table, found = run.result.table(*names), along or _along(run, run.result)
-    values = zip(*(column.tolist() for column in found.values()), strict=True)
-    rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
-    return Table((*table.columns, *found), rows)
-
-
-def special_points(run: Run[ResponseCurve], along: Columns | None = None) -> Table:
-    """Ends, largest response of the first watched dof, bifurcations and changes of stability.
-
-    Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
-    rad/s and rpm.
-    """
-    found = run.result
-    along = _places(found) | (along or _along(run, found))
-    special = found.at_bifurcations if found.bifurcations else found
-    there = _places(special) | _along(run, special)
-    top = found.top(run.watched_dof)
-    largest = "largest, still rising" if top.at_end else "largest"
-    largest = largest if _passed(found, top.index) else "largest so far"
-    rows = [("start", 0, along), ("end", -1, along), (largest, 0, _at_top(run, top, along))]
-    for number, point in enumerate(found.bifurcations, 1):
-        rows.append((kind_in_words(point.kind), number, there))
-    if found.multipliers is not None:
-        for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
-            after = found.verdicts[index + 1]
-            what = {"stable": "gained", "unstable": "lost"}.get(after, after)
-            rows.append((f"stability {what} after", int(index), along))
-    values = [(name, *(float(column[at]) for column in of.values())) for name, at, of in rows]
-    return Table(("point", *along), values)
-
-
-def _at_top(run: Run[ResponseCurve], top: Top, along: Columns) -> Columns:
-    """Columns of one row at the largest response of the first watched dof: the parameter and its
-    ratios to natural frequencies, linear between the neighbouring points, and the amplitude; all
-    else is of the nearest point."""
-    near = slice(max(top.index - 1, 0), top.index + 2)
-    order = np.argsort(run.result.values[near])
-    values, moved = run.result.values[near][order], _places(run.result)
-    row = {
-        name: np.interp([top.value], values, column[near][order])
-        if name in moved or name.startswith("over_")
-        else column[[top.index]]
-        for name, column in along.items()
+    peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
+    checked_indices = {peak_index, *np.linspace(0, len(curve) - 1, 8).astype(int).tolist()}
+    solutions_by_index = {index: curve.solution(index) for index in sorted(checked_indices)}
+    error_reports_by_index = {
+        index: solution.report for index, solution in solutions_by_index.items()
     }
-    return row | {with_unit(run.watched[0].column("amplitude"), "m"): np.array([top.amplitude])}
+    worst_index = max(error_reports_by_index, key=lambda index: error_reports_by_index[index].total)
+    location_text = f" at {_format_parameters(run, curve.values[worst_index])}"
+    yield from account.describe_large_error(
+        scene,
+        error_reports_by_index[worst_index],
+        solutions_by_index[worst_index].harmonics,
+        location_text,
+    )
+    if curve.multipliers is not None and _has_passed_point(curve, peak_index):
+        for warning_text in account.describe_mode_dependence(
+            run.scene, solutions_by_index[peak_index], curve.verdicts[peak_index]
+        ):
+            yield f"at the largest response, {warning_text}"
+    undecided_ranges = _find_undecided_ranges(curve)
+    for first_index, last_index in undecided_ranges[:1]:
+        end_values = (
+            curve.values[[first_index, last_index]]
+            if last_index > first_index
+            else curve.values[[first_index]]
+        )
+        location_text = "between " if last_index > first_index else ""
+        location_text += _format_parameters(run, *end_values)
+        undecided_reason = curve.reason((first_index + last_index) // 2)
+        count_text = counted(last_index + 1 - first_index, "point")
+        yield f"the stability is undecided at {count_text}, {location_text}: {undecided_reason}"
+    if len(undecided_ranges) > 1:
+        n_further_points = sum(
+            last_index + 1 - first_index for first_index, last_index in undecided_ranges[1:]
+        )
+        reason_hint = "each for its own reason: curve.reason(index) in Python"
+        yield (
+            f"the stability is undecided at {counted(n_further_points, 'other point')}, "
+            f"{reason_hint}"
+        )
+    yield from run.stated.dents if run.stated is not None else ()
+    if not curve.complete:
+        yield f"the curve ended early: {curve.status}"
 
 
-def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """Columns of a curve's parameter, of frequencies and speeds in both of their units."""
-    found: dict[str, np.ndarray] = {}
-    columns: dict[str, Any] = {"omega": curve.omega}
-    if curve.parameter in ("omega", "speed"):
-        columns = {curve.parameter: curve.values} | columns
-    else:
-        found = {DESCRIPTION_BY_PARAMETER[curve.parameter]: curve.values}
-        columns = columns if curve.parameter == "resonance" else {}
-    every = with_frequency(columns).items()
-    return found | {with_unit(name, UNITS[name]): np.asarray(column) for name, column in every}
+def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
+    """Find ranges of points with undecided stability.
 
-
-def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
-    """The first rows of :func:`special_points` and some others, and how many are left out.
-
-    Bifurcations come before changes of stability, and of one kind those with the larger response.
-    Where no point is decided, none changes.
+    Returns pairs (first index, last index), longest range first.
     """
-    found, rows = run.result, [*table.rows]
-    ends, others = rows[:3], rows[3:]  # start, end and largest come first
-    points = found.bifurcations
-    amplitude = next(n for n, name in enumerate(table.columns) if name.endswith("amplitude [m]"))
-    if found.multipliers is not None and np.all(found.verdicts == "undecided"):
-        others = others[: len(points)]
-
-    def weight(place: int) -> tuple[bool, float]:
-        return place < len(points), others[place][amplitude]
-
-    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[: FEW_ROWS - 3])
-    shown = [*ends, *(others[place] for place in kept)]
-    return Table(table.columns, shown), len(others) - len(kept)
+    if curve.undecided is None:
+        return []
+    padded_flags = np.concatenate([[0], curve.undecided, [0]])
+    start_indices, stop_indices = (
+        np.flatnonzero(np.diff(padded_flags) == flag_change).tolist() for flag_change in (1, -1)
+    )
+    index_ranges = [
+        (start_index, stop_index - 1)
+        for start_index, stop_index in zip(start_indices, stop_indices, strict=True)
+    ]
+    return sorted(index_ranges, key=lambda index_range: index_range[0] - index_range[1])
 
 
-def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
-    """Columns of indicators of the watched dofs, by their names with units: a value for every point
-    of a curve of the run."""
-    found = {with_unit(one.column, one.unit): one.value for one in observe(run, curve)}
-    near = _natural_along(run, curve.omega).nearest(curve.omega)
-    return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
+# --- points of a curve ----------------------------------------------------------------------------
 
 
-def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
-    """Natural frequencies; of a run-up those at the speeds where the load has some frequencies
-    (...) [rad/s]: (..., n). Squares are linear in W^2 between nine of them."""
-    structure, found = run.structure, run.result
+ColumnsByHeading = dict[str, np.ndarray]
+"""Columns by heading, with a value for each point of a curve."""
+
+
+def tabulate_curve_points(
+    run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
+) -> Table:
+    """Tabulate every point of a curve with indicators.
+
+    ``columns_by_heading`` are the indicators, if known already.
+    """
+    quantity_names = [name for name in run.result.to_dict() if name not in QUANTITIES]
+    table = run.result.table(*quantity_names)
+    indicator_columns = columns_by_heading or _indicator_columns_by_heading(run, run.result)
+    indicator_rows = zip(*(column.tolist() for column in indicator_columns.values()), strict=True)
+    point_rows = [
+        [*point_row, *indicator_row]
+        for point_row, indicator_row in zip(table.rows, indicator_rows, strict=True)
+    ]
+    return Table((*table.columns, *indicator_columns), point_rows)
+
+
+def tabulate_special_points(
+    run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
+) -> Table:
+    """Tabulate ends, largest response, bifurcations and changes of stability.
+
+    The largest response is that of the first watched dof. A curve over the load frequency has
+    columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
+    ``columns_by_heading`` are the indicators at all points, if known already.
+    """
+    curve = run.result
+    columns_by_heading = _parameter_columns_by_heading(curve) | (
+        columns_by_heading or _indicator_columns_by_heading(run, curve)
+    )
+    curve_at_bifurcations = curve.at_bifurcations if curve.bifurcations else curve
+    bifurcation_columns = _parameter_columns_by_heading(
+        curve_at_bifurcations
+    ) | _indicator_columns_by_heading(run, curve_at_bifurcations)
+    peak = curve.top(run.watched_dof)
+    peak_name = "largest, still rising" if peak.at_end else "largest"
+    peak_name = peak_name if _has_passed_point(curve, peak.index) else "largest so far"
+    named_row_sources = [
+        ("start", 0, columns_by_heading),
+        ("end", -1, columns_by_heading),
+        (peak_name, 0, _interpolate_peak_columns(run, peak, columns_by_heading)),
+    ]
+    for bifurcation_number, bifurcation in enumerate(curve.bifurcations, 1):
+        named_row_sources.append(
+            (kind_in_words(bifurcation.kind), bifurcation_number, bifurcation_columns)
+        )
+    if curve.multipliers is not None:
+        for point_index in np.flatnonzero(curve.verdicts[1:] != curve.verdicts[:-1]):
+            next_verdict = curve.verdicts[point_index + 1]
+            change_text = {"stable": "gained", "unstable": "lost"}.get(next_verdict, next_verdict)
+            named_row_sources.append(
+                (f"stability {change_text} after", int(point_index), columns_by_heading)
+            )
+    table_rows = [
+        (point_name, *(float(column[row_index]) for column in source_columns.values()))
+        for point_name, row_index, source_columns in named_row_sources
+    ]
+    return Table(("point", *columns_by_heading), table_rows)
+
+
+def _interpolate_peak_columns(
+    run: Run[ResponseCurve], peak: Top, columns_by_heading: ColumnsByHeading
+) -> ColumnsByHeading:
+    """Return a row of columns at the first watched dof's largest response.
+
+    The parameter and the ratios to natural frequencies are linear between neighbouring points. The
+    amplitude is the peak's; all other columns have values from the nearest point.
+    """
+    neighbours = slice(max(peak.index - 1, 0), peak.index + 2)
+    parameter_order = np.argsort(run.result.values[neighbours])
+    parameter_values = run.result.values[neighbours][parameter_order]
+    parameter_columns = _parameter_columns_by_heading(run.result)
+    row_by_heading = {
+        name: np.interp([peak.value], parameter_values, column[neighbours][parameter_order])
+        if name in parameter_columns or name.startswith("over_")
+        else column[[peak.index]]
+        for name, column in columns_by_heading.items()
+    }
+    return row_by_heading | {
+        with_unit(run.watched[0].column("amplitude"), "m"): np.array([peak.amplitude])
+    }
+
+
+def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Return the columns of a curve's parameter; frequencies and speeds in both units."""
+    columns_by_heading: dict[str, np.ndarray] = {}
+    columns_by_name: dict[str, Any] = {"omega": curve.omega}
+    if curve.parameter in ("omega", "speed"):
+        columns_by_name = {curve.parameter: curve.values} | columns_by_name
+    else:
+        columns_by_heading = {DESCRIPTION_BY_PARAMETER[curve.parameter]: curve.values}
+        columns_by_name = columns_by_name if curve.parameter == "resonance" else {}
+    named_columns = with_frequency(columns_by_name).items()
+    return columns_by_heading | {
+        with_unit(name, UNITS[name]): np.asarray(column) for name, column in named_columns
+    }
+
+
+def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
+    """Shorten the table of special points to few rows.
+
+    Ends and the largest response stay. Bifurcations are kept before changes of stability, larger
+    responses before smaller ones. If all points are undecided, no change of stability is kept.
+
+    Returns
+    -------
+    table : Table
+    n_hidden : int
+        Number of rows left out.
+    """
+    curve, point_rows = run.result, [*table.rows]
+    first_rows, other_rows = point_rows[:3], point_rows[3:]  # start, end and largest come first
+    bifurcations = curve.bifurcations
+    amplitude_column = next(
+        column_index
+        for column_index, heading in enumerate(table.columns)
+        if heading.endswith("amplitude [m]")
+    )
+    if curve.multipliers is not None and np.all(curve.verdicts == "undecided"):
+        other_rows = other_rows[: len(bifurcations)]
+
+    def rank_row(row_index: int) -> tuple[bool, float]:
+        return row_index < len(bifurcations), other_rows[row_index][amplitude_column]
+
+    kept_indices = sorted(
+        sorted(range(len(other_rows)), key=rank_row, reverse=True)[: FEW_ROWS - 3]
+    )
+    kept_rows = [*first_rows, *(other_rows[row_index] for row_index in kept_indices)]
+    return Table(table.columns, kept_rows), len(other_rows) - len(kept_indices)
+
+
+def _indicator_columns_by_heading(
+    run: Run[ResponseCurve], curve: ResponseCurve
+) -> ColumnsByHeading:
+    """Return columns with indicators, and natural frequencies near the load's.
+
+    ``curve`` is the run's curve, or a part with fewer points. Headings have units.
+    """
+    columns_by_heading = {
+        with_unit(observation.column, observation.unit): observation.value
+        for observation in observe(run, curve)
+    }
+    frequencies_by_name = _solve_natural_frequencies(run, curve.omega).nearest(curve.omega)
+    return columns_by_heading | {
+        with_unit(name, unit): value
+        for name, _, unit, value in _list_natural_frequencies(frequencies_by_name)
+    }
+
+
+def _solve_natural_frequencies(
+    run: Run[ResponseCurve], load_omega: np.ndarray
+) -> BilinearFrequencies:
+    """Compute natural frequencies, in a run-up at the speed of each load frequency.
+
+    A run-up's load frequencies ``load_omega`` (...) [rad/s] are proportional to the speeds W.
+    Squared natural frequencies, (..., n_modes), are interpolated linearly in W^2 between nine
+    speeds.
+    """
+    structure, curve = run.structure, run.result
     if not isinstance(structure, RunUpStructure):
         return bilinear_frequencies(structure)
-    speed = omega * (found.values[0] / found.omega[0])
-    known = np.linspace(speed.min(), speed.max(), min(speed.size, 9))
-    there = [bilinear_frequencies(structure.at_speed(float(one))) for one in known]
+    speeds = load_omega * (curve.values[0] / curve.omega[0])
+    sample_speeds = np.linspace(speeds.min(), speeds.max(), min(speeds.size, 9))
+    frequencies_by_sample = [
+        bilinear_frequencies(structure.at_speed(float(sample_speed)))
+        for sample_speed in sample_speeds
+    ]
 
-    def at_speeds(rows: list[np.ndarray]) -> np.ndarray:
-        columns = [np.interp(speed**2, known**2, row**2) for row in np.transpose(rows)]
-        return np.sqrt(np.stack(columns, axis=-1))
+    def interpolate_squares(omega_rows: list[np.ndarray]) -> np.ndarray:
+        mode_omega_columns = [
+            np.interp(speeds**2, sample_speeds**2, mode_omega**2)
+            for mode_omega in np.transpose(omega_rows)
+        ]
+        return np.sqrt(np.stack(mode_omega_columns, axis=-1))
 
-    is_open, tied = ([getattr(one, f"omega_{kind}") for one in there] for kind in ("open", "tied"))
-    return BilinearFrequencies(at_speeds(is_open), at_speeds(tied))
+    open_omega_rows, bonded_omega_rows = (
+        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_by_sample]
+        for frequency_kind in ("open", "tied")
+    )
+    return BilinearFrequencies(
+        interpolate_squares(open_omega_rows), interpolate_squares(bonded_omega_rows)
+    )

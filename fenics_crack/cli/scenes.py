@@ -1,4 +1,4 @@
-"""The command before anything is solved, ``check``, and the commands' remarks on damping."""
+"""The command ``check``, which solves nothing, and remarks on harmonics without damping."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fenics_crack.balance.problem import check_memory
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
-from fenics_crack.cli.given import Console, Inputs
+from fenics_crack.cli.given import CommandInputs, Console
 from fenics_crack.errors.stated import errors_of_natural
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
@@ -43,249 +43,326 @@ from fenics_crack.study.sharing import SHELVES
 from fenics_crack.study.solve import modes_chosen
 
 
-def check(_: Namespace, inputs: Inputs, console: Console) -> None:
-    """Mesh and assemble a scene; print what it has, its first frequencies, and what is unusual."""
+def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
+    """Mesh and assemble a scene; print key figures, natural frequencies and remarks."""
     scene = inputs.scene
-    with console.stage("mesh and matrices"):
+    with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if asked_quantities(scene):  # which may be refused
             from fenics_crack.study.observer import rows_requested  # the solver
 
             rows_requested(study)
-    whole, harmonics = study.structure, scene.harmonic_balance.harmonics
-    check_memory(whole, harmonics)
-    run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
+    structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
+    check_memory(structure, n_harmonics)
+    is_run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
     give_back_freed()
-    memory = check_memory_of(scene, whole, run_up=run_up)
-    with console.stage("natural frequencies"):
-        figures = find_key_figures(study)
-    with console.stage("resonance at the load"):
-        at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
-    with console.stage("errors due to the mesh"):
-        tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
-        frequencies = {"open": figures.omega_open} | tied
-        by_mesh = errors_of_natural(study, frequencies, at_load, figures.slopes)
-        mesh_error = 0.0 if scene.structure is not None else by_mesh.stated("vibration")[0]
-        figures = replace(figures, at_load=replace(at_load, mesh_error=mesh_error))
-    rows: dict[str, object] = {
-        **({} if whole.nodes is None else _extents(figures)),
-        **_part(scene, whole),
-        "degrees of freedom": whole.n_dofs,
-        **_frequencies(study.scene, figures),
-        **_known_by_mesh(by_mesh),
-        **_resonance(study.scene, figures),
-        **_rotation(study.scene, figures),
-        **_contact(study, figures),
-        "harmonics": harmonics_in_words(scene),
-        "unknowns of harmonic balance": (2 * harmonics + 1) * whole.n_pairs,
-        "reduction": _reduction(study),
-        "memory, estimated [GiB]": round(memory / 2**30, 2),
+    memory_bytes = check_memory_of(scene, structure, run_up=is_run_up)
+    with console.report_stage("natural frequencies"):
+        key_figures = find_key_figures(study)
+    with console.report_stage("resonance at the load"):
+        load_resonance = resonance_of(study, key_figures.omega_bilinear, key_figures.slopes)
+    with console.report_stage("errors due to the mesh"):
+        bonded_frequencies = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
+        frequencies_by_kind = {"open": key_figures.omega_open} | bonded_frequencies
+        mesh_errors = errors_of_natural(
+            study, frequencies_by_kind, load_resonance, key_figures.slopes
+        )
+        vibration_mesh_error = (
+            0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]
+        )
+        key_figures = replace(
+            key_figures, at_load=replace(load_resonance, mesh_error=vibration_mesh_error)
+        )
+    values_by_label: dict[str, object] = {
+        **({} if structure.nodes is None else _mesh_size_rows(key_figures)),
+        **_cad_part_rows(scene, structure),
+        "degrees of freedom": structure.n_dofs,
+        **_frequency_rows(study.scene, key_figures),
+        **_mesh_error_rows(mesh_errors),
+        **_resonance_rows(study.scene, key_figures),
+        **_rotation_rows(study.scene, key_figures),
+        **_crack_and_contact_rows(study, key_figures),
+        "harmonics": describe_harmonics(scene),
+        "unknowns of harmonic balance": (2 * n_harmonics + 1) * structure.n_pairs,
+        "reduction": _describe_reduction(study),
+        "memory, estimated [GiB]": round(memory_bytes / 2**30, 2),
     }
     if scene.curve is not None:
-        span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
-        rows["curve"] = f"{scene.curve.parameter} from {span}"
-    if (curve := proposed_curve(study.scene, figures)) is not None:
-        rows["proposed curve.parameter"], unit = curve.parameter, CURVE_UNITS[curve.parameter][1]
-        rows[f"proposed curve.start [{unit}]"] = curve.start
-        rows[f"proposed curve.stop [{unit}]"] = curve.stop
+        range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
+        values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
+    if (curve_proposal := proposed_curve(study.scene, key_figures)) is not None:
+        unit = CURVE_UNITS[curve_proposal.parameter][1]
+        values_by_label["proposed curve.parameter"] = curve_proposal.parameter
+        values_by_label[f"proposed curve.start [{unit}]"] = curve_proposal.start
+        values_by_label[f"proposed curve.stop [{unit}]"] = curve_proposal.stop
     if scene.sweep is not None:
-        rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
-        rows["cases of the sweep"] = scene.sweep.n_cases
-        rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
-    remark = _remark_on_whole(scene, whole, highest_omega(scene))
-    remarks = remarks_on_scene(study.scene, whole, figures)
+        values_by_label["sweep"] = " x ".join(
+            f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over
+        )
+        values_by_label["cases of the sweep"] = scene.sweep.n_cases
+        values_by_label["invalid cases"] = on_root(
+            console.comm, lambda: _describe_invalid_cases(scene)
+        )
+    damping_remark = _describe_undamped_after_reduction(scene, structure, highest_omega(scene))
+    scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
     for shelf in SHELVES:
         shelf.keep(console.comm)
-    console.table(Table(("what", "value"), [*rows.items()]))
-    console.note(remark)
-    console.remark(*remarks)
+    console.print_table(Table(("what", "value"), [*values_by_label.items()]))
+    console.print_notes(damping_remark)
+    console.print_remarks(*scene_remarks)
 
 
-def without_curve(scene: Scene, console: Console) -> InputError:
-    """Return the error of a scene without a curve, with one through the resonance nearest to its
-    load (collective)."""
+def missing_curve_error(scene: Scene, console: Console) -> InputError:
+    """Return the error of a scene without the table [curve] (collective).
+
+    The error's example is a curve through the resonance nearest to the load, if it is found.
+    """
     error = InputError("curve", None, "given for this command: a table")
     error.example = ""
-    with console.stage("natural frequencies"), suppress(InputError):
+    with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
-        if curve := proposed_curve(study.scene, find_key_figures(study)):
-            error.example = curve.as_toml()
+        if curve_proposal := proposed_curve(study.scene, find_key_figures(study)):
+            error.example = curve_proposal.as_toml()
     return error
 
 
-def _extents(figures: KeyFigures) -> dict[str, object]:
-    """The sizes of the mesh."""
-    names = ("width", "height", "thickness")[: len(figures.size)]
-    return {" x ".join(names) + " [m]": " x ".join(f"{extent:g}" for extent in figures.size)}
+def _mesh_size_rows(key_figures: KeyFigures) -> dict[str, object]:
+    """Return the lengths of the mesh's sides as a row."""
+    side_names = ("width", "height", "thickness")[: len(key_figures.size)]
+    return {
+        " x ".join(side_names) + " [m]": " x ".join(f"{extent:g}" for extent in key_figures.size)
+    }
 
 
-def _part(scene: Scene, whole: Structure) -> dict[str, str]:
-    """Faces and crack fronts of a part from a CAD file."""
+def _cad_part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
+    """Return rows on a CAD part's faces and crack fronts, else none."""
     if scene.geometry is None or scene.geometry.file is None:
         return {}
     from fenics_crack.fem.solid import part_text_by_name  # DOLFINx
 
-    return part_text_by_name(scene, whole)
+    return part_text_by_name(scene, structure)
 
 
-def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
-    """The first natural frequencies, and the load's frequency over the first."""
-    faces = faces_in_words(scene)
-    lips = {f", {faces} open": figures.omega_open, f", {faces} bonded": figures.omega_tied}
-    if figures.elements is None:
-        lips = {"": figures.omega_open}
-    lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
-    lips = {words: natural for words, natural in lips.items() if len(natural)}
-    rows: dict[str, object] = {}
-    if figures.elements is not None and scene.structure is None and scene.dimension == 2:
-        rows["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
-    for words, natural in lips.items():
-        rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
-        rows[f"first natural frequency{words} [rad/s]"] = float(natural[0])
-        rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
-    omega = scene.excitation.omega
-    rows["load's frequency [Hz]"] = omega / TURN
-    rows["load's frequency [rad/s]"] = omega
-    for words, natural in lips.items():
-        if natural[0] > 0.0:
-            rows[f"load's frequency / the first{words}"] = omega / float(natural[0])
-    return rows
+def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+    """Return rows on natural frequencies and the load's relative frequency."""
+    faces_text = faces_in_words(scene)
+    frequencies_by_condition = {
+        f", {faces_text} open": key_figures.omega_open,
+        f", {faces_text} bonded": key_figures.omega_tied,
+    }
+    if key_figures.elements is None:
+        frequencies_by_condition = {"": key_figures.omega_open}
+    frequencies_by_condition = {
+        condition_text: frequencies[np.isfinite(frequencies)]
+        for condition_text, frequencies in frequencies_by_condition.items()
+    }
+    frequencies_by_condition = {
+        condition_text: frequencies
+        for condition_text, frequencies in frequencies_by_condition.items()
+        if len(frequencies)
+    }
+    values_by_label: dict[str, object] = {}
+    if key_figures.elements is not None and scene.structure is None and scene.dimension == 2:
+        values_by_label["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
+    for condition_text, frequencies in frequencies_by_condition.items():
+        values_by_label[f"first natural frequency{condition_text} [Hz]"] = (
+            float(frequencies[0]) / TURN
+        )
+        values_by_label[f"first natural frequency{condition_text} [rad/s]"] = float(frequencies[0])
+        values_by_label[f"the next{condition_text} [Hz]"] = ", ".join(
+            f"{frequency / TURN:.6g}" for frequency in frequencies[1:]
+        )
+    load_omega = scene.excitation.omega
+    values_by_label["load's frequency [Hz]"] = load_omega / TURN
+    values_by_label["load's frequency [rad/s]"] = load_omega
+    for condition_text, frequencies in frequencies_by_condition.items():
+        if frequencies[0] > 0.0:
+            values_by_label[f"load's frequency / the first{condition_text}"] = load_omega / float(
+                frequencies[0]
+            )
+    return values_by_label
 
 
-def _known_by_mesh(found: Verification) -> dict[str, str]:
-    """The errors of these frequencies due to the mesh as a row; of matrices none."""
-    if found.scene.structure is not None:
+def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
+    """Return rows on frequency errors due to the mesh; none for matrices."""
+    if mesh_errors.scene.structure is not None:
         return {}
-    if found.unknown:
-        return {"error of natural frequencies due to the mesh": f"unknown: {found.unknown['mesh']}"}
-    ends = [percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
-    rows = {"error of first natural frequencies due to the mesh": " and ".join(ends)}
-    if "resonance" in found.values:
-        error = percent(found.stated("resonance")[0])
-        rows["error of the resonance at the load due to the mesh"] = error
-    return rows
+    if mesh_errors.unknown:
+        unknown_text = f"unknown: {mesh_errors.unknown['mesh']}"
+        return {"error of natural frequencies due to the mesh": unknown_text}
+    error_texts = [
+        percent(mesh_errors.stated(name)[0]) for name in mesh_errors.values if name.endswith("_1")
+    ]
+    values_by_label = {
+        "error of first natural frequencies due to the mesh": " and ".join(error_texts)
+    }
+    if "resonance" in mesh_errors.values:
+        resonance_error = percent(mesh_errors.stated("resonance")[0])
+        values_by_label["error of the resonance at the load due to the mesh"] = resonance_error
+    return values_by_label
 
 
-def _resonance(scene: Scene, figures: KeyFigures) -> dict[str, object]:
-    """The resonance at the scene's own load, or why it is not known."""
-    found, order = figures.at_load, scene.excitation.order
-    if figures.elements is None:
+def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+    """Return rows on the resonance at the load, or why it is unknown."""
+    load_resonance, engine_order = key_figures.at_load, scene.excitation.order
+    if key_figures.elements is None:
         return {}
-    words = "resonance at the load"
+    label = "resonance at the load"
     if scene.contact is not None and scene.contact.friction:
-        words += ", without friction"
-    rows: dict[str, object] = {}
-    if math.isfinite(found.value) and (order is None or scene.disk is not None):
-        rows[f"{words} [Hz]"], rows[f"{words} [rad/s]"] = found.value / TURN, found.value
-    elif math.isfinite(found.value):
-        words = f"order {order} meets the {words}, rotor speed"
-        rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = found.value, found.value / RPM
-    held = figures.closed or figures.mean_opening or not scales_with_load(scene)
-    rows["vibration there" if rows else words] = found.in_words
-    if not (held or found.unknown):
-        rows["vibration there"] = f"{found.in_words}; proportional to the load"
-    return rows
+        label += ", without friction"
+    values_by_label: dict[str, object] = {}
+    if math.isfinite(load_resonance.value) and (engine_order is None or scene.disk is not None):
+        values_by_label[f"{label} [Hz]"], values_by_label[f"{label} [rad/s]"] = (
+            load_resonance.value / TURN,
+            load_resonance.value,
+        )
+    elif math.isfinite(load_resonance.value):
+        label = f"order {engine_order} meets the {label}, rotor speed"
+        values_by_label[f"{label} [rad/s]"], values_by_label[f"{label} [rpm]"] = (
+            load_resonance.value,
+            load_resonance.value / RPM,
+        )
+    is_not_proportional = (
+        key_figures.closed or key_figures.mean_opening or not scales_with_load(scene)
+    )
+    values_by_label["vibration there" if values_by_label else label] = load_resonance.in_words
+    if not (is_not_proportional or load_resonance.unknown):
+        values_by_label["vibration there"] = f"{load_resonance.in_words}; proportional to the load"
+    return values_by_label
 
 
-def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:
-    """The rotor's speed, and how far it opens the crack."""
+def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
+    """Return rows on rotor speed, and the crack's opening by rotation."""
     if scene.speed == 0.0:
         return {}
-    rows: dict[str, object] = {
+    values_by_label: dict[str, object] = {
         "rotor speed [rad/s]": scene.speed,
         "rotor speed [rpm]": scene.speed / RPM,
     }
-    if figures.elements is not None:
-        rows["crack opened by rotation and mean load [m]"] = figures.mean_opening
-    return rows
+    if key_figures.elements is not None:
+        values_by_label["crack opened by rotation and mean load [m]"] = key_figures.mean_opening
+    return values_by_label
 
 
-def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
-    """The cracks, their pairs and their law."""
-    cracks, law, contact = study.scene.all_cracks, study.contact, study.scene.contact
-    rows: dict[str, object] = {}
-    for name, crack in cracks.items():
+def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, object]:
+    """Return rows on crack lengths, contact pairs, contact law and static stiffness."""
+    cracks_by_name, contact_law, contact_table = (
+        study.scene.all_cracks,
+        study.contact,
+        study.scene.contact,
+    )
+    values_by_label: dict[str, object] = {}
+    for crack_name, crack in cracks_by_name.items():
         if crack.length is not None:
-            words = "crack length" if len(cracks) == 1 else f"{name}, length"
-            rows[f"{words} [m]"] = crack.length
-            if (width := study.scene.geometry.width) is not None:
-                rows[f"{words} / width"] = crack.length / width
-    rows["contact pairs"] = study.structure.n_pairs
-    if law is None or contact is None:
-        return rows
-    rows["contact law"] = contact.law
-    if contact.friction:
-        rows["coefficient of friction"] = contact.friction
-    if not is_rigid(law):
-        stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
-        rows["softest pair [N/m]"] = float(stiffness.min())
-        rows["stiffest pair [N/m]"] = float(stiffness.max())
-    faces = faces_in_words(study.scene)
-    static = ranging(figures.own_stiffness, ".3g")
-    rows[f"static stiffness of the {faces}, each pair [N/m]"] = static
-    if figures.stiffness_ratio is not None:
-        rows["contact stiffness / static stiffness"] = ranging(figures.stiffness_ratio, ".3g")
-    rows["static opening, mean load [m]"] = figures.mean_opening
-    rows[f"static motion of the {faces}, amplitude of the load [m]"] = figures.static_motion
-    return rows
+            label = "crack length" if len(cracks_by_name) == 1 else f"{crack_name}, length"
+            values_by_label[f"{label} [m]"] = crack.length
+            if (plate_width := study.scene.geometry.width) is not None:
+                values_by_label[f"{label} / width"] = crack.length / plate_width
+    values_by_label["contact pairs"] = study.structure.n_pairs
+    if contact_law is None or contact_table is None:
+        return values_by_label
+    values_by_label["contact law"] = contact_table.law
+    if contact_table.friction:
+        values_by_label["coefficient of friction"] = contact_table.friction
+    if not is_rigid(contact_law):
+        pair_stiffness = np.broadcast_to(contact_law.stiffness, study.structure.n_pairs)
+        values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
+        values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
+    faces_text = faces_in_words(study.scene)
+    static_stiffness = ranging(key_figures.own_stiffness, ".3g")
+    values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
+    if key_figures.stiffness_ratio is not None:
+        values_by_label["contact stiffness / static stiffness"] = ranging(
+            key_figures.stiffness_ratio, ".3g"
+        )
+    values_by_label["static opening, mean load [m]"] = key_figures.mean_opening
+    values_by_label[f"static motion of the {faces_text}, amplitude of the load [m]"] = (
+        key_figures.static_motion
+    )
+    return values_by_label
 
 
-def harmonics_in_words(scene: Scene) -> int | str:
-    """H, or how it is chosen."""
-    table = scene.harmonic_balance
-    if table.tolerance is None:
-        return table.harmonics
-    return f"{table.harmonics} or more, for an error of {table.tolerance:g}"
+def describe_harmonics(scene: Scene) -> int | str:
+    """Return the number of harmonics H, or the lowest H in words."""
+    balance_table = scene.harmonic_balance
+    if balance_table.tolerance is None:
+        return balance_table.harmonics
+    return f"{balance_table.harmonics} or more, for an error of {balance_table.tolerance:g}"
 
 
-def _reduction(study: Study) -> str:
-    """Describe the reduction by which the structure is solved."""
+def _describe_reduction(study: Study) -> str:
+    """Describe the reduction of a structure in words."""
     scene = study.scene
-    reduction, few = reduction_of(scene, study.structure), modes_chosen(study)
-    if reduction is None:
+    scene_reduction, mode_counts = reduction_of(scene, study.structure), modes_chosen(study)
+    if scene_reduction is None:
         return "none"
-    modes = counted(reduction.modes, "mode")
-    if few:
-        modes = f"{counted(few[0], 'mode')} or more, for an error of "
-        modes += f"{scene.harmonic_balance.tolerance:g}"
-    if reduction.method == "massless":
-        return f"massless, {modes}, {faces_in_words(scene)} without mass"
-    return f"{reduction.method}, {modes}"
+    modes_text = counted(scene_reduction.modes, "mode")
+    if mode_counts:
+        modes_text = f"{counted(mode_counts[0], 'mode')} or more, for an error of "
+        modes_text += f"{scene.harmonic_balance.tolerance:g}"
+    if scene_reduction.method == "massless":
+        return f"massless, {modes_text}, {faces_in_words(scene)} without mass"
+    return f"{scene_reduction.method}, {modes_text}"
 
 
-def _impossible(scene: Scene) -> str:
-    """Return the number of cases that are not valid scenes, with the first one's reason."""
+def _describe_invalid_cases(scene: Scene) -> str:
+    """Return the count of invalid cases in a sweep, and a reason."""
     from fenics_crack.sweep.plan import Plan  # gmsh
 
-    plan = Plan(scene)
-    places = [*itertools.islice(np.ndindex(*plan.shape), 10_000)]  # others while they are run
-    reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
-    more = f" of the first {len(places)}" if np.prod(plan.shape) > len(places) else ""
-    return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")
+    sweep_plan = Plan(scene)
+    case_indices = [
+        *itertools.islice(np.ndindex(*sweep_plan.shape), 10_000)
+    ]  # others while they are run
+    reason_texts = [
+        case_or_reason
+        for case_or_reason in map(sweep_plan.case, case_indices)
+        if isinstance(case_or_reason, str)
+    ]
+    scope_text = (
+        f" of the first {len(case_indices)}"
+        if np.prod(sweep_plan.shape) > len(case_indices)
+        else ""
+    )
+    return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")
 
 
-# --- harmonics that nothing damps -----------------------------------------------------------------
+# --- harmonics without damping --------------------------------------------------------------------
 
 
-def remark_on(structure: Structure, highest: float) -> str:
-    """Return a remark on harmonics up to a frequency [rad/s]; empty where all of them are damped,
-    and without contact, which excites them (collective)."""
-    damped = damped_count_and_max_omega(structure) if structure.n_pairs else None
-    if damped is None or highest <= damped[1]:
+def describe_undamped_harmonics(structure: Structure, max_omega: float) -> str:
+    """Remark that no damping acts on harmonics below a frequency [rad/s] (collective).
+
+    The text is empty if all harmonics are damped, or without contact: only contact excites
+    harmonics.
+    """
+    damped_mode_range = damped_count_and_max_omega(structure) if structure.n_pairs else None
+    if damped_mode_range is None or max_omega <= damped_mode_range[1]:
         return ""
-    count, end = damped
-    if count == 0:
-        return f"harmonics up to H w = {highest:g} rad/s: nothing damps what they excite"
-    modes = "the damped mode" if count == 1 else f"the {count} damped modes"
-    beyond = f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s)"
-    return f"{beyond}: nothing damps what they excite there"
+    n_damped_modes, max_damped_omega = damped_mode_range
+    if n_damped_modes == 0:
+        return f"harmonics up to H w = {max_omega:g} rad/s: nothing damps what they excite"
+    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
+    harmonics_text = (
+        f"harmonics up to H w = {max_omega:g} rad/s reach beyond {modes_text} "
+        f"({max_damped_omega:g} "
+        "rad/s)"
+    )
+    return f"{harmonics_text}: nothing damps what they excite there"
 
 
-def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
-    """The same of a structure that the scene reduces before it is solved (collective)."""
-    table = reduction_of(scene, whole)
-    ratio = None if scene.damping is None else scene.damping.ratio
-    if table is not None and table.method == "massless" and ratio is not None:
-        if np.ravel(ratio)[-1] > 0.0:  # that of all further modes that are kept
+def _describe_undamped_after_reduction(scene: Scene, structure: Structure, max_omega: float) -> str:
+    """Remark on harmonics without damping, given the scene's reduction (collective).
+
+    A massless reduction damps all further modes by the last ratio of the scene: if this is above
+    zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
+    """
+    scene_reduction = reduction_of(scene, structure)
+    damping_ratio = None if scene.damping is None else scene.damping.ratio
+    if (
+        scene_reduction is not None
+        and scene_reduction.method == "massless"
+        and damping_ratio is not None
+    ):
+        if np.ravel(damping_ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
-    return remark_on(whole, highest)
+    return describe_undamped_harmonics(structure, max_omega)

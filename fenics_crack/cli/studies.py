@@ -10,149 +10,213 @@ from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorRep
 from fenics_crack.basics.observables import SPECIAL, names_of
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
-from fenics_crack.cli.account import ON_MODES, of_error
+from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, describe_large_error
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import NOT_STABLE, SweepResult, by_reason, in_words
 
-SPEEDS = ("rotation.speed", "rotation.rpm")
+SPEED_KEYS = ("rotation.speed", "rotation.rpm")
 
 
-def report_of_verification(found: Verification) -> Report:
-    """A convergence study."""
+def report_of_verification(verification: Verification) -> Report:
+    """Report a convergence study."""
     return Report(
-        found.table(),
-        found.said(),
-        shown=found.totals(),
-        notes=found.statement[: -len(found.warnings) or None],
-        warnings=found.warnings,
-        remarks=remarks_on_scene(found.scene),
-        done=not found.failures,
-        missed=bool(found.doubt(next(iter(found.values)))),
+        verification.table(),
+        verification.said(),
+        shown=verification.totals(),
+        notes=verification.statement[: -len(verification.warnings) or None],
+        warnings=verification.warnings,
+        remarks=remarks_on_scene(verification.scene),
+        done=not verification.failures,
+        missed=bool(verification.doubt(next(iter(verification.values)))),
     )
 
 
-def report_of_sweep(found: SweepResult) -> Report:
-    """The cases of a sweep."""
-    shown, how = few_cases(found)
-    counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
-    counts["pending"] = found.converged.size - sum(counts.values())
-    states = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    high = int(np.sum(found["largest_order"] > 3))
-    higher = f"in {counted(high, 'case')} the largest higher harmonic is above the third"
-    higher = f"{higher}: ratio_largest, largest_order" if high else ""
-    tables = {"Cases": shown}
-    if found.failed:
-        failed = [(str(index), reason) for index, reason in found.failed]
-        tables["Failed cases"] = Table(("case", "reason"), failed)
+def report_of_sweep(sweep_result: SweepResult) -> Report:
+    """Report the cases of a sweep."""
+    short_table, selection_text = shorten_sweep_table(sweep_result)
+    counts_by_state = {
+        "converged": int(sweep_result.converged.sum()),
+        "failed": len(sweep_result.failed),
+    }
+    counts_by_state["pending"] = sweep_result.converged.size - sum(counts_by_state.values())
+    states_text = ", ".join(
+        f"{case_count} {state_name}"
+        for state_name, case_count in counts_by_state.items()
+        if case_count
+    )
+    n_high_order_cases = int(np.sum(sweep_result["largest_order"] > 3))
+    high_order_note = (
+        f"in {counted(n_high_order_cases, 'case')} the largest higher harmonic is above the third"
+    )
+    high_order_note = (
+        f"{high_order_note}: ratio_largest, largest_order" if n_high_order_cases else ""
+    )
+    tables_by_heading = {"Cases": short_table}
+    if sweep_result.failed:
+        failed_rows = [
+            (str(case_index), reason_text) for case_index, reason_text in sweep_result.failed
+        ]
+        tables_by_heading["Failed cases"] = Table(("case", "reason"), failed_rows)
     return Report(
-        found.table(),
-        found.said(),
-        shown=shown,
-        notes=[f"cases: {states}{how}", higher],
-        warnings=[*warnings_of(found)],
-        tables=tables,
-        remarks=[*remarks_on_scene(found.scene), *stepped_over(found)],
-        done=not found.failed and found.complete,  # mpirun calls all other ends an aborted job
+        sweep_result.table(),
+        sweep_result.said(),
+        shown=short_table,
+        notes=[f"cases: {states_text}{selection_text}", high_order_note],
+        warnings=[*describe_sweep_warnings(sweep_result)],
+        tables=tables_by_heading,
+        remarks=[*remarks_on_scene(sweep_result.scene), *describe_skipped_peak(sweep_result)],
+        done=not sweep_result.failed
+        and sweep_result.complete,  # mpirun calls all other ends an aborted job
     )
 
 
-def warnings_of(found: SweepResult) -> Iterator[str]:
-    """Failed cases, large errors, and what is not stable; one line for each kind."""
-    yield from by_reason(found, found.failed, "failed")
-    yield from _large_errors(found)
-    verdicts = found["verdict"][found.converged]
-    counts = {name: int(np.sum(verdicts == name)) for name in NOT_STABLE}
-    if counts["undecided"] == verdicts.size > 0:
+def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
+    """Yield warnings about failed cases, large errors and stability."""
+    yield from by_reason(sweep_result, sweep_result.failed, "failed")
+    yield from _describe_large_errors(sweep_result)
+    verdicts = sweep_result["verdict"][sweep_result.converged]
+    counts_by_verdict = {verdict: int(np.sum(verdicts == verdict)) for verdict in NOT_STABLE}
+    if counts_by_verdict["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
-    elif shares := " and ".join(f"{count} {name}" for name, count in counts.items() if count):
-        yield f"{shares} of {counted(verdicts.size, 'case')}"
-    yield from by_reason(found, found.undecided, "undecided")
-    for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
-        yield f"{said}; raise {found.scene.modes_key}"
-    if not found.complete:
+    elif verdict_counts_text := " and ".join(
+        f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
+    ):
+        yield f"{verdict_counts_text} of {counted(verdicts.size, 'case')}"
+    yield from by_reason(sweep_result, sweep_result.undecided, "undecided")
+    for warning_text in by_reason(
+        sweep_result, sweep_result.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
+    ):
+        yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
+    if not sweep_result.complete:
         yield "the sweep was stopped; the same command goes on with it"
 
 
-def _large_errors(found: SweepResult) -> Iterator[str]:
-    """Cases whose error is large, or above the tolerance, those with the same largest part
-    together, and what is said of the largest of them as of a solution."""
-    limit = min(LARGE_ERROR, found.scene.harmonic_balance.tolerance or LARGE_ERROR)
-    errors = found.errors
-    total, largest = np.where(found.converged, errors.sum(axis=0), 0.0), errors.argmax(axis=0)
-    for number in np.unique(largest[total > limit]):
-        cases = (total > limit) & (largest == number)
-        place = tuple(map(int, np.unravel_index(np.where(cases, total, 0.0).argmax(), total.shape)))
-        values = {axis.key: axis.values[at] for axis, at in zip(found.axes, place, strict=True)}
-        scene = found.scene.replace({"sweep": None} | values)
-        report = ErrorReport(**dict(zip(ERROR_PARTS, errors[:, *place].tolist(), strict=True)))
-        count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
-        for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
-            yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"
+def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
+    """Yield warnings about cases with a large error, or above the scene's tolerance.
 
-
-def stepped_over(found: SweepResult) -> list[str]:
-    """Return a sentence if there is a peak narrower than the distance of two load frequencies or
-    speeds.
-
-    Between its half-power points the phase falls by a quarter of a turn (rises, where speeds pass a
-    load of one frequency), between others next to it by more.
+    Cases with the same largest part of the error share a warning. It describes the case with the
+    largest error by :func:`describe_large_error`.
     """
-    over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
-    if not over:
+    error_limit = min(LARGE_ERROR, sweep_result.scene.harmonic_balance.tolerance or LARGE_ERROR)
+    part_errors = sweep_result.errors
+    total_errors = np.where(sweep_result.converged, part_errors.sum(axis=0), 0.0)
+    largest_part_indices = part_errors.argmax(axis=0)
+    for part_index in np.unique(largest_part_indices[total_errors > error_limit]):
+        is_in_group = (total_errors > error_limit) & (largest_part_indices == part_index)
+        flat_index = np.where(is_in_group, total_errors, 0.0).argmax()
+        case_index = tuple(map(int, np.unravel_index(flat_index, total_errors.shape)))
+        values_by_key = {
+            axis.key: axis.values[value_index]
+            for axis, value_index in zip(sweep_result.axes, case_index, strict=True)
+        }
+        case_scene = sweep_result.scene.replace({"sweep": None} | values_by_key)
+        error_report = ErrorReport(
+            **dict(zip(ERROR_PARTS, part_errors[:, *case_index].tolist(), strict=True))
+        )
+        count_text = (
+            f"{counted(int(is_in_group.sum()), 'case')} with an error above {percent(error_limit)}"
+        )
+        for error_text in describe_large_error(
+            case_scene,
+            error_report,
+            int(sweep_result["harmonics"][case_index]),
+            error_limit=error_limit,
+        ):
+            yield (
+                f"{count_text}, the largest at {in_words(sweep_result.axes, case_index)}: "
+                f"{error_text}"
+            )
+
+
+def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
+    """Remark that a peak is narrower than a step in frequency or speed.
+
+    Between the half-power points of a peak the phase falls by a quarter turn. A larger fall in one
+    step is a skipped peak. The phase rises instead if speeds pass a load of constant frequency.
+    Returns at most one remark.
+    """
+    axis_indices = [
+        axis_index
+        for axis_index, axis in enumerate(sweep_result.axes)
+        if axis.key in (*FREQUENCIES, *SPEED_KEYS)
+    ]
+    if not axis_indices:
         return []
-    axis, wave = found.axes[over[0]], found["sine_1"] + 1j * found["cosine_1"]
-    rising = np.argsort(axis.values)
-    wave = np.moveaxis(wave, over[0], -1)[..., rising]
-    if axis.key in SPEEDS and found.scene.excitation.order is None:
-        wave = wave.conj()  # the resonance rises past the load's frequency
-    turns = np.angle(wave[..., 1:] * np.conj(wave[..., :-1])) < -0.5 * np.pi
-    if not turns.any():
+    swept_axis = sweep_result.axes[axis_indices[0]]
+    response = sweep_result["sine_1"] + 1j * sweep_result["cosine_1"]
+    value_order = np.argsort(swept_axis.values)
+    response = np.moveaxis(response, axis_indices[0], -1)[..., value_order]
+    if swept_axis.key in SPEED_KEYS and sweep_result.scene.excitation.order is None:
+        response = response.conj()  # the resonance rises past the load's frequency
+    is_skipped = np.angle(response[..., 1:] * np.conj(response[..., :-1])) < -0.5 * np.pi
+    if not is_skipped.any():
         return []
-    *place, at = map(int, np.argwhere(turns)[0])
-    ends = (axis.values[one] for one in rising[at : at + 2])
-    between = in_unit((1.0, axis.key, unit_of(axis.key)), *ends)
-    others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
-    where = "".join(f", {words}" for words in [in_words(others, place)] if words)
-    more = int(turns.sum()) - 1
-    also = f", and at {counted(more, 'other place')}" if more else ""
+    *other_indices, step_index = map(int, np.argwhere(is_skipped)[0])
+    end_values = (
+        swept_axis.values[value_index] for value_index in value_order[step_index : step_index + 2]
+    )
+    range_text = in_unit((1.0, swept_axis.key, unit_of(swept_axis.key)), *end_values)
+    other_axes = [
+        axis for axis_index, axis in enumerate(sweep_result.axes) if axis_index != axis_indices[0]
+    ]
+    location_text = "".join(
+        f", {axes_text}" for axes_text in [in_words(other_axes, other_indices)] if axes_text
+    )
+    n_further_steps = int(is_skipped.sum()) - 1
+    further_text = f", and at {counted(n_further_steps, 'other place')}" if n_further_steps else ""
     return [
-        f"between {between}{where}{also}, the sweep steps over a peak that "
+        f"between {range_text}{location_text}{further_text}, the sweep steps over a peak that "
         "is narrower than the step: the largest response lies there; use smaller steps, or the "
         "command curve, to find it"
     ]
 
 
-def few_cases(found: SweepResult) -> tuple[Table, str]:
-    """The cases of a small sweep, of a larger one those of largest response; and which in words.
+def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
+    """Tabulate all cases of a small sweep, or cases with largest response.
 
-    They are the largest over the load frequency, or over the longest axis, one for each combination
-    of the others.
+    A larger sweep has a case for each combination on all other axes: the largest response over the
+    load frequency, or over the longest axis. Of these cases, the largest are kept.
+
+    Returns
+    -------
+    table : Table
+    selection_text : str
+        Selection of cases in words; empty if all cases are kept.
     """
-    keys = [axis.key for axis in found.axes]
-    few = ("response", *names_of(where=SPECIAL))  # the amplitude at the load
-    shown = [n for n in found.quantities if found.scene.quantities or n.rpartition(".")[2] in few]
-    columns = [*keys, *shown, "verdict"]
-    if not np.all(found.converged):
-        columns.insert(len(keys), "state")
-    verdicts = set(found["verdict"][found.converged].tolist())
-    if verdicts <= {""} or verdicts == {"undecided"}:
-        columns.remove("verdict")
-    table = found.table(*columns)
+    axis_keys = [axis.key for axis in sweep_result.axes]
+    indicator_names = ("response", *names_of(where=SPECIAL))  # the amplitude at the load
+    quantity_names = [
+        quantity_name
+        for quantity_name in sweep_result.quantities
+        if sweep_result.scene.quantities or quantity_name.rpartition(".")[2] in indicator_names
+    ]
+    column_names = [*axis_keys, *quantity_names, "verdict"]
+    if not np.all(sweep_result.converged):
+        column_names.insert(len(axis_keys), "state")
+    verdict_set = set(sweep_result["verdict"][sweep_result.converged].tolist())
+    if verdict_set <= {""} or verdict_set == {"undecided"}:
+        column_names.remove("verdict")
+    table = sweep_result.table(*column_names)
     if len(table.rows) <= FEW_ROWS:
         return table, ""
-    along = int(np.argmax(found.shape))
-    for key in FREQUENCIES:
-        along = keys.index(key) if key in keys else along
-    height = np.nan_to_num(found["response"], nan=-1.0)
-    numbers = np.arange(height.size).reshape(height.shape)
-    highest = np.expand_dims(height.argmax(axis=along), along)
-    places = np.take_along_axis(numbers, highest, along).ravel()
-    words = f"; the table has the largest responses over {keys[along]}, {found.path.stem}.csv all"
-    if len(places) > FEW_ROWS:
-        order = np.argsort(-height.ravel()[places], kind="stable")[:FEW_ROWS]
-        words += f", {FEW_ROWS} of {len(places)}"
-        places = np.sort(places[order])
-    return Table(table.columns, [table.rows[place] for place in places]), words
+    axis_index = int(np.argmax(sweep_result.shape))
+    for frequency_key in FREQUENCIES:
+        axis_index = axis_keys.index(frequency_key) if frequency_key in axis_keys else axis_index
+    responses = np.nan_to_num(sweep_result["response"], nan=-1.0)
+    row_numbers = np.arange(responses.size).reshape(responses.shape)
+    peak_indices = np.expand_dims(responses.argmax(axis=axis_index), axis_index)
+    row_indices = np.take_along_axis(row_numbers, peak_indices, axis_index).ravel()
+    selection_text = (
+        f"; the table has the largest responses over {axis_keys[axis_index]}, "
+        f"{sweep_result.path.stem}.csv all"
+    )
+    if len(row_indices) > FEW_ROWS:
+        largest_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[:FEW_ROWS]
+        selection_text += f", {FEW_ROWS} of {len(row_indices)}"
+        row_indices = np.sort(row_indices[largest_order])
+    return Table(
+        table.columns, [table.rows[row_index] for row_index in row_indices]
+    ), selection_text

@@ -1,4 +1,4 @@
-"""The command ``timing``: arrival times of blade tips, and their vibration."""
+"""The command ``timing``: arrival times and vibration of blade tips."""
 
 from __future__ import annotations
 
@@ -20,10 +20,17 @@ from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.progress import within
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import counted, speed_in_words
-from fenics_crack.cli.account import of_error, of_stability
-from fenics_crack.cli.commands import tell
-from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
-from fenics_crack.cli.kinds import report_of
+from fenics_crack.cli.account import describe_instability, describe_large_error
+from fenics_crack.cli.commands import write_and_print_report
+from fenics_crack.cli.given import (
+    CommandInputs,
+    Console,
+    keep_previous_result,
+    make_writable,
+    parse_changes,
+    select_blades,
+)
+from fenics_crack.cli.kinds import build_report
 from fenics_crack.draw.plot_study import draw_arrivals
 from fenics_crack.monitoring import scene_timing
 from fenics_crack.monitoring.timing import Timing
@@ -31,135 +38,181 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 
-RECORD_KEYS = (
+RECORD_TIMING_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
-"""Keys of [tip_timing] for a record in place of a scene."""
-PROBES_REQUIREMENT = (
+"""Keys in [tip_timing] for a record without a scene."""
+PROBES_REQUIREMENT_TEXT = (
     "given for a record at constant speed: without them a probe stands at its median arrival, "
     "where an engine order of constant amplitude is not seen"
 )
 
 
-def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
-    """Fit a vibration to arrival times, computed unless they are measured."""
+def fit_and_report_timing(
+    arguments: Namespace, inputs: CommandInputs | None, console: Console
+) -> Exit:
+    """Fit and report the vibration in measured or computed arrival times."""
     if inputs is None:
-        return _find_vibration_of_record(given, console)
-    scene, folder, source = inputs.scene, inputs.folder, inputs.arrivals
-    table, path = scene.given("tip_timing"), folder / "arrivals.csv"
-    with console.stage("arrival times"):
-        blades, run = scene_timing.arrivals_of_blades(scene, source, console.comm)
-    first_blade = next(iter(blades.values()))
+        return _find_vibration_of_record(arguments, console)
+    scene, result_folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
+    timing_table, arrivals_path = scene.given("tip_timing"), result_folder / "arrivals.csv"
+    with console.report_stage("arrival times"):
+        arrivals_by_blade, run = scene_timing.arrivals_of_blades(
+            scene, arrival_source, console.comm
+        )
+    first_arrivals = next(iter(arrivals_by_blade.values()))
     if scene.disk is None:
-        _write_arrivals(first_blade, path, scene, run, console)
+        _write_arrivals(first_arrivals, arrivals_path, scene, run, console)
     elif run is not None:
-        on_root(console.comm, lambda: write_record(blades, path, np.radians(table.probes)))
-        console.note(f"arrivals of {counted(len(blades), 'blade')}: {path}")
-    fits = _fit_blades(table, blades, console, scene, run)
-    if scene.disk is not None and not all(isinstance(fit, TipFit) for fit in fits.values()):
-        requirement = "arrivals at one speed of a bladed disk"
-        raise InputError("arrivals", str(source or "a curve"), requirement)
-    doubts = tuple(_warnings_of(first_blade, scene, run))
-    return _report(Timing(scene, blades, fits, doubts), folder, console)
+        on_root(
+            console.comm,
+            lambda: write_record(arrivals_by_blade, arrivals_path, np.radians(timing_table.probes)),
+        )
+        console.print_notes(
+            f"arrivals of {counted(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
+        )
+    fits_by_blade = _fit_blade_vibrations(timing_table, arrivals_by_blade, console, scene, run)
+    if scene.disk is not None and not all(
+        isinstance(blade_fit, TipFit) for blade_fit in fits_by_blade.values()
+    ):
+        requirement_text = "arrivals at one speed of a bladed disk"
+        raise InputError("arrivals", str(arrival_source or "a curve"), requirement_text)
+    doubt_texts = tuple(_describe_timing_warnings(first_arrivals, scene, run))
+    return _write_timing_report(
+        Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
+    )
 
 
 def _write_arrivals(
-    arrivals: ArrivalTimes, path: Path, scene: Scene, run: Run[Any] | None, console: Console
+    arrivals: ArrivalTimes,
+    arrivals_path: Path,
+    scene: Scene,
+    run: Run[Any] | None,
+    console: Console,
 ) -> None:
-    """Write, draw and describe the arrivals of one blade."""
+    """Write, draw and describe a blade's arrivals."""
 
-    def write() -> None:
-        arrivals.to_csv(path)
-        picture = path.with_suffix(f".{console.pictures}")
-        draw_arrivals(arrivals, path=picture, in_rpm=scene.in_rpm)
+    def write_files() -> None:
+        arrivals.to_csv(arrivals_path)
+        picture_path = arrivals_path.with_suffix(f".{console.picture_format}")
+        draw_arrivals(arrivals, path=picture_path, in_rpm=scene.in_rpm)
 
-    rows = arrivals.table().formatted("csv")
-    console.note(keep_before(path, rows, console.comm))
-    on_root(console.comm, write)
+    table_text = arrivals.table().formatted("csv")
+    console.print_notes(keep_previous_result(arrivals_path, table_text, console.comm))
+    on_root(console.comm, write_files)
     first_speed, last_speed = (
         speed_in_words(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
     )
     speed_range = (
         f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
     )
-    console.note(
-        f"arrivals of {_size_in_words(arrivals)}, {speed_range}: {path}, .{console.pictures}"
+    console.print_notes(
+        f"arrivals of {_describe_arrival_counts(arrivals)}, {speed_range}: {arrivals_path}, "
+        f".{console.picture_format}"
     )
     if run is not None:
-        console.note(scene_timing.tip_in_words(scene.given("tip_timing"), run))
+        console.print_notes(scene_timing.tip_in_words(scene.given("tip_timing"), run))
 
 
-def _fit_blades(
-    table: TipTiming, blades: Mapping[int, ArrivalTimes], console: Console, *scene_and_run: Any
+def _fit_blade_vibrations(
+    timing_table: TipTiming,
+    arrivals_by_blade: Mapping[int, ArrivalTimes],
+    console: Console,
+    *scene_and_run: Any,
 ) -> dict[int, Any]:
     """Fit the vibration of each blade, with or without scene and run."""
-    fits = {}
-    with console.stage("vibration"):
-        for blade, arrivals in blades.items():
-            with within(f"blade {blade}"):
-                fits[blade] = scene_timing.fit_vibration(table, arrivals, *scene_and_run)
-    return fits
+    fits_by_blade = {}
+    with console.report_stage("vibration"):
+        for blade_number, arrivals in arrivals_by_blade.items():
+            with within(f"blade {blade_number}"):
+                fits_by_blade[blade_number] = scene_timing.fit_vibration(
+                    timing_table, arrivals, *scene_and_run
+                )
+    return fits_by_blade
 
 
-def _report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
-    return tell(report_of(tip_timing), folder / "timing", console, tip_timing, console.pictures)
+def _write_timing_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
+    """Write and print the result of tip timing; return the exit code."""
+    return write_and_print_report(
+        build_report(tip_timing), folder / "timing", console, tip_timing, console.picture_format
+    )
 
 
-def _size_in_words(arrivals: ArrivalTimes) -> str:
+def _describe_arrival_counts(arrivals: ArrivalTimes) -> str:
+    """Return the numbers of revolutions and probes in words."""
     return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
 
 
-def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
+def _describe_timing_warnings(
+    arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None
+) -> Iterator[str]:
     """Yield warnings about measured arrivals, or the run of computed arrivals."""
     if run is None:
         yield from scene_timing.remarks_on_arrivals(arrivals)
-        speeds = arrivals.mean_speed, scene.speed
-        if scene.speed > 0.0 and not 0.5 <= speeds[0] / speeds[1] <= 2.0:
-            record_speed, scene_speed = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+        record_and_scene_speeds = arrivals.mean_speed, scene.speed
+        if (
+            scene.speed > 0.0
+            and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
+        ):
+            record_speed, scene_speed = (
+                speed_in_words(rotor_speed, scene.in_rpm) for rotor_speed in record_and_scene_speeds
+            )
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
                 "are they in seconds?"
             )
         return
-    doubts = (
+    doubt_texts = (
         scene_timing.describe_scene_difference(scene, run),
         scene_timing.describe_run_up_end(scene, run),
     )
-    yield from filter(None, doubts)
+    yield from filter(None, doubt_texts)
     if scene_timing.curve_of(run) is None:
-        result = run.result
-        yield from of_error(run.scene, result.report, result.harmonics)
-        yield from of_stability(run.scene, run, result.stability)
+        motion = run.result
+        yield from describe_large_error(run.scene, motion.report, motion.harmonics)
+        yield from describe_instability(run.scene, run, motion.stability)
 
 
 def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
-    """Find the vibration of a measured record's blades without a scene."""
-    table_values = {}
-    for key, value in changes(arguments.set).items():
-        table, _, name = key.partition(".")
-        if table != "tip_timing" or name not in RECORD_KEYS:
-            key_names = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
-            requirement = f"left out with a record in place of a scene, or {key_names}"
-            raise InputError(key, value, requirement)
-        table_values[name] = TipTiming.checked(name, value)
-    with console.stage("arrival times"):
-        probes = np.radians(table_values["probes"]) if "probes" in table_values else None
-        blades = read_record(
-            arguments.scene, tip_radius=table_values.get("tip_radius"), probes=probes
+    """Fit and report the vibration in a record without a scene."""
+    table_values_by_name = {}
+    for full_key, key_value in parse_changes(arguments.set).items():
+        table_name, _, key_name = full_key.partition(".")
+        if table_name != "tip_timing" or key_name not in RECORD_TIMING_KEYS:
+            allowed_keys = ", ".join(
+                f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
+            )
+            requirement_text = f"left out with a record in place of a scene, or {allowed_keys}"
+            raise InputError(full_key, key_value, requirement_text)
+        table_values_by_name[key_name] = TipTiming.checked(key_name, key_value)
+    with console.report_stage("arrival times"):
+        probe_angles = (
+            np.radians(table_values_by_name["probes"]) if "probes" in table_values_by_name else None
         )
-        blades = one_of(blades, arguments.blade, arguments.scene)
-    folder = arguments.output or Path("output") / arguments.scene.stem
-    make_writable(folder, console.comm)
-    first_blade = next(iter(blades.values()))
-    console.note(f"{counted(len(blades), 'blade')}, {_size_in_words(first_blade)}")
-    needs_probes = first_blade.steady and not {"probes", "frequencies"} & table_values.keys()
+        arrivals_by_blade = read_record(
+            arguments.scene, tip_radius=table_values_by_name.get("tip_radius"), probes=probe_angles
+        )
+        arrivals_by_blade = select_blades(arrivals_by_blade, arguments.blade, arguments.scene)
+    result_folder = arguments.output or Path("output") / arguments.scene.stem
+    make_writable(result_folder, console.comm)
+    first_arrivals = next(iter(arrivals_by_blade.values()))
+    console.print_notes(
+        f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_arrival_counts(first_arrivals)}"
+    )
+    needs_probes = (
+        first_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()
+    )
     if needs_probes and not has_probe_angles(arguments.scene):
-        raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT)
-    record_values = {
-        "probes": np.degrees(first_blade.probes).tolist(),
-        "tip_radius": first_blade.tip_radius,
+        raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT_TEXT)
+    record_values_by_name = {
+        "probes": np.degrees(first_arrivals.probes).tolist(),
+        "tip_radius": first_arrivals.tip_radius,
     }
-    fits = _fit_blades(TipTiming(**record_values | table_values), blades, console)
-    doubts = tuple(scene_timing.remarks_on_arrivals(first_blade))
-    return _report(Timing(None, blades, fits, doubts), folder, console)
+    fits_by_blade = _fit_blade_vibrations(
+        TipTiming(**record_values_by_name | table_values_by_name), arrivals_by_blade, console
+    )
+    doubt_texts = tuple(scene_timing.remarks_on_arrivals(first_arrivals))
+    return _write_timing_report(
+        Timing(None, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
+    )

@@ -668,7 +668,7 @@ def counted():
         pool("get_num_threads") for pool, _ in pools}
 
 print(counted()[:2])
-with patch("fenics_crack.cli.command_line._command", lambda *_: print(counted()[::2])):
+with patch("fenics_crack.cli.command_line._call_command", lambda *_: print(counted()[::2])):
     main(["check", "demos/paper_plate.toml"])
 print(counted()[:2])
 """
@@ -688,7 +688,7 @@ def counted(*_):
     import scipy.linalg
     print({pool("get_num_threads") for pool, _ in threads._pools(-1)})
 
-with patch("fenics_crack.cli.command_line._command", counted):
+with patch("fenics_crack.cli.command_line._call_command", counted):
     main(["check", "demos/paper_plate.toml"])
 """
     assert run(program).splitlines() == ["{1}"]

@@ -21,7 +21,7 @@ def test_all_is_well(capsys: pytest.CaptureFixture[str]) -> None:
     """A row for each check, also of numbers that are known."""
     assert main(["doctor"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split("  ")[0] for line in lines[2:]] == [*doctor.CHECKS]
+    assert [line.split("  ")[0] for line in lines[2:]] == [*doctor.CHECKS_BY_NAME]
     assert all(line[12:19].strip() == "ok" for line in lines[2:])
 
 
@@ -71,7 +71,7 @@ BROKEN = {
     "a cache that others write": ("caches", open_cache, "others can write"),
     "wrong numbers": (
         "two masses",
-        replaced("fenics_crack.cli.doctor.LARGEST_DISPLACEMENTS", (2.3, -2.9)),
+        replaced("fenics_crack.cli.doctor.REFERENCE_DISPLACEMENTS", (2.3, -2.9)),
         "at most 0.001",
     ),
 }  # fmt: skip
@@ -82,7 +82,7 @@ def test_a_fault_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     """In one line, with what to do."""
     check, break_it, remedy = BROKEN[name]
     break_it(monkeypatch, tmp_path)
-    [(_, finding, is_fault)] = doctor.examine({check: doctor.CHECKS[check]})
+    [(_, finding, is_fault)] = doctor.run_checks({check: doctor.CHECKS_BY_NAME[check]})
     assert is_fault and remedy in finding and "\n" not in finding
 
 

@@ -15,7 +15,7 @@ from helpers import ROOT
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
-from fenics_crack.cli.given import changes as cli_changes
+from fenics_crack.cli.given import parse_changes
 from fenics_crack.study.sharing import LAST
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
@@ -199,7 +199,7 @@ def test_the_curve_to_paste_is_of_this_scene(
     inside."""
     assert main(["new", "own.toml", "--quiet", *kind]) == 0
     given = [change for change in COARSE if not change.startswith("curve")]
-    scene = fc.Scene.load("own.toml").replace(cli_changes([*given, *changes, "curve=none"]))
+    scene = fc.Scene.load("own.toml").replace(parse_changes([*given, *changes, "curve=none"]))
     Path("own.toml").write_text(scene.as_toml())
     said, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
     assert said.startswith(

@@ -23,9 +23,13 @@ from fenics_crack import ErrorReport, SweepResult
 from fenics_crack.basics.progress import StageLines
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
-from fenics_crack.cli.account import DECIDES, of_error, of_stability
-from fenics_crack.cli.results import _undecided_stretches, few_special_points
-from fenics_crack.cli.studies import few_cases, stepped_over, warnings_of
+from fenics_crack.cli.account import TOLERANCE_OPTION, describe_instability, describe_large_error
+from fenics_crack.cli.results import _find_undecided_ranges, shorten_special_points
+from fenics_crack.cli.studies import (
+    describe_skipped_peak,
+    describe_sweep_warnings,
+    shorten_sweep_table,
+)
 from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import differences, key_in_words, value_in_words
@@ -67,23 +71,23 @@ def test_advice_is_by_the_largest_part(
 ) -> None:
     """And is not what the scene does already."""
     report = ErrorReport(**(ZERO | {part: 0.2}))
-    [text] = of_error(scene.replace(changes), report, harmonics, " at 800 Hz")
+    [text] = describe_large_error(scene.replace(changes), report, harmonics, " at 800 Hz")
     assert "gap is 20 % at 800 Hz, mostly due to" in text and advice in text
     unknown = ErrorReport(**(ZERO | {part: 1.5}))
-    [text] = of_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
+    [text] = describe_large_error(scene.replace(changes), unknown, harmonics, " at 800 Hz")
     assert "unknown at 800 Hz, its estimate for" in text and advice in text
     small = ErrorReport(**(ZERO | {part: 0.02}))
-    assert not [*of_error(scene, small, harmonics)]
+    assert not [*describe_large_error(scene, small, harmonics)]
 
 
 def test_undecided_stretches_of_a_curve() -> None:
     """The longest first, also at the ends; none of what is not judged."""
     left = np.array([True, False, True, True, True, False, True])
     curve: Any = SimpleNamespace(undecided=left)
-    found = _undecided_stretches(curve)
+    found = _find_undecided_ranges(curve)
     assert found == [(2, 4), (0, 0), (6, 6)]
     curve.undecided = None
-    assert _undecided_stretches(curve) == []
+    assert _find_undecided_ranges(curve) == []
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
@@ -95,7 +99,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
         (1.0 + 1j, "does not repeat each period"),
     ):  # fmt: skip
         unstable = fc.Stability(np.array([multiplier + 0j]), "unstable", 0.0)
-        [told] = of_stability(scene, run, unstable)
+        [told] = describe_instability(scene, run, unstable)
         assert way in told
     told = replace(undecided, reason="no exact orbit was found next to it")
     words = "the stability of the orbit is undecided"
@@ -104,7 +108,7 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     for given, one, said in (
         (scene, undecided, words), (scene, told, because), (scene.replace(FIXED), told, advised)
     ):  # fmt: skip
-        assert [*of_stability(given, run, one)] == [said]
+        assert [*describe_instability(given, run, one)] == [said]
 
 
 def test_five_bifurcations_at_most() -> None:
@@ -115,11 +119,11 @@ def test_five_bifurcations_at_most() -> None:
     curve = SimpleNamespace(bifurcations=14 * [SimpleNamespace(kind="fold")], multipliers=1)
     curve.verdicts = np.array(["stable", "unstable"])
     run: Any = SimpleNamespace(result=curve)
-    shown, hidden = few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
+    shown, hidden = shorten_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
     assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (9, 10, 11, 12, 13)]
     assert hidden == 13
     few = Table(("point", "omega", "amplitude [m]"), rows[:4])
-    assert few_special_points(run, few) == (few, 0)
+    assert shorten_special_points(run, few) == (few, 0)
 
 
 def swept(scene: fc.Scene, path: Path) -> SweepResult:
@@ -187,7 +191,7 @@ def test_sweep_of_few_modes(
     found = SweepResult.load(tmp_path / "sweep.h5")
     assert found.inexact.tolist() == [[False, True, True], [False, False, True]]
     asked = swept.replace({"harmonic_balance.tolerance": 0.01})
-    told, depends = warnings_of(replace(found, scene=asked))
+    told, depends = describe_sweep_warnings(replace(found, scene=asked))
     assert "whose verdict depends on truncated modes" in depends
     assert told.startswith("6 cases with an error above 1 %, the largest at modes = 2, ")
     drawn = Mock(wraps=plot.draw_response)
@@ -196,16 +200,16 @@ def test_sweep_of_few_modes(
     marked = [call.kwargs["doubtful"]["modes kept 2"].tolist() for call in drawn.call_args_list]
     assert marked and all(rings == [False, True, True] for rings in marked)
     unasked = fc.run_sweep(swept, judged=False)
-    assert not unasked.inexact.any() and not [*warnings_of(unasked)]
+    assert not unasked.inexact.any() and not [*describe_sweep_warnings(unasked)]
 
 
 def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
     """All cases undecided: a line instead of a column."""
     found = swept(scene, tmp_path / "sweep.h5")
     found.columns["verdict"][:] = "undecided"
-    assert "verdict" not in few_cases(found)[0].columns
+    assert "verdict" not in shorten_sweep_table(found)[0].columns
     found.columns["status"][:] = "full Newton steps; undecided: no exact orbit was found"
-    told = [*warnings_of(found)]
+    told = [*describe_sweep_warnings(found)]
     assert "the stability is undecided in all cases" in told
     assert [text for text in told if text.startswith("182 cases")] == [
         "182 cases undecided, the first at frequency = 480.0, length = 0.01: no exact orbit was "
@@ -222,7 +226,7 @@ def test_a_peak_between_two_frequencies(scene: fc.Scene, tmp_path: Path) -> None
     for damping, power, told in ((0.001, -1, 1), (0.03, -1, 0), (0.001, 1, 0)):
         wave = (1.0 - (frequency / 729.0) ** 2 + 2j * damping * frequency / 729.0) ** power
         found.columns["sine_1"][:], found.columns["cosine_1"][:] = wave.real, wave.imag
-        texts = stepped_over(found)
+        texts = describe_skipped_peak(found)
         assert len(texts) == told
         for text in texts:
             assert "between 720 and 736 Hz, length = 0.01, and at 5 other places, the" in text
@@ -245,7 +249,7 @@ def test_a_peak_between_two_speeds(tmp_path: Path) -> None:
         """
     )
     speeds = {"sweep.over": {"rotation.rpm": [12000.0, 3000.0, 9000.0]}}
-    [text] = stepped_over(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
+    [text] = describe_skipped_peak(fc.run_sweep(blade.replace(speeds), tmp_path / "sweep.h5"))
     assert text.startswith("between 9000 and 12000 rpm, the sweep steps over a peak")
 
 
@@ -449,7 +453,9 @@ def test_hint_to_damp_more_modes(
     monkeypatch.setattr("fenics_crack.study.solve.floquet", lambda structure, solution: undecided)
     sets = ["contact.stiffness=1e9", "mesh.error=false", *changes.split()]
     answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
-    assert "the stability of the orbit is undecided" in answer and f"; {DECIDES} " in answer
+    assert (
+        "the stability of the orbit is undecided" in answer and f"; {TOLERANCE_OPTION} " in answer
+    )
     assert ("or damping of all modes" in answer) == expected
 
 

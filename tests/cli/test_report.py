@@ -15,7 +15,7 @@ from PIL import Image
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
-from fenics_crack.cli.kinds import KINDS, loaded
+from fenics_crack.cli.kinds import RESULT_KINDS, load_function
 
 pytestmark = pytest.mark.usefixtures("not_laid_out")
 
@@ -236,15 +236,21 @@ def test_numbers_of_tips_that_a_scene_asks_for(tmp_path: Path) -> None:
 
 def test_every_kind_is_known_by_one_table() -> None:
     """Functions that are named there exist, and the kinds are those of their results."""
-    for key, kind in KINDS.items():
-        for name in (kind.report, kind.read, kind.draw):
-            assert callable(loaded(name)), name
-        reader = kind.read.partition(":")[2].partition(".")[0]
+    for key, kind in RESULT_KINDS.items():
+        for name in (
+            kind.report_function_path,
+            kind.reader_function_path,
+            kind.drawing_function_path,
+        ):
+            assert callable(load_function(name)), name
+        reader = kind.reader_function_path.partition(":")[2].partition(".")[0]
         if reader != "read_run":
-            assert loaded(f"{kind.read.partition(':')[0]}:{reader}").KIND == key
+            assert (
+                load_function(f"{kind.reader_function_path.partition(':')[0]}:{reader}").KIND == key
+            )
     runs = (fc.Modes, fc.PeriodicSolution, fc.ResponseCurve, fc.TimeHistory)
     assert {run.KIND for run in runs} == {
-        k for k, v in KINDS.items() if v.read.endswith("read_run")
+        k for k, v in RESULT_KINDS.items() if v.reader_function_path.endswith("read_run")
     }
 
 

@@ -13,7 +13,7 @@ from helpers import DEMOS, oscillator
 import fenics_crack as fc
 from fenics_crack.balance.assessment import stated_error
 from fenics_crack.cli.command_line import main
-from fenics_crack.cli.studies import warnings_of
+from fenics_crack.cli.studies import describe_sweep_warnings
 from fenics_crack.motion.attractors import find_irregular_motion
 from fenics_crack.motion.flow import exact_flow_or_error
 
@@ -105,4 +105,4 @@ def test_sweep(tmp_path: Path) -> None:
     found = fc.run_sweep(fc.Scene.load(SCENE).replace(changes), tmp_path / "sweep.h5")
     assert found["verdict"].tolist() == 2 * ["irregular"] and found.not_stable.all()
     assert np.all(found["multiplier"] > 1.0) and "; irregular: no orbit" in found["status"][0]
-    assert not found.undecided and "2 irregular of 2 cases" in [*warnings_of(found)]
+    assert not found.undecided and "2 irregular of 2 cases" in [*describe_sweep_warnings(found)]

@@ -15,8 +15,8 @@ import fenics_crack as fc
 from fenics_crack import InputError, Run, Scene
 from fenics_crack.basics.observables import SPECIAL
 from fenics_crack.basics.tables import RPM
-from fenics_crack.cli.account import in_short
-from fenics_crack.cli.results import curve_points, special_points
+from fenics_crack.cli.account import select_printed_quantities
+from fenics_crack.cli.results import tabulate_curve_points, tabulate_special_points
 from fenics_crack.curves.balance_equations import BalanceAlongSpeed
 
 ORDER = 12
@@ -137,7 +137,7 @@ def test_a_crack_that_rotation_holds_open() -> None:
 def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
     """Columns of a run-up, and of its special points, against structures at their own speeds."""
     rotation = run_up.structure.whole.rotation
-    points, special = curve_points(run_up), special_points(run_up)
+    points, special = tabulate_curve_points(run_up), tabulate_special_points(run_up)
     for table, rows in ((points, points.rows[:: len(points.rows) // 5]), (special, special.rows)):
         for row in rows:
             told = dict(zip(table.columns, row, strict=True))
@@ -200,16 +200,16 @@ def test_run_up_in_the_scenes_unit(
     figure.draw_without_rendering()
     assert above.get_xlim() == pytest.approx(per_speed * np.array(panel.get_xlim()))
 
-    whole = special_points(run)
+    whole = tabulate_special_points(run)
     first = dict(zip(whole.columns, whole.rows[0], strict=True))
     given = first["speed [rad/s]"], first["rpm"]
     assert given == pytest.approx((560.0, 560.0 / RPM))
     assert first["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
     assert first["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
-    shown = in_short(whole, run.scene, SPECIAL).columns[:3]
+    shown = select_printed_quantities(whole, run.scene, SPECIAL).columns[:3]
     assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
-    assert curve_points(run).columns[:4] == whole.columns[1:5]
+    assert tabulate_curve_points(run).columns[:4] == whole.columns[1:5]
 
 
 def test_bad_input() -> None:

@@ -12,7 +12,7 @@ from reference_flow import NoOrbit, ReferenceFlow
 from verdicts import random_chain
 
 import fenics_crack as fc
-from fenics_crack.cli.given import new_scene
+from fenics_crack.cli.given import build_scene_text
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.orbit_events import step_collision_severities
 
@@ -30,7 +30,7 @@ def lightly_damped(seed: int) -> tuple[fc.Structure, tuple[float, float], Any]:
             "mesh.lip_elements": int(rng.integers(4, 9)),
             "reduction.modes": int(rng.integers(10, 25)), "damping.ratio": ratio,
         }  # fmt: skip
-        study = fc.prepare(fc.Scene.from_text(new_scene("new.toml", "", ())).replace(keys))
+        study = fc.prepare(fc.Scene.from_text(build_scene_text("new.toml", "", ())).replace(keys))
         structure, law = study.structure, study.contact
         near = float(fc.bilinear_frequencies(structure).omega_bilinear[0])
     else:

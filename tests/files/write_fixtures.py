@@ -66,10 +66,10 @@ def numbers(name: str, path: Path) -> dict[str, Any]:
         growth = fc.Growth.load(path)
         return {"length": growth.length[::50], "life": growth.life, "factor": growth.factor}
     if name in ("verification", "identify"):
-        from fenics_crack.cli.kinds import result_of
+        from fenics_crack.cli.kinds import restore_result
         from fenics_crack.files.store import read
 
-        result: Any = result_of(read(path))
+        result: Any = restore_result(read(path))
         if name == "identify":
             return {key: result.summary[key] for key in ("estimate", "log_bayes_factor")}
         return {"values": result.values, "stated": {q: result.stated(q)[0] for q in result.values}}
