@@ -37,8 +37,8 @@ from fenics_crack.runs.conclusion import describe_error, frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.words import WHOLE, key_in_words, value_in_words
+from fenics_crack.scene.scene import Scene, unit_of_key
+from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
 from fenics_crack.study.campbell import ORDERS, Campbell
 from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep.plan import FREQUENCIES
@@ -312,8 +312,8 @@ def draw_swept(
 
 def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     """The values of an axis as they are drawn, and its label."""
-    unit, factor = unit_of(axis.key), 1.0
-    if unit and unit not in WHOLE:
+    unit, factor = unit_of_key(axis.key), 1.0
+    if unit and unit not in UNITS_WITHOUT_PREFIX:
         factor, unit = readable(float(np.abs(values).max()), unit)
     return factor * values, with_unit(key_in_words(axis.key), unit)
 

@@ -35,8 +35,13 @@ from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
-from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.words import differences, given_values, key_in_words, value_in_words
+from fenics_crack.scene.scene import Scene, unit_of_key
+from fenics_crack.scene.words import (
+    describe_differences,
+    key_in_words,
+    value_in_words,
+    written_value_by_key,
+)
 from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
 from fenics_crack.version import VERSION, packaged
@@ -144,7 +149,7 @@ def _draw_curves(
         kinds = [file.kind for file in result_files]
         raise InputError("result", kinds, "curves, where several are drawn in one picture")
     runs: list[Any] = [*map(result_of, result_files)]
-    names = list(labels) or differences([run.scene for run in runs])
+    names = list(labels) or describe_differences([run.scene for run in runs])
     if len(set(names)) < len(names):
         places = [str(Path(path).with_suffix("")) for path in paths]
         names = [", ".join(filter(None, words)) for words in zip(names, places, strict=True)]
@@ -191,7 +196,9 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
     entries.sort(key=lambda entry: (order.index(entry[0].kind), entry[1].scene is None))
     scene_results = [result for _, result in entries if result.scene is not None]  # or a record
     scene_differences = iter(
-        differences([result.scene.replace({"reduction": None}) for result in scene_results])
+        describe_differences(
+            [result.scene.replace({"reduction": None}) for result in scene_results]
+        )
     )
     kinds, stems = [file.kind for file, _ in entries], [file.path.stem for file, _ in entries]
     folder = passing_folder()
@@ -258,7 +265,7 @@ def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
         mesh = _picture(draw_scene(scene, folder, structure), "The mesh with its named parts.")
-    values_by_key = given_values(scene)
+    values_by_key = written_value_by_key(scene)
     keys = [key for table in LISTED_TABLES for key in values_by_key if key.startswith(f"{table}.")]
     rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, values_by_key[k])) for k in keys]
     if scene.excitation.order is not None:
@@ -270,7 +277,7 @@ def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
 def _value(key: str, value: object) -> str:
     """Return a scene's value in words, of a vector with all components."""
     if isinstance(value, list):
-        return f"{value} {unit_of(key)}".rstrip()
+        return f"{value} {unit_of_key(key)}".rstrip()
     return value_in_words(key, value)
 
 

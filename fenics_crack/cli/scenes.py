@@ -21,7 +21,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, asked_quantities
-from fenics_crack.scene.words import faces_in_words
+from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
     CURVE_UNITS,
     KeyFigures,
@@ -130,7 +130,7 @@ def _part(scene: Scene, whole: Structure) -> dict[str, str]:
 
 def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     """The first natural frequencies, and the load's frequency over the first."""
-    faces = faces_in_words(scene)
+    faces = word_for_crack_faces(scene)
     lips = {f", {faces} open": figures.omega_open, f", {faces} bonded": figures.omega_tied}
     if figures.elements is None:
         lips = {"": figures.omega_open}
@@ -220,7 +220,7 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
-    faces = faces_in_words(study.scene)
+    faces = word_for_crack_faces(study.scene)
     static = ranging(figures.own_stiffness, ".3g")
     rows[f"static stiffness of the {faces}, each pair [N/m]"] = static
     if figures.stiffness_ratio is not None:
@@ -249,7 +249,7 @@ def _reduction(study: Study) -> str:
         modes = f"{counted(few[0], 'mode')} or more, for an error of "
         modes += f"{scene.harmonic_balance.tolerance:g}"
     if reduction.method == "massless":
-        return f"massless, {modes}, {faces_in_words(scene)} without mass"
+        return f"massless, {modes}, {word_for_crack_faces(scene)} without mass"
     return f"{reduction.method}, {modes}"
 
 

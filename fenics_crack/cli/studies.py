@@ -12,7 +12,7 @@ from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
 from fenics_crack.cli.account import ON_MODES, of_error
 from fenics_crack.errors.verification import Verification
-from fenics_crack.scene.scene import unit_of
+from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import NOT_STABLE, SweepResult, by_reason, in_words
@@ -113,7 +113,7 @@ def stepped_over(found: SweepResult) -> list[str]:
         return []
     *place, at = map(int, np.argwhere(turns)[0])
     ends = (axis.values[one] for one in rising[at : at + 2])
-    between = in_unit((1.0, axis.key, unit_of(axis.key)), *ends)
+    between = in_unit((1.0, axis.key, unit_of_key(axis.key)), *ends)
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
     where = "".join(f", {words}" for words in [in_words(others, place)] if words)
     more = int(turns.sum()) - 1

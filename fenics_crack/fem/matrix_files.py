@@ -88,11 +88,11 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     try:
         return _make_structure(scene, table, damping_rule, comm)
     except InputError as error:
-        if error.key not in table.keys():
+        if error.key not in table.field_by_key():
             raise
         path, problem = getattr(table, error.key), error.value
         path_text = path if problem == path else f"{path} ({problem})"
-        raise InputError(table.name_of(error.key), path_text, error.allowed) from None
+        raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 
 
 def _make_structure(

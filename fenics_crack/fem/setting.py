@@ -75,4 +75,4 @@ def expand_load_table(load: Excitation, dimension: int) -> tuple[np.ndarray, flo
     residual : float
         Root mean square of the part of the table that these harmonics leave out, relative.
     """
-    return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)
+    return read_wave(load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension)

@@ -28,13 +28,13 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.scene import LOOKED_AT, Scene
+from fenics_crack.scene.scene import RESULT_TABLES, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
-from fenics_crack.scene.words import differences
+from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST, TOO_FAST
 
-TABLES_NOT_COMPARED = (*LOOKED_AT, "reduction")
+TABLES_NOT_COMPARED = (*RESULT_TABLES, "reduction")
 """Tables that may differ between a scene and a result: they choose results, or a run decides
 them."""
 MIN_TIP_SPEED = 1.0
@@ -147,7 +147,7 @@ def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
     compared_scenes = [
         with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
     ]
-    scene_words, result_words = differences(compared_scenes)
+    scene_words, result_words = describe_differences(compared_scenes)
     sentence_start = (
         f"the arrivals are those of a result with {result_words}; the vibration is sought by this "
     )

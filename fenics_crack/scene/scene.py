@@ -33,11 +33,18 @@ from fenics_crack.basics.suggestions import (
 from fenics_crack.basics.tables import RPM, TURN, frequency_axis
 from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.scene import tables as kinds
-from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
+from fenics_crack.scene.fields import (
+    Axis,
+    Point,
+    Table,
+    describe_components,
+    full_keys_in_tables,
+    table_name_in_errors,
+)
 
-SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
+REPEATED_SOLUTION_TABLES = ("curve", "sweep", "growth", "identify")
 """Tables by which a scene is solved many times."""
-LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
+RESULT_TABLES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that choose results, and change nothing of the structure and its load."""
 
 PLATE_TABLES = (
@@ -259,7 +266,9 @@ class Scene:
             raise InputError(name, None, "given for this command: a table")
         condensed = self.harmonic_balance.form == "condensed"
         allowed = f"'condensed' for this command, by the table [{name}]"
-        self.harmonic_balance.require(condensed or name not in SOLVED_OFTEN, "form", allowed)
+        self.harmonic_balance.require(
+            condensed or name not in REPEATED_SOLUTION_TABLES, "form", allowed
+        )
         return getattr(self, name)
 
     @property
@@ -377,7 +386,7 @@ class Scene:
         for name, kind in _TABLES.items():
             tables = getattr(self, name)
             if name in _LISTS:
-                header = f"[{kind.name_of()}]"
+                header = f"[{kind.full_key()}]"
                 parts += [table.as_toml().replace(header, f"[[{name}]]", 1) for table in tables]
             elif tables is not None:
                 parts.append(tables.as_toml())
@@ -456,7 +465,7 @@ _WITHOUT: dict[Place, Callable[[Scene], str]] = {
 
 def files_of(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
-    found = [item for item in _paths(scene).items() if not item[0].startswith(LOOKED_AT)]
+    found = [item for item in _paths(scene).items() if not item[0].startswith(RESULT_TABLES)]
     for key, values in scene.swept.items():
         if key in _PATHS:
             found += [(key, value) for value in values if isinstance(value, str)]
@@ -465,8 +474,10 @@ def files_of(scene: Scene) -> list[tuple[str, str]]:
 
 def _paths(scene: Scene) -> dict[str, str]:
     """Keys that name files, and the files."""
-    named = ((key, *key.split(".")) for key in _PATHS)
-    found = {key: getattr(getattr(scene, table), name, None) for key, table, name in named}
+    table_name_in_errors = ((key, *key.split(".")) for key in _PATHS)
+    found = {
+        key: getattr(getattr(scene, table), name, None) for key, table, name in table_name_in_errors
+    }
     return {key: value for key, value in found.items() if isinstance(value, str)}
 
 
@@ -518,7 +529,7 @@ def _hint_in(text: str, error: str) -> str:
     above, line = lines[: int(place[1])], lines[int(place[1]) - 1]
     headers = [one.strip("[ ]") for one in above if one.startswith("[")]
     key, _, value = (part.strip() for part in line.partition("#")[0].partition("="))
-    number = converted(value.strip("\"'"), unit_of(".".join([*headers[-1:], key])))
+    number = converted(value.strip("\"'"), unit_of_key(".".join([*headers[-1:], key])))
     if number is None and not value.isidentifier():
         return ""
     right = f'"{value}"' if number is None else written(number)
@@ -528,13 +539,13 @@ def _hint_in(text: str, error: str) -> str:
 def known_keys() -> list[str]:
     """Every key of a scene; of a list of tables those of the first."""
     tables = [(f"{name}.1" if name in _LISTS else name, kind) for name, kind in _TABLES.items()]
-    return [f"{name}.{key}" for name, kind in tables for key in kind.keys()]
+    return [f"{name}.{key}" for name, kind in tables for key in kind.field_by_key()]
 
 
-def unit_of(name: str) -> str:
+def unit_of_key(name: str) -> str:
     """The unit of the values of a key, "cracks.1.length"; empty if they have none."""
     table, _, key = _parts(name)
-    known = _TABLES[table].keys() if table in _TABLES else {}
+    known = _TABLES[table].field_by_key() if table in _TABLES else {}
     return str(known[key].metadata["unit"]) if key in known else ""
 
 
@@ -588,14 +599,16 @@ def _check_vectors(scene: Scene) -> None:
         if name in _LISTS:
             found: Any = []
             for number, table in enumerate(held, 1):
-                with named(f"{name}.{number}"):
-                    found.append(table.with_vectors(dimension))
+                with table_name_in_errors(f"{name}.{number}"):
+                    found.append(table.with_dimension(dimension))
             object.__setattr__(scene, name, tuple(found))
         elif held is not None:
-            object.__setattr__(scene, name, held.with_vectors(dimension))
+            object.__setattr__(scene, name, held.with_dimension(dimension))
     for point in scene.points:
         if len(point.values) != dimension:
-            raise InputError(f"output.points.{point.key}", point.values, components("", dimension))
+            raise InputError(
+                f"output.points.{point.key}", point.values, describe_components("", dimension)
+            )
 
 
 def _check_dimension(scene: Scene) -> None:
@@ -604,7 +617,7 @@ def _check_dimension(scene: Scene) -> None:
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
     for name, crack in scene.all_cracks.items() if dimension == 2 else ():
-        with named(name):
+        with table_name_in_errors(name):
             crack.leave_out(kinds.OF_PLANES, "geometry.kind = 'plate'")
     _check_vectors(scene)
     mesh = scene.mesh
@@ -636,7 +649,7 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
         allowed = "another one with [disk]: the load's frequency, for example"
         scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
     for name, crack in scene.all_cracks.items():
-        with named(name):
+        with table_name_in_errors(name):
             crack.leave_out(("first_omega", "first_frequency"), "[disk]")
     radii = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
@@ -669,7 +682,7 @@ def _check_plate(scene: Scene) -> None:
     for name, load in ({"excitation": scene.excitation} | loads).items():
         sides = geometry.sides
         within = [0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)]
-        with named(name):
+        with table_name_in_errors(name):
             where = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
     if scene.all_cracks:
@@ -690,7 +703,7 @@ def _check_part(scene: Scene) -> None:
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
     for name, crack in scene.all_cracks.items():
-        with named(name):
+        with table_name_in_errors(name):
             crack.given("point", "given with geometry.file: [x, y, z]")
             crack.check_plane()
 
@@ -699,7 +712,7 @@ def _check_file(scene: Scene) -> None:
     of_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
     for name, crack in scene.all_cracks.items():
-        with named(name):
+        with table_name_in_errors(name):
             crack.leave_out(_OF_SHAPES, "mesh.layout = 'file'")
 
 
@@ -715,7 +728,7 @@ def _check_cracks(scene: Scene) -> None:
     """Raise InputError where a crack cannot be in a plate, by the crack's name in the scene."""
     cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
     for name, crack in cracks.items():
-        with named(name):
+        with table_name_in_errors(name):
             if crack.point is not None:
                 crack.check_plane()
                 continue
@@ -813,20 +826,20 @@ def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axi
     for axis in given:
         table, number, key = _parts(axis.key)
         there = number is None or number <= len(getattr(scene, table))
-        known_key = table in _SWEPT and key in _TABLES[table].keys()
+        known_key = table in _SWEPT and key in _TABLES[table].field_by_key()
         if not (known_key and there) or axis.key in seen:
             allowed = f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
             if (question := meant(_meant(axis.key))) and axis.key not in seen:
                 allowed += f"; {question}".rstrip()
             raise InputError(name, axis.key, allowed)
         seen.add(axis.key)
-        for twins in _TABLES[table].twins().items():
+        for twins in _TABLES[table].si_key_by_twin().items():
             at = axis.key.removesuffix(f".{key}")
             if seen.issuperset(both := [f"{at}.{name}" for name in twins]):
                 allowed = f"without {both[0] if axis.key == both[1] else both[1]}: one of them"
                 raise InputError(name, axis.key, allowed)
-        with named(axis.key.removesuffix(f".{key}")):
-            values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
+        with table_name_in_errors(axis.key.removesuffix(f".{key}")):
+            values = tuple(_TABLES[table].read_value(key, value) for value in axis.values)
         if len(set(values)) != len(values) or not values:
             raise InputError(f'{name}."{axis.key}"', values, "values, each given once")
         axes.append(Axis(axis.key, values))
@@ -854,7 +867,7 @@ def _made(name: str, value: object) -> Any:
         raise InputError(name, value, f"a list of tables: [[{name}]]")
     made = []
     for number, table in enumerate(value, 1):
-        with named(f"{name}.{number}"):
+        with table_name_in_errors(f"{name}.{number}"):
             made.append(table if isinstance(table, kind) else kind.from_mapping(table))
     return tuple(made)
 
@@ -865,21 +878,21 @@ def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
     kind = _TABLES.get(table)
     if kind is None:
         raise InputError(name, value, _instead_of(name))
-    if not key and kind.WORD is not None and isinstance(value, str):
-        return table, None, kind.WORD
+    if not key and kind.SHORTHAND_KEY is not None and isinstance(value, str):
+        return table, None, kind.SHORTHAND_KEY
     if not key:
         if value is not None or number is not None or table not in (*_OPTIONAL, *_LISTS):
             gone = ", ".join((*_OPTIONAL, *_LISTS))
             allowed = f"changed key by key; only {gone} can be removed, by none"
             raise InputError(name, value, allowed)
     elif (number is None) == (table in _LISTS):
-        known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
+        known = ", ".join(f"{table}.1.{own}" for own in kind.field_by_key())
         raise InputError(name, value, f"left out; known keys: {known}")
-    elif key not in kind.keys():
+    elif key not in kind.field_by_key():
         whole, _, own = key.partition(".")
-        if whole in kind.keys() and own:
+        if whole in kind.field_by_key() and own:
             raise InputError(name, value, f"changed as a whole: {table}.{whole}={{{own}=...}}")
-        raise InputError(name, value, kind.instead_of(key))
+        raise InputError(name, value, kind.unknown_key_text(key))
     return table, number, key
 
 
@@ -905,14 +918,16 @@ def _changed(name: str, table: Any, change: dict[str, object]) -> Any:
     """A table, or the mapping of one that is to be made, with other values; a new one."""
     kind = _TABLES[name]
     if isinstance(table, kind):
-        table = {key: getattr(table, key) for key in kind.keys().keys() - table.derived}
-    if kind.WORD is not None and isinstance(table, str):
-        table = {kind.WORD: table}
+        table = {
+            key: getattr(table, key) for key in kind.field_by_key().keys() - table.derived_keys
+        }
+    if kind.SHORTHAND_KEY is not None and isinstance(table, str):
+        table = {kind.SHORTHAND_KEY: table}
     if table is None:
         return change
     if not isinstance(table, Mapping):  # refused when it is made
         return table
-    return {**table, **kind.without_twins(change, table)}
+    return {**table, **kind.with_twins_removed(change, table)}
 
 
 def _changed_list(
@@ -925,7 +940,7 @@ def _changed_list(
         allowed = f"one of the {len(tables)} [[{name}]], or of the next one"
         raise InputError(key, next(iter(change.values())), allowed)
     old = tables[number - 1] if number <= len(tables) else None
-    with named(f"{name}.{number}"):
+    with table_name_in_errors(f"{name}.{number}"):
         return (*tables[: number - 1], _changed(name, old, change), *tables[number:])
 
 
@@ -933,11 +948,13 @@ def _meant(name: str) -> list[str]:
     """The keys and tables of a scene that a misspelt name may stand for."""
     table, _, key = name.partition(".")
     if table in _TABLES:
-        return _TABLES[table].meant_by(key) if key else []
+        return _TABLES[table].suggest_keys(key) if key else []
     if key:
-        every = {kind.proposed(key) for kind in _TABLES.values() for key in kind.keys()}
+        every = {
+            kind.suggested_key(key) for kind in _TABLES.values() for key in kind.field_by_key()
+        }
         return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
-    return list(dict.fromkeys(with_key(table, _TABLES.values()))) or near(table, _TABLES)
+    return list(dict.fromkeys(full_keys_in_tables(table, _TABLES.values()))) or near(table, _TABLES)
 
 
 def meant_keys(name: str) -> list[str]:
@@ -957,9 +974,9 @@ _TABLES: dict[str, type[Table]] = {name: (get_args(hint) or (hint,))[0] for name
 _LISTS = tuple(name for name, hint in _HINTS if get_origin(hint) is tuple)
 _OPTIONAL = tuple(name for name, hint in _HINTS if type(None) in get_args(hint))
 _PATHS = tuple(
-    kind.name_of(key)
+    kind.full_key(key)
     for kind in _TABLES.values()
-    for key, item in kind.keys().items()
+    for key, item in kind.field_by_key().items()
     if "path" in item.metadata
 )
 """Keys that hold the path of a file."""
@@ -967,4 +984,4 @@ _AXES = ("sweep", "over"), ("identify", "unknown")
 """Tables and their keys that hold axes."""
 _WITH_FILES = (*_PATHS, *(f"{name}.{key}" for name, key in _AXES), "identify.meshes")
 """Keys that may hold paths."""
-_SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)
+_SWEPT = tuple(name for name in _TABLES if name not in RESULT_TABLES)

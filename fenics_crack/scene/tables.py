@@ -17,7 +17,7 @@ from fenics_crack.basics.errors import MAX_SAMPLES, TOLERANCE, InputError, check
 from fenics_crack.basics.observables import QUANTITIES
 from fenics_crack.basics.tables import RPM, TURN
 from fenics_crack.scene.fields import (
-    OR_ZERO,
+    ZERO_OR_MAGNITUDE_TEXT,
     Axis,
     Face,
     Harmonic,
@@ -26,19 +26,19 @@ from fenics_crack.scene.fields import (
     Point,
     Table,
     Vector,
-    at_least_one,
-    between,
-    choice,
-    hertz,
-    holds,
-    not_negative,
-    number,
-    of_harmonics,
-    order_of_load,
-    path,
-    positive,
-    twin,
-    vector,
+    bounded_field,
+    choice_field,
+    harmonics_field,
+    hertz_field,
+    load_order_field,
+    nonnegative_field,
+    number_field,
+    path_field,
+    positive_field,
+    positive_int_field,
+    twin_field,
+    value_field,
+    vector_value_field,
 )
 
 FORCES = ("force_mean", "force_cos", "force_sin")
@@ -59,22 +59,22 @@ class Geometry(Table):
     [0, width] x [0, height] x [0, thickness], clamped at y = 0, or a part from a CAD file. A mesh
     file has its own shape."""
 
-    kind: str = choice("plate", "solid", default="plate")
+    kind: str = choice_field("plate", "solid", default="plate")
     """Plane stress, or three dimensions."""
-    thickness: float | None = positive(None, unit="m")
+    thickness: float | None = positive_field(None, unit="m")
     """Thickness of a plate, whatever its mesh, and of a box along z."""
-    width: float | None = between("1e-6", "1e6", None, unit="m")
-    height: float | None = between("1e-6", "1e6", None, unit="m")
-    file: str | None = holds(
+    width: float | None = bounded_field("1e-6", "1e6", None, unit="m")
+    height: float | None = bounded_field("1e-6", "1e6", None, unit="m")
+    file: str | None = value_field(
         "the path of a .step, .stp or .brep file",
         lambda path: path.lower().endswith((".step", ".stp", ".brep")),
         None,
         path=True,
     )
     """A part without a crack, one solid, that is meshed here."""
-    unit: str | None = choice("mm", "m", "inch", default=None)
+    unit: str | None = choice_field("mm", "m", "inch", default=None)
     """Unit of length of a .brep file, which has none."""
-    faces: tuple[Face, ...] = holds(
+    faces: tuple[Face, ...] = value_field(
         f"names with lists of points [x, y, z] in m, one on each face, at most {MOST_FACES}",
         lambda faces: sum(len(face.values) for face in faces) <= MOST_FACES,
         (),
@@ -127,39 +127,39 @@ class Crack(Table):
     ellipse around ``point``, or of the half-plane that ends there.
     """
 
-    _ADVICE: ClassVar[Mapping[str, str]] = dict.fromkeys(
+    _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("edge = top", "edge = bottom"),
         "cracks run across the plate; one that does not comes in a mesh (mesh.layout = 'file')",
     )
 
-    edge: str | None = choice("left", "right", default=None)
+    edge: str | None = choice_field("left", "right", default=None)
     """Edge of the plate at the crack's mouth; left out for a crack inside the plate."""
-    center: float | None = positive(None, unit="m")
+    center: float | None = positive_field(None, unit="m")
     """x of the middle of a crack inside the plate."""
-    height: float | None = positive(None, unit="m")
+    height: float | None = positive_field(None, unit="m")
     """y of the crack."""
-    length: float | None = positive(None, unit="m")
+    length: float | None = positive_field(None, unit="m")
     """Or let ``first_omega`` determine it."""
-    depth: float | None = positive(None, unit="m")
+    depth: float | None = positive_field(None, unit="m")
     """Depth of a crack in a solid that does not go through it."""
-    front: str | None = choice("straight", "elliptical", "through", default=None)
+    front: str | None = choice_field("straight", "elliptical", "through", default=None)
     """Shape of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge. Or
     "through": the half-plane that ends at ``point``."""
-    point: Vector | None = vector("", unit="m", of_solid=True)
+    point: Vector | None = vector_value_field("", unit="m", of_solid=True)
     """Middle of the ellipse; or where the half-plane ends or, with a length, where its mouth is."""
-    normal: Vector | None = vector("n", of_solid=True)
+    normal: Vector | None = vector_value_field("n", of_solid=True)
     """Of the crack's plane."""
-    direction: Vector | None = vector("d", of_solid=True)
+    direction: Vector | None = vector_value_field("d", of_solid=True)
     """Of the first radius, or in which a half-plane grows; as far as it is in the crack's plane."""
-    radii: Pair | None = holds(
+    radii: Pair | None = value_field(
         "[a, b], two finite numbers > 0", lambda radii: min(radii) > 0, None, unit="m"
     )
     """Of the ellipse, along the direction and across; or half of ``length``, and ``depth``."""
-    first_omega: float | None = positive(None, unit="rad/s")
+    first_omega: float | None = positive_field(None, unit="rad/s")
     """First natural frequency with the crack open, from which the length is found."""
-    first_frequency: float | None = hertz("first_omega")
+    first_frequency: float | None = hertz_field("first_omega")
     """The same in Hz."""
-    clearance: float = number(0.0, unit="m")
+    clearance: float = number_field(0.0, unit="m")
     """g0 >= 0: opening that closes before the crack faces touch; < 0: preload."""
 
     def check_plane(self) -> None:
@@ -216,7 +216,7 @@ class Crack(Table):
 class Material(Table):
     """Isotropic linear elastic."""
 
-    _ADVICE: ClassVar[Mapping[str, str]] = {
+    _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = {
         "name": "no material is known by its name: steel has young = 2.1e11, poisson = 0.3 and "
         "density = 7850.0;",
         "E": "did you mean material.young?",
@@ -224,11 +224,11 @@ class Material(Table):
         "rho": "did you mean material.density?",
     }
 
-    young: float = positive(unit="Pa")
+    young: float = positive_field(unit="Pa")
     """Young's modulus E."""
-    poisson: float = holds("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
+    poisson: float = value_field("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
     """Poisson's ratio [-]."""
-    density: float = positive(unit="kg/m^3")
+    density: float = positive_field(unit="kg/m^3")
 
 
 @dataclass(frozen=True)
@@ -242,31 +242,31 @@ class Damping(Table):
     the ratios of damping at the two frequencies ``omegas`` or ``frequencies``.
     """
 
-    ratio: float | tuple[float, ...] | None = holds(
+    ratio: float | tuple[float, ...] | None = value_field(
         "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
         lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
         None,
     )
     """Of critical damping, of each mode."""
-    modes: int | str = holds(
+    modes: int | str = value_field(
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
     """How many of the lowest modes are damped."""
-    mass: float | None = not_negative(None, unit="1/s")
-    stiffness: float | None = not_negative(None, unit="s")
-    ratios: Pair | None = holds(
+    mass: float | None = nonnegative_field(None, unit="1/s")
+    stiffness: float | None = nonnegative_field(None, unit="s")
+    ratios: Pair | None = value_field(
         "[xi_1, xi_2], two numbers from 0 to 1",
         lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
         None,
     )
     """Of critical damping, at two frequencies."""
-    omegas: Pair | None = holds(
+    omegas: Pair | None = value_field(
         "[omega_1, omega_2], two different numbers > 0",
         lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
         None,
         unit="rad/s",
     )
-    frequencies: Pair | None = hertz(
+    frequencies: Pair | None = hertz_field(
         "omegas",
         "[f_1, f_2], two different numbers > 0",
         lambda values: 0 < min(values) < max(values) <= 1e29,
@@ -291,7 +291,7 @@ class Damping(Table):
         if "ratios" in chosen:
             ratios = self.given("ratios", f"given with omegas = {self.omegas}")
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
-            check_two_ratios(self.name_of("ratios"), ratios, omegas)
+            check_two_ratios(self.full_key("ratios"), ratios, omegas)
 
     @property
     def of_all_modes(self) -> bool:
@@ -321,24 +321,24 @@ class Excitation(Table, Periodic):
     ``[[excitation.harmonics]]`` of further orders k, cos cos(k omega t) + sin sin(k omega t); with
     an engine order n these act at k n times ``rotation.speed``."""
 
-    omega: float = positive(None, unit="rad/s")
+    omega: float = positive_field(None, unit="rad/s")
     """Angular frequency; with an engine order, the one that follows from it."""
-    frequency: float | None = hertz("omega")
+    frequency: float | None = hertz_field("omega")
     """The same in Hz; one of the two is given, or an order."""
-    order: int | None = at_least_one(None)
+    order: int | None = positive_int_field(None)
     """Engine order: omega is this many times ``rotation.speed``."""
-    point: Vector | None = vector("", unit="m")
+    point: Vector | None = vector_value_field("", unit="m")
     """A mesh file may give it instead by a physical point named ``load``."""
-    force_sin: Vector = vector("f", (0.0, 0.0), unit="N")
-    force_cos: Vector = vector("f", (0.0, 0.0), unit="N")
-    force_mean: Vector = vector("f", (0.0, 0.0), unit="N")
-    harmonics: tuple[Harmonic, ...] = of_harmonics()
+    force_sin: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
+    force_cos: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
+    force_mean: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
+    harmonics: tuple[Harmonic, ...] = harmonics_field()
     """Further harmonics of the force [N]: ``order``, and ``cos`` and ``sin``, or ``amplitude`` and
     ``phase`` [degrees] by which it lags."""
-    wave: str | None = path("a CSV file with a line of words, then rows of a time and forces")
+    wave: str | None = path_field("a CSV file with a line of words, then rows of a time and forces")
     """A table of one period of a force that is added: a time, from its beginning to its end in any
     unit, and the components [N], linear in between; two rows of one time are a jump."""
-    wave_harmonics: int = order_of_load(20)
+    wave_harmonics: int = load_order_field(20)
     """Harmonics kept of it; what they leave out is stated."""
 
     def __post_init__(self) -> None:
@@ -350,12 +350,12 @@ class Excitation(Table, Periodic):
 
     def at_speed(self, speed: float) -> Excitation:
         """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
-        if "_follow" not in vars(self):
+        if "_inferred_keys" not in vars(self):
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
-        return self.with_values(omega=speed * (self.order or 0), _follow={"omega"})
+        return self.with_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
 
     @classmethod
-    def without_twins(
+    def with_twins_removed(
         cls, values: Mapping[str, object], held: Mapping[str, object]
     ) -> dict[str, Any]:
         """As of every table; a frequency takes the place of the order, or it of that."""
@@ -367,7 +367,7 @@ class Excitation(Table, Periodic):
             values = {"order": None, **values}
         elif values.get("order", held.get("order")) is not None:
             values = {"omega": None, **values}
-        return super().without_twins(values, held)
+        return super().with_twins_removed(values, held)
 
     @property
     def force_given(self) -> str:
@@ -393,22 +393,24 @@ class Load(Table, Periodic):
     pushes towards the plate.
     """
 
-    FIRST = "loads.1"
+    FIRST_TABLE_NAME = "loads.1"
 
-    point: Vector | None = vector("", unit="m")
-    edge: str | None = holds("'top', 'left', 'right', or a curve of the mesh file", default=None)
-    force_sin: Vector | None = vector("f", unit="N")
-    force_cos: Vector | None = vector("f", unit="N")
-    force_mean: Vector | None = vector("f", unit="N")
-    pressure_sin: float | None = number(None, unit="Pa")
-    pressure_cos: float | None = number(None, unit="Pa")
-    pressure_mean: float | None = number(None, unit="Pa")
-    traction_sin: Vector | None = vector("t", unit="Pa")
-    traction_cos: Vector | None = vector("t", unit="Pa")
-    traction_mean: Vector | None = vector("t", unit="Pa")
-    phase: float = number(0.0, unit="degrees")
+    point: Vector | None = vector_value_field("", unit="m")
+    edge: str | None = value_field(
+        "'top', 'left', 'right', or a curve of the mesh file", default=None
+    )
+    force_sin: Vector | None = vector_value_field("f", unit="N")
+    force_cos: Vector | None = vector_value_field("f", unit="N")
+    force_mean: Vector | None = vector_value_field("f", unit="N")
+    pressure_sin: float | None = number_field(None, unit="Pa")
+    pressure_cos: float | None = number_field(None, unit="Pa")
+    pressure_mean: float | None = number_field(None, unit="Pa")
+    traction_sin: Vector | None = vector_value_field("t", unit="Pa")
+    traction_cos: Vector | None = vector_value_field("t", unit="Pa")
+    traction_mean: Vector | None = vector_value_field("t", unit="Pa")
+    phase: float = number_field(0.0, unit="degrees")
     """Angle by which its cosine and sine lag."""
-    harmonics: tuple[Harmonic, ...] = of_harmonics()
+    harmonics: tuple[Harmonic, ...] = harmonics_field()
     """Further harmonics, ``[[loads.harmonics]]``, as of the excitation: of the force at a point; on
     an edge of the traction, or with one number of the pressure [Pa]."""
 
@@ -456,9 +458,9 @@ class Base(Table, Periodic):
     to the clamp. Of a clamp that moves by U it is -omega^2 U.
     """
 
-    acceleration_sin: Vector | None = vector("a", unit="m/s^2")
-    acceleration_cos: Vector | None = vector("a", unit="m/s^2")
-    harmonics: tuple[Harmonic, ...] = of_harmonics()
+    acceleration_sin: Vector | None = vector_value_field("a", unit="m/s^2")
+    acceleration_cos: Vector | None = vector_value_field("a", unit="m/s^2")
+    harmonics: tuple[Harmonic, ...] = harmonics_field()
     """Further harmonics of the acceleration, ``[[base.harmonics]]``, as of the excitation."""
 
     def __post_init__(self) -> None:
@@ -496,20 +498,20 @@ class Rotation(Table):
     -hub_radius, 0), or through another point.
     """
 
-    hub_radius: float | None = not_negative(None, unit="m")
+    hub_radius: float | None = nonnegative_field(None, unit="m")
     """Radius of the clamp, if it is at y = 0: the axis is at y = -hub_radius."""
-    axis: Vector | None = vector("a", of_solid=True)
+    axis: Vector | None = vector_value_field("a", of_solid=True)
     """Direction of a solid's axis; left out: x."""
-    center: Vector | None = vector("", unit="m", of_solid=True)
+    center: Vector | None = vector_value_field("", unit="m", of_solid=True)
     """Of a solid, instead of hub_radius: a point of the axis."""
-    speed: float = holds(
+    speed: float = value_field(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
         lambda w: w == 0 or 1e-6 <= w <= 1e9,
         None,
         unit="rad/s",
     )
     """W, angular velocity of the rotor."""
-    rpm: float | None = twin(
+    rpm: float | None = twin_field(
         "speed",
         RPM,
         "a finite number >= 0 (0, or 1e-5 to 9e9)",
@@ -558,35 +560,35 @@ class Disk(Table):
     mesh file of one sector names the sides ``left`` and ``right``, whose nodes match.
     """
 
-    sectors: int = holds("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
-    cracked: tuple[int, ...] = holds(
+    sectors: int = value_field("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
+    cracked: tuple[int, ...] = value_field(
         "the number of a sector, from 1, or a list of different ones",
         lambda numbers: min(numbers, default=1) >= 1,
         (1,),
     )
     """Sectors whose crack is one; in the others its faces are bonded."""
-    mistuning: tuple[float, ...] | None = holds(
+    mistuning: tuple[float, ...] | None = value_field(
         "a list of numbers above -0.5 and below 1, one for each sector",
         lambda given: all(-0.5 < one < 1.0 for one in given),
         None,
     )
     """Relative deviation of the stiffness of each sector at rest."""
-    deviation: float = between("0", "0.1", 0.0)
+    deviation: float = bounded_field("0", "0.1", 0.0)
     """Or its standard deviation in a random pattern of independent normal numbers."""
-    seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
+    seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Of that pattern, by NumPy's default generator."""
-    families: int = at_least_one(3)
+    families: int = positive_int_field(3)
     """Modes of each nodal diameter that are kept: those of the band in which the load vibrates;
     those of four more families, and static answers, assess what they leave out."""
-    modes: int = holds("a whole number >= 0", lambda count: count >= 0, 0)
+    modes: int = value_field("a whole number >= 0", lambda count: count >= 0, 0)
     """How many more modes, those that move the cracks most."""
-    inner_radius: float | None = positive(None, unit="m")
+    inner_radius: float | None = positive_field(None, unit="m")
     """Where the rim is clamped."""
-    outer_radius: float | None = positive(None, unit="m")
+    outer_radius: float | None = positive_field(None, unit="m")
     """Of the rim."""
-    center: Vector | None = vector("", unit="m")
+    center: Vector | None = vector_value_field("", unit="m")
     """Of a mesh file: a point of the axis; default: the origin."""
-    axis: Vector | None = vector("a", of_solid=True)
+    axis: Vector | None = vector_value_field("a", of_solid=True)
     """Of a mesh file of a solid: direction of the axis; default: x."""
 
     def __post_init__(self) -> None:
@@ -611,26 +613,26 @@ class Disk(Table):
 class Contact(Table):
     """Contact between the crack faces, pair by pair of nodes."""
 
-    stiffness: float | None = positive(None, unit="N/m")
+    stiffness: float | None = positive_field(None, unit="N/m")
     """Penalty stiffness k of one pair; or give it per area."""
-    stiffness_per_area: float | None = positive(None, unit="N/m^3")
+    stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
     """Penalty stiffness per area of the crack face: independent of the mesh."""
-    law: str = choice("penalty", "smoothed", "unilateral", default="penalty")
+    law: str = choice_field("penalty", "smoothed", "unilateral", default="penalty")
     """"unilateral": no penetration."""
-    sharpness: float | None = positive(None, unit="1/m")
+    sharpness: float | None = positive_field(None, unit="1/m")
     """s of the smoothed law."""
-    friction: float | None = not_negative(None)
+    friction: float | None = nonnegative_field(None)
     """Coefficient of Coulomb friction between the faces of a plate's cracks, at rest and in
     motion. Left out: 0, and what friction would change is stated."""
-    friction_error: float | bool = holds(
+    friction_error: float | bool = value_field(
         "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
     )
     """Coefficient whose effect is stated among the errors where contact.friction is left out;
     false: it is not."""
-    tangential_stiffness_per_area: float | None = positive(None, unit="N/m^3")
+    tangential_stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
     """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
     without mass."""
-    pairs: str = choice("all", "mouth", default="all")
+    pairs: str = choice_field("all", "mouth", default="all")
     """Every pair of crack-face nodes, or as many as mesh.patches; or of each crack only the one at
     the mouth, or in the middle of a crack inside the plate."""
 
@@ -662,18 +664,18 @@ class Contact(Table):
 class HarmonicBalance(Table):
     """Truncation of the Fourier series and sampling of the contact force."""
 
-    harmonics: int = at_least_one(None)
+    harmonics: int = positive_int_field(None)
     """H of plain harmonic balance; with a tolerance, the fewest of a solution. Default: 5."""
-    samples: int | None = at_least_one(None)
+    samples: int | None = positive_int_field(None)
     """Instants per period at which contact is evaluated; chosen by the solver when left out."""
-    tolerance: float | None = positive(None)
+    tolerance: float | None = positive_field(None)
     """Find the exact orbit, and keep so many of its harmonics, and modes, that the error stays
     below this; a curve is one of exact orbits. Default: 0.01, but none where harmonics or samples
     are given, or no error is requested."""
-    form: str = choice("condensed", "block", default="condensed")
+    form: str = choice_field("condensed", "block", default="condensed")
     """Unknowns of ``solve``: the gaps of the crack faces, or with "block" all displacements, by
     PETSc's SNES, which takes longer and needs a given number of harmonics. Nothing else changes."""
-    error: bool = holds("true or false", default=True)
+    error: bool = value_field("true or false", default=True)
     """false: neither the error nor the stability of solutions is found, which takes longer than the
     solution itself where there are many pairs or modes."""
 
@@ -686,7 +688,7 @@ class HarmonicBalance(Table):
             self.leave_out(("tolerance",), "form = 'block'")
             chosen.pop("tolerance", None)
         follow = {key for key in chosen if getattr(self, key) is None}
-        vars(self).update({key: chosen[key] for key in follow}, _follow=follow)
+        vars(self).update({key: chosen[key] for key in follow}, _inferred_keys=follow)
         if self.tolerance is not None:
             self.leave_out(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
@@ -699,7 +701,7 @@ class HarmonicBalance(Table):
         """The same with as many harmonics as a load has, unless fewer are given."""
         least = f"a whole number >= {highest}, the highest order of the load"
         fits = self.harmonics >= highest
-        self.require(fits or "harmonics" in self.derived, "harmonics", least)
+        self.require(fits or "harmonics" in self.derived_keys, "harmonics", least)
         return self if fits else self.with_values(harmonics=highest)
 
 
@@ -720,31 +722,31 @@ class Mesh(Table):
     file names surfaces, ``clamp`` and ``crack``.
     """
 
-    layout: str = choice("grid", "graded", "file")
+    layout: str = choice_field("grid", "graded", "file")
     """As above."""
-    cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
+    cells: str = choice_field("triangle", "quadrilateral", default="quadrilateral")
     """Cells of a plate; a mesh file and a graded sector have their own."""
-    order: int = holds("1 or 2", lambda value: value in (1, 2), default=None)
+    order: int = value_field("1 or 2", lambda value: value in (1, 2), default=None)
     """Polynomial order of the displacement; default: 1, of a solid 2."""
-    columns: int | None = at_least_one(None)
+    columns: int | None = positive_int_field(None)
     """Columns of a grid."""
-    rows: int | None = at_least_one(None)
+    rows: int | None = positive_int_field(None)
     """Rows of a grid."""
-    size: float | None = positive(None, unit="m")
-    lip_elements: int | None = at_least_one(None)
+    size: float | None = positive_field(None, unit="m")
+    lip_elements: int | None = positive_int_field(None)
     """Elements of a graded mesh along each crack face."""
-    grading: float = between("1", "1e+06", 4.0)
+    grading: float = bounded_field("1", "1e+06", 4.0)
     """Size of elements of a graded mesh at the mouth over that at the crack tip."""
-    file: str | None = path("the path of a .msh file")
+    file: str | None = path_field("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
-    coarser: str | None = path("the path of a .msh file")
+    coarser: str | None = path_field("the path of a .msh file")
     """The same part with fewer elements, for the errors due to those of ``file``."""
-    per_turn: int = holds("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
+    per_turn: int = value_field("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
     """Elements on a full turn of a curved face of a part."""
-    patches: int | None = at_least_one(None)
+    patches: int | None = positive_int_field(None)
     """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
     contact needs. Default: all nodes; of a solid all corners of elements."""
-    error: bool = holds("true or false", default=True)
+    error: bool = value_field("true or false", default=True)
     """true: a coarser mesh gives the error of each number due to this one."""
 
     def __post_init__(self) -> None:
@@ -763,10 +765,10 @@ class Mesh(Table):
         if self.layout == "file":
             self.leave_out(("cells",), "layout = 'file', whose mesh has its own")
 
-    def with_vectors(self, dimension: int) -> Mesh:
+    def with_dimension(self, dimension: int) -> Mesh:
         """The same in a plane or in space, of the order that is usual there."""
         order = self.order or dimension - 1
-        return self.with_values(order=order, _follow={"order"} if order == 1 else set())
+        return self.with_values(order=order, _inferred_keys={"order"} if order == 1 else set())
 
 
 @dataclass(frozen=True)
@@ -780,32 +782,37 @@ class Structure(Table):
     contact without a file of the gaps, the pairs are found.
     """
 
-    mass: str = path("the path of a file: (n, n)", MISSING)
+    mass: str = path_field("the path of a file: (n, n)", MISSING)
     """[kg]"""
-    stiffness: str = path("the path of a file: (n, n)", MISSING)
+    stiffness: str = path_field("the path of a file: (n, n)", MISSING)
     """[N/m]"""
-    model: str | None = path("the path of the input file of the program that made the matrices")
+    model: str | None = path_field(
+        "the path of the input file of the program that made the matrices"
+    )
     """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb),
     or a table of node, x, y, z [m] between commas."""
-    dofs: str | None = path("the path of a file: node and direction of each row")
+    dofs: str | None = path_field("the path of a file: node and direction of each row")
     """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
     beside the stiffness where it is left out."""
-    gap: str | None = path("the path of a file: (n, n_pairs)")
+    gap: str | None = path_field("the path of a file: (n, n_pairs)")
     """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
     of the model."""
-    tangential: str | None = path("the path of a file: (n, n_pairs)")
+    tangential: str | None = path_field("the path of a file: (n, n_pairs)")
     """B_t of the tangential gaps, for friction."""
-    damping: str | None = path("the path of a file: (n, n)")
+    damping: str | None = path_field("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
-    force_sin: str | None = path("the path of a Matrix Market file: (n, 1), or more columns")
+    force_sin: str | None = path_field("the path of a Matrix Market file: (n, 1), or more columns")
     """[N]; column k has k times the load's frequency. Or the force of [excitation] at its point."""
-    force_cos: str | None = path("the path of a Matrix Market file: (n, 1), or more columns")
-    force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
-    clearance: float | str = path(
-        f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
+    force_cos: str | None = path_field("the path of a Matrix Market file: (n, 1), or more columns")
+    force_mean: str | None = path_field("the path of a Matrix Market file: (n, 1)")
+    clearance: float | str = path_field(
+        f"a finite number {ZERO_OR_MAGNITUDE_TEXT}, "
+        "or the path of a Matrix Market file: (n_pairs, 1)",
+        0.0,
+        "m",
     )
     """g0 of all pairs, or of each; < 0: preload."""
-    areas: str | None = path("the path of a Matrix Market file: (n_pairs, 1)")
+    areas: str | None = path_field("the path of a Matrix Market file: (n_pairs, 1)")
     """Area of each pair [m^2], for stiffnesses per area; those of the model's pairs are known."""
 
     def __post_init__(self) -> None:
@@ -822,12 +829,12 @@ class Reduction(Table):
     with the default basis. ``reduction = "off"`` is short for ``reduction.method = "off"``.
     """
 
-    WORD = "method"
+    SHORTHAND_KEY = "method"
 
-    method: str | None = choice("massless", "free_interface", "off", default=None)
+    method: str | None = choice_field("massless", "free_interface", "off", default=None)
     """Default: "massless" (modes, and crack faces without mass) with contact, unless all modes are
     kept; without contact "free_interface"."""
-    modes: int | None = at_least_one(None)
+    modes: int | None = positive_int_field(None)
     """Lowest modes to keep. Default: with a tolerance few that meet it, else those that are damped,
     but 50 where all are."""
 
@@ -836,21 +843,21 @@ class Reduction(Table):
 class Curve(Table):
     """A response curve, followed through its folds by continuation."""
 
-    start: float = number()
+    start: float = number_field()
     """As ``stop``."""
-    stop: float = number()
+    stop: float = number_field()
     """Of the parameter: load frequencies [rad/s] or, with "frequency", [Hz]; factors of load,
     stiffness, damping or friction; clearances added [m]; or, with an engine order, speeds of the
     rotor [rad/s] or, with "rpm", in revolutions per minute."""
-    parameter: str = choice(
+    parameter: str = choice_field(
         "omega", "frequency", "load", "stiffness", "damping", "clearance", "friction", "speed",
         "rpm", default="omega",
     )  # fmt: skip
     """Parameter that changes along the curve."""
-    at: str | None = choice("resonance", default=None)
+    at: str | None = choice_field("resonance", default=None)
     """With "load": follow the resonance next to the load's frequency over the load but its mean,
     the backbone of a forced and damped vibration; of a bladed disk that of the watched blade."""
-    stability: bool = holds("true or false", default=True)
+    stability: bool = value_field("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
 
     def __post_init__(self) -> None:
@@ -882,25 +889,25 @@ class Integration(Table):
     """Direct integration in time: from rest, from the end of an earlier motion, or from a static
     deflection; under the load, or as a free decay."""
 
-    method: str | None = choice("exponential", "central_difference", "events", default=None)
+    method: str | None = choice_field("exponential", "central_difference", "events", default=None)
     """"events": exact from one switching instant to the next. Default: "exponential" where crack
     faces have no mass, else "central_difference"."""
-    periods: int = at_least_one(600)
+    periods: int = positive_int_field(600)
     """Maximum load periods."""
-    settle: float = positive(1e-4)
+    settle: float = positive_field(1e-4)
     """Relative change from one period to the next at which to stop, of the gaps and of the
     displacement where the load acts, relative to what moves. The distance from the settled motion
     is reported; its mean and its higher harmonics, mostly below a thousandth of the first,
     show it most."""
-    steps_per_period: int | None = at_least_one(None)
+    steps_per_period: int | None = positive_int_field(None)
     """Default: 512; at least twice what is stable (central differences), 256 (events)."""
-    initial: str | None = path("the path of the .h5 file of a solution or an integration")
+    initial: str | None = path_field("the path of the .h5 file of a solution or an integration")
     """Start at a solution's displacement and velocity at phase 0 of its load, or at those at the
     end of an integration, of the same mesh; under the scene's load."""
-    deflection: float | None = positive(None)
+    deflection: float | None = positive_field(None)
     """Start at rest from the static deflection, with contact, under the mean load and so many times
     the sum of its cosine and sine parts."""
-    free: bool = holds("true or false", default=False)
+    free: bool = value_field("true or false", default=False)
     """Free decay: the mean load acts alone. All periods are recorded."""
 
     def __post_init__(self) -> None:
@@ -920,11 +927,11 @@ class Sweep(Table):
         "crack.length" = [0.02, 0.03, 0.04]
     """
 
-    over: tuple[Axis, ...] = holds(
+    over: tuple[Axis, ...] = value_field(
         "a table of keys of the scene and the values that they take", lambda value: value
     )
     """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
-    at_resonance: bool = holds("true or false", default=False)
+    at_resonance: bool = value_field("true or false", default=False)
     """Solve each case at its own resonance, the one nearest to the excitation's frequency."""
 
     @property
@@ -947,39 +954,39 @@ class Growth(Table):
     over the cycles of K_I in one of the load, the ranges those of an open tip and
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
 
-    until: float = positive(unit="m")
+    until: float = positive_field(unit="m")
     """Length at which the growth ends, from ``crack.length`` on; of a half-ellipse the depth, from
     ``crack.depth`` on."""
-    rate: float = positive(unit="m")
+    rate: float = positive_field(unit="m")
     """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
-    exponent: float = between("0.1", "50", MISSING)
+    exponent: float = bounded_field("0.1", "50", MISSING)
     """Exponent m."""
-    ratio_exponent: float = between("0", "1", 1.0)
+    ratio_exponent: float = bounded_field("0", "1", 1.0)
     """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the crack
     faces."""
-    threshold: float = not_negative(0.0, unit="Pa m^0.5")
+    threshold: float = nonnegative_field(0.0, unit="Pa m^0.5")
     """Effective range below which the crack does not grow."""
-    toughness: float | None = positive(None, unit="Pa m^0.5")
+    toughness: float | None = positive_field(None, unit="Pa m^0.5")
     """K_max at which the plate breaks."""
-    drive: str = choice("frequency", "resonance", "spectrum", default="frequency")
+    drive: str = choice_field("frequency", "resonance", "spectrum", default="frequency")
     """The load keeps the excitation's frequency, follows the largest response, or passes
     through the ``frequencies`` again and again."""
-    frequencies: tuple[float, ...] | None = holds(
+    frequencies: tuple[float, ...] | None = value_field(
         "a list of different numbers > 0",
         lambda given: len(set(given)) == len(given) > 0 and min(given) > 0.0,
         None,
         unit="Hz",
     )
     """Of the load in a spectrum."""
-    cycles: tuple[float, ...] | None = holds(
+    cycles: tuple[float, ...] | None = value_field(
         "a list of numbers > 0", lambda given: len(given) > 0 and min(given) > 0.0, None
     )
     """Of the load at each of the frequencies, in one repeat."""
-    rate_deviation: float = between("0", "10", 0.0)
+    rate_deviation: float = bounded_field("0", "10", 0.0)
     """Relative standard deviation of the rate."""
-    exponent_deviation: float = between("0", "10", 0.0)
+    exponent_deviation: float = bounded_field("0", "10", 0.0)
     """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
-    life_tolerance: float = between("1e-6", "1", 0.01)
+    life_tolerance: float = bounded_field("1e-6", "1", 0.01)
     """Relative error of the number of cycles, by interpolation between the lengths that are
     solved."""
 
@@ -1022,104 +1029,104 @@ class Identify(Table):
         "blade_20.msh" = { "crack.length" = 0.020 }
     """
 
-    unknown: tuple[Axis, ...] = holds(
+    unknown: tuple[Axis, ...] = value_field(
         "a table of keys of the scene and the values between which they are looked for", default=()
     )
     """Keys with at least 4 numbers in ascending order, at which the forward model is solved, or
     start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
     "right"]``. May be left out with ``meshes``."""
-    meshes: tuple[MeshFile, ...] = holds(
+    meshes: tuple[MeshFile, ...] = value_field(
         'a table of .msh files and their numbers, "blade_05.msh" = { "crack.length" = 0.005 }',
         default=(),
     )
     """Meshes of the structure with its crack, for ``mesh.layout = "file"``, and what is unknown of
     each: keys of the crack, or words of one's own for other numbers; at least 4 values of each, and
     a mesh for every combination."""
-    uncracked: str | None = path("the path of a .msh file")
+    uncracked: str | None = path_field("the path of a .msh file")
     """Mesh of the same structure without its crack, where it is read from a file."""
-    frequencies: tuple[float, ...] = holds(
+    frequencies: tuple[float, ...] = value_field(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Further load frequencies at which measuring is considered [Hz]."""
-    finer: float = between("0.25", "4", 0.5)
+    finer: float = bounded_field("0.25", "4", 0.5)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
     correct the model and give its error; 1: neither. Below 1 these few have the scene's own mesh,
     and the others one that is coarser: 0.5 has elements twice as long."""
-    harmonic_deviation: float = between("0", "1", 0.05)
+    harmonic_deviation: float = bounded_field("0", "1", 0.05)
     """Least standard deviation of the computed second harmonic of the crack, over its value, and of
     the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them
     together too large or too small."""
-    young_deviation: float = between("0", "1", 0.03)
+    young_deviation: float = bounded_field("0", "1", 0.03)
     """Standard deviations of what the scene says, over its value, and of the model: Young's
     modulus. That of structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001."""
-    density_deviation: float = between("0", "1", 0.01)
+    density_deviation: float = bounded_field("0", "1", 0.01)
     """Density: the same, part 2.1."""
-    thickness_deviation: float = between("0", "1", 0.01)
+    thickness_deviation: float = bounded_field("0", "1", 0.01)
     """Thickness, which changes amplitudes: 0.2 mm of 10 mm (ISO 2768-1, medium) at most."""
-    clamp_deviation: float = between("0", "1", 0.01)
+    clamp_deviation: float = bounded_field("0", "1", 0.01)
     """What a soft clamp may take from the first natural frequency, over that. A beam that grows out
     of an elastic body as thick as itself is as if longer by 0.44 of its depth (W. J. O'Donnell,
     Journal of Applied Mechanics 27, 1960, 461), and loses 6 % if 15 times as long as deep: jaws
     are some times stiffer."""
-    before_deviation: float = between("0", "1", 0.002)
+    before_deviation: float = bounded_field("0", "1", 0.002)
     """What the clamp takes from the first natural frequency before there was a crack against what
     it takes since: one that was opened holds otherwise. Likewise what rotation adds, by the seat of
     a blade or the measured speed. Temperatures have keys of their own."""
-    before_scatter: float = between("0", "1", 0.2)
+    before_scatter: float = bounded_field("0", "1", 0.2)
     """Part of that change that each mode has by itself. Of plates clamped deeper, let go at an end
     of the clamp or on an elastic block, turning, moving and a common change leave up to 0.05 of the
     largest change if 15 times as tall as wide, 0.07 if five times, 0.12 if three, 0.18 if two and
     0.29 if square (benchmarks/identification_limits.py)."""
-    temperature_deviation: float | None = holds(
+    temperature_deviation: float | None = value_field(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
     """Temperature since there was a crack against before, where measurements do not state it.
     Default: 10 K at rest, which takes 0.2 % from all natural frequencies, and 25 K of a rotor,
     whose blades their gas or their drag warms (engineering judgement); 0: the same."""
-    temperature_coefficient: float = between("-0.01", "0.01", -4e-4, unit="1/K")
+    temperature_coefficient: float = bounded_field("-0.01", "0.01", -4e-4, unit="1/K")
     """Relative change of Young's modulus by a kelvin: of steel -2.6e-4 to -3e-4, of aluminium and
     titanium -5e-4 to -6e-4 at room temperature, of all more where they are hot."""
-    coefficient_deviation: float = between("0", "1", 0.3)
+    coefficient_deviation: float = bounded_field("0", "1", 0.3)
     """Standard deviation of that, over its value, where temperatures are stated; of a metal whose
     coefficient is known 0.1."""
-    thermometer_deviation: float = between("0", "100", 1.0, unit="K")
+    thermometer_deviation: float = bounded_field("0", "100", 1.0, unit="K")
     """Standard deviation of the difference of the temperatures that are stated, before and since:
     of a thermocouple of class 1 (IEC 60584-1: 1.5 K) at the blade or its root."""
-    damping_deviation: float = between("0", "10", 0.3)
+    damping_deviation: float = bounded_field("0", "10", 0.3)
     """Ratio of damping: of joints and air, it differs by so much between assemblies."""
-    stiffening_deviation: float = between("0", "1", 0.05)
+    stiffening_deviation: float = bounded_field("0", "1", 0.05)
     """What rotation adds to the square of a natural frequency: beams and plates differ by so much
     in it."""
-    angle_deviation: float = between("0", "45", 5.0, unit="degrees")
+    angle_deviation: float = bounded_field("0", "45", 5.0, unit="degrees")
     """Angle of a crack with the horizontal, which moves its tip from the height of its mouth."""
-    model_deviation: float = between("0", "1", 0.01)
+    model_deviation: float = bounded_field("0", "1", 0.01)
     """Each natural frequency, the same with the crack and without it: models of spacecraft are to
     meet measured ones to 5 % (NASA-STD-5002), and the ratio of the first two of a plain beam is
     2 % off (docs/notebook/measured_beams.md)."""
-    first_resonance_deviation: float = between("0", "1", 0.04)
+    first_resonance_deviation: float = bounded_field("0", "1", 0.04)
     """Resonance of mode 1 with a breathing crack less the bilinear frequency, over the difference
     between the frequencies with the crack bonded and open (docs/identification.md)."""
-    resonance_deviation: float = between("0", "1", 0.3)
+    resonance_deviation: float = bounded_field("0", "1", 0.3)
     """The same of other modes, whose neighbours open and close the crack, too, and of a crack that
     is open for any part of the period; 12^-1/2 is that of a uniform distribution."""
-    crack_deviation: float = between("0", "1", 0.15)
+    crack_deviation: float = bounded_field("0", "1", 0.15)
     """What a crack changes: two compliances in wide use, of the same crack from 0.1 to 0.3 of the
     depth, differ by 25 to 29 % (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration
     150, 1991, 191; P. F. Rizos, N. Aspragathos and A. D. Dimarogonas, 138, 1990, 381); half of
     that. A slot changes more than a crack (P. Cawley and R. Ray, Journal of Vibration and
     Acoustics 110, 1988, 366)."""
-    crack_correlation: float = between("0", "1", 0.9)
+    crack_correlation: float = bounded_field("0", "1", 0.9)
     """Correlation of that between modes, 1 for a compliance that is common to all."""
-    confidence: float = between("0.5", "0.9999", 0.95)
+    confidence: float = bounded_field("0.5", "0.9999", 0.95)
     """Probability of the regions and intervals that are reported. A hypothesis explains the
     measurements where the p-value of chi^2 is at least one minus that."""
-    log_bayes_factor: float = between("0", "1000", 3.0)
+    log_bayes_factor: float = bounded_field("0", "1000", 3.0)
     """Logarithm of the ratio of evidences beyond which a hypothesis is preferred: 20 to 1."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.unknown and not self.meshes:
-            allowed = f"given: {self.keys()['unknown'].metadata['allowed']}"
+            allowed = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
             raise InputError("identify.unknown", None, allowed)
         self._check_meshes()
         for axis in self.unknown:
@@ -1131,8 +1138,8 @@ class Identify(Table):
 
     def _check_meshes(self) -> None:
         """Raise InputError unless there is one mesh for every combination of enough numbers."""
-        metres = [key for key, item in Crack.keys().items() if item.metadata["unit"] == "m"]
-        named = {*map(Crack.name_of, metres)} - {axis.key for axis in self.unknown}
+        metres = [key for key, item in Crack.field_by_key().items() if item.metadata["unit"] == "m"]
+        named = {*map(Crack.full_key, metres)} - {axis.key for axis in self.unknown}
         for mesh in self.meshes:
             key, names = f'identify.meshes."{mesh.key}"', [name for name, _ in mesh.values]
             if not names or set(names) != {name for name, _ in self.meshes[0].values}:
@@ -1173,7 +1180,7 @@ class Identify(Table):
     def priors(self) -> dict[str, Any]:
         """Priors and levels by their keys: all that does not define the forward model."""
         forward = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
-        return {key: getattr(self, key) for key in self.keys() if key not in forward}
+        return {key: getattr(self, key) for key in self.field_by_key() if key not in forward}
 
 
 @dataclass(frozen=True)
@@ -1185,7 +1192,7 @@ class TipTiming(Table):
     tip_radius = 0.45
     """
 
-    probes: tuple[float, ...] = holds(
+    probes: tuple[float, ...] = value_field(
         "a list of rising angles in degrees, from 0 to less than 360",
         lambda angles: (
             angles and 0.0 <= angles[0] and angles[-1] < 360.0 and bool(np.all(np.diff(angles) > 0))
@@ -1193,28 +1200,28 @@ class TipTiming(Table):
     )
     """Angles of the probes [degrees], from the tip's place at a mark on the shaft, in the direction
     of rotation."""
-    tip_radius: float = positive(unit="m")
+    tip_radius: float = positive_field(unit="m")
     """Distance of the tip from the axis."""
-    tangential: float | None = holds(
-        f"a finite number other than 0 {OR_ZERO}", lambda share: share != 0.0, None
+    tangential: float | None = value_field(
+        f"a finite number other than 0 {ZERO_OR_MAGNITUDE_TEXT}", lambda share: share != 0.0, None
     )
     """Displacement of the tip in the direction of rotation over the one that is watched first (the
     load's, or that of the first of [output.points]): sin of the stagger; < 0: against it. Default:
     1; of a solid with [rotation] the circumferential motion of that node about the axis, which for
     identify has to be along x, y or z."""
-    order: int | None = at_least_one(None)
+    order: int | None = positive_int_field(None)
     """Periods of the load in a revolution, without [rotation]."""
-    revolutions: int = at_least_one(100)
+    revolutions: int = positive_int_field(100)
     """Number of revolutions computed; of a run-up all together."""
-    noise: float = not_negative(0.0, unit="s")
+    noise: float = nonnegative_field(0.0, unit="s")
     """Standard deviation of normal errors of the computed arrivals."""
-    clock: float = not_negative(0.0, unit="s")
+    clock: float = nonnegative_field(0.0, unit="s")
     """Resolution of the computed arrivals; 0: none."""
-    seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
+    seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Seed of the noise."""
-    angle_deviation: float = not_negative(0.0, unit="degrees")
+    angle_deviation: float = nonnegative_field(0.0, unit="degrees")
     """Standard deviation of the probes' angles, the same in every revolution."""
-    orders: tuple[float, ...] | None = holds(
+    orders: tuple[float, ...] | None = value_field(
         "a list of different whole numbers >= 1",
         lambda orders: (
             orders
@@ -1225,23 +1232,23 @@ class TipTiming(Table):
     )
     """Engine orders that may be in the arrivals; default: the load's, or 1 to 24 where it is not
     known. Of a computed run-up it is known."""
-    stiffening: float | None = between("-0.9", "0.9", None)
+    stiffening: float | None = bounded_field("-0.9", "0.9", None)
     """Of the resonances that a measured run-up passes: relative change of their natural frequencies
     for one of the speed, d ln f / d ln n, on which their damping depends. Default: with [rotation]
     that of each by the scene's Campbell diagram, else 0."""
-    frequencies: tuple[float, ...] | None = holds(
+    frequencies: tuple[float, ...] | None = value_field(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],
         None,
     )
     """Instead of engine orders, at a speed that is held: ends of a range in which a frequency is
     sought that need be no multiple of the speed [Hz]."""
-    fitted_harmonics: int = at_least_one(2)
+    fitted_harmonics: int = positive_int_field(2)
     """Harmonics that are fitted; 2 or more show a breathing crack."""
-    subharmonic: int = at_least_one(1)
+    subharmonic: int = positive_int_field(1)
     """2: the vibration has twice the load's period; the harmonics are those of half the load's
     frequency."""
-    fitted_revolutions: int = at_least_one(1)
+    fitted_revolutions: int = positive_int_field(1)
     """Revolutions of a run-up that are fitted together."""
 
     def __post_init__(self) -> None:
@@ -1261,13 +1268,13 @@ class Output(Table):
     tip = [0.1, 0.1]
     """
 
-    quantities: tuple[str, ...] | None = holds(
+    quantities: tuple[str, ...] | None = value_field(
         f"a list of some of {', '.join(QUANTITIES)}",
         lambda names: names and set(names) <= QUANTITIES.keys(),
         None,
     )
     """Default: a few of them. Files have them all."""
-    points: tuple[Point, ...] = holds(
+    points: tuple[Point, ...] = value_field(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
         f"finite numbers; {MOST_POINTS} of them at most",
         lambda points: (

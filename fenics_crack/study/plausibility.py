@@ -50,7 +50,7 @@ from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structur
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
-from fenics_crack.scene.words import faces_in_words
+from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.prepare import Study, reduction_of
 from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, meeting_speed
 
@@ -472,7 +472,7 @@ def _remarks(rows: Iterable[Usual], scene: Scene, *known: object) -> Iterator[Re
             number, *others = numbers if isinstance(numbers, tuple) else (numbers,)
             if number is None or row.low <= number <= row.high:
                 continue
-            text = row.words.format(number, *others, kind=kind, faces=faces_in_words(scene))
+            text = row.words.format(number, *others, kind=kind, faces=word_for_crack_faces(scene))
             for unit, factor in row.units.items():
                 if row.low <= factor * number <= row.high:
                     text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]

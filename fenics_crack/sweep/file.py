@@ -38,8 +38,8 @@ from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
-from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
-from fenics_crack.scene.words import differences
+from fenics_crack.scene.scene import RESULT_TABLES, Scene, asked_quantities
+from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
 
 KIND = "sweep"
@@ -99,7 +99,7 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "status": ("", "S400"),  # and its remark on the verdict; cut where it is longer
 }
 """Unit and type of the columns of each case beside its state and the motion at points."""
-UNUSED = dict.fromkeys(name for name in LOOKED_AT if name not in ("sweep", "output", "growth"))
+UNUSED = dict.fromkeys(name for name in RESULT_TABLES if name not in ("sweep", "output", "growth"))
 """Tables that no case depends on; without them."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
@@ -344,7 +344,7 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
     begun = stored.scene()
     asked = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
     if begun is None or begun.replace(UNUSED) != asked.replace(UNUSED):
-        there = differences([begun, asked])[0] if begun is not None else ""
+        there = describe_differences([begun, asked])[0] if begun is not None else ""
         value = f"{path}{there and f', begun with {there}'}"
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", value, allowed)

@@ -23,7 +23,7 @@ from fenics_crack.scene.tables import FORCES, Contact
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
 OF_FORCES = {f"excitation.{name}" for name in FORCES}
 SAME_GEOMETRY = {
-    *FREQUENCIES, *OF_FORCES, *map(Contact.name_of, Contact.keys().keys() - {"pairs"}),
+    *FREQUENCIES, *OF_FORCES, *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""

@@ -50,7 +50,7 @@ from fenics_crack.files.store import Stored, header
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.conclusion import report_linearity
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import Asked, with_any_modes
@@ -415,7 +415,7 @@ class SweepResult(Tabular):
         return dataset(columns, swept)
 
     def _units(self) -> dict[str, str]:
-        swept = {axis.key: unit_of(axis.key) for axis in self.axes}
+        swept = {axis.key: unit_of_key(axis.key) for axis in self.axes}
         return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
 
     def said(self) -> Said:

@@ -74,7 +74,7 @@ def test_a_proposed_key_is_taken() -> None:
         for name in (key, key[:-1], key[1:], f"{key}s", f"crak.{key}", f"load.{key}"):
             proposed |= {*meant_keys(name)}
         for table in Table.__subclasses__():
-            proposed |= {*table.meant_by(key[1:])}
+            proposed |= {*table.suggest_keys(key[1:])}
     assert proposed <= known | {*Scene.__dataclass_fields__}
     assert "loads.1.harmonics" in meant_keys("harmonics")
     scene = Scene.from_mapping(GOOD)
