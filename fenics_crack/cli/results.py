@@ -41,7 +41,7 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.runs.conclusion import conclusion_of, unknown_error, unknown_of_solution
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
-from fenics_crack.scene.scene import asked_quantities
+from fenics_crack.scene.scene import quantities_on_request
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
@@ -149,7 +149,7 @@ def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
 
 def _along_fronts(run: Run[Any]) -> dict[str, Table]:
     """Stress intensities along the fronts of a solid's cracks, if one is requested (collective)."""
-    places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
+    places = [QUANTITIES[name].of for name in quantities_on_request(run.scene)]
     if run.scene.dimension == 2 or Place.TIPS not in places:
         return {}
     found = stress_intensity(run)

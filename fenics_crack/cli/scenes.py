@@ -20,7 +20,7 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, asked_quantities
+from fenics_crack.scene.scene import Scene, quantities_on_request
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
     CURVE_UNITS,
@@ -48,13 +48,13 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     scene = inputs.scene
     with console.stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
-        if asked_quantities(scene):  # which may be refused
+        if quantities_on_request(scene):  # which may be refused
             from fenics_crack.study.observer import rows_requested  # the solver
 
             rows_requested(study)
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
-    run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
+    run_up = scene.curve is not None and scene.curve.continuation_range[0] == "speed"
     give_back_freed()
     memory = check_memory_of(scene, whole, run_up=run_up)
     with console.stage("natural frequencies"):

@@ -46,7 +46,7 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.scene import Scene, check_known, without_tips
+from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep.file import NUMBERED
@@ -335,7 +335,7 @@ def _errors(
 
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
-    check_known(without_tips(scene), "growth", "asked for")
+    refuse_for_reason(reason_without_stress_intensity(scene), "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"

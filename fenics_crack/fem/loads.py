@@ -81,7 +81,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         )
         load_coefficients += added_coefficients
         watched_vector = direction_vector if scene.has_other_loads or scene.speed > 0.0 else None
-    elif (force_key := excitation.force_given) or not scene.has_other_loads:
+    elif (force_key := excitation.first_force_key) or not scene.has_other_loads:
         key_note = f" with excitation.{force_key}" if force_key else ""
         requirement = f"given{key_note}, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, requirement)

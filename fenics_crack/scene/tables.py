@@ -107,14 +107,14 @@ class Geometry(Table):
         return tuple(side for side in sides if side is not None)
 
     @property
-    def across(self) -> float:
+    def circumferential_width(self) -> float:
         """Width of a plate or thickness of a box: of a blade, along the circumference [m]."""
         return self.sides[0 if self.dimension == 2 else 2]
 
 
-OF_BOXES = ("edge", "center", "height", "first_frequency", "first_omega")
+BOX_CRACK_KEYS = ("edge", "center", "height", "first_frequency", "first_omega")
 """Keys of a crack in a plate, or in the plane y = height of a box; and its length and depth."""
-OF_PLANES = ("point", "normal", "direction", "radii")
+PLANE_CRACK_KEYS = ("point", "normal", "direction", "radii")
 """Keys of a crack in any plane of a solid."""
 
 
@@ -164,7 +164,7 @@ class Crack(Table):
 
     def check_plane(self) -> None:
         """Raise InputError unless the crack of a solid is one around a point."""
-        self.leave_out(OF_BOXES, "crack.point")
+        self.leave_out(BOX_CRACK_KEYS, "crack.point")
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
         self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
@@ -309,7 +309,7 @@ class Periodic:
     wave_harmonics: int = 1
 
     @property
-    def highest(self) -> int:
+    def highest_order(self) -> int:
         """Highest order of its harmonics."""
         of_wave = self.wave_harmonics if self.wave is not None else 1
         return max(of_wave, *(one.order for one in self.harmonics), 1)
@@ -370,7 +370,7 @@ class Excitation(Table, Periodic):
         return super().with_twins_removed(values, held)
 
     @property
-    def force_given(self) -> str:
+    def first_force_key(self) -> str:
         """The first key of a force that is not zero; empty if there is none."""
         found = next((name for name in FORCES[::-1] if any(getattr(self, name))), "")
         return found or next((n for n in ("harmonics", "wave") if getattr(self, n)), "")
@@ -444,7 +444,7 @@ class Load(Table, Periodic):
         c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
         both = list(zip_longest(cosine, sine, fillvalue=0.0))
         first = [tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
-        rows = [mean, *first, *((),) * (2 * self.highest - 2)]
+        rows = [mean, *first, *((),) * (2 * self.highest_order - 2)]
         scalar = kind == "pressure"
         add_harmonics(rows, tuple(h for h in self.harmonics if (len(h.cos) == 1) == scalar))
         return rows
@@ -475,7 +475,7 @@ class Base(Table, Periodic):
         parts = (self.acceleration_cos, self.acceleration_sin)
         size = max(len(part) for part in (*parts, *(h.cos for h in self.harmonics)) if part)
         zero = (0.0,) * size
-        rows: list[Vector] = [zero] * (2 * self.highest + 1)
+        rows: list[Vector] = [zero] * (2 * self.highest_order + 1)
         rows[1:3] = [part or zero for part in parts]
         add_harmonics(rows, self.harmonics)
         return rows[1:]
@@ -527,14 +527,14 @@ class Rotation(Table):
             self.leave_out(("hub_radius",), "center")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
-    def check_place(self, disk: Disk | None) -> None:
+    def check_axis_position(self, disk: Disk | None) -> None:
         """Raise InputError unless it is known where the axis is."""
         if disk is not None:
             self.leave_out(("hub_radius", "axis", "center"), "[disk], which has an axis")
         elif self.center is None:
             self.given("hub_radius", "given: a finite number >= 0")
 
-    def place(self, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def locate_axis(self, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a point of the axis in space [m] and its direction, of length 1: (3,) each.
 
         With ``hub_radius`` the axis is below the middle of a box (3,) [m], which has zeros of other
@@ -697,7 +697,7 @@ class HarmonicBalance(Table):
         allowed = f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out"
         self.require(fits, "samples", allowed)
 
-    def of_load(self, highest: int) -> HarmonicBalance:
+    def with_load_harmonics(self, highest: int) -> HarmonicBalance:
         """The same with as many harmonics as a load has, unless fewer are given."""
         least = f"a whole number >= {highest}, the highest order of the load"
         fits = self.harmonics >= highest
@@ -874,7 +874,7 @@ class Curve(Table):
                 self.require(getattr(self, name) > least, name, allowed)
 
     @property
-    def followed(self) -> tuple[str, float, float]:
+    def continuation_range(self) -> tuple[str, float, float]:
         """The parameter of the equations, and its ends: "omega" and "speed" in rad/s where Hz or
         revolutions per minute are given; "resonance" over the load at resonance."""
         if self.parameter == "rpm":

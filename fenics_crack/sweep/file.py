@@ -38,7 +38,7 @@ from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
-from fenics_crack.scene.scene import RESULT_TABLES, Scene, asked_quantities
+from fenics_crack.scene.scene import RESULT_TABLES, Scene, quantities_on_request
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
 
@@ -114,7 +114,7 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
     """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
     tips and the clamp that it requests."""
-    asked = names_of(where=FRICTION) * scene.has_friction + asked_quantities(scene)
+    asked = names_of(where=FRICTION) * scene.has_friction + quantities_on_request(scene)
     at_points = {
         f"{point}.{name}": (unit, "f8")
         for point in scene.point_names
