@@ -142,7 +142,7 @@ def of_stability(
         text = f"the stability of the orbit is undecided{because}{seen}"
         hints += search
         table = scene.damping  # None: a matrix, which damps all modes or not
-        if table and not (table.of_all_modes or damped_range(run.structure) is None):
+        if table and not (table.damps_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
 

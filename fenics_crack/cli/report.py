@@ -38,9 +38,9 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.words import (
     describe_differences,
+    file_value_by_key,
     key_in_words,
     value_in_words,
-    written_value_by_key,
 )
 from fenics_crack.study.shelf import KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
@@ -265,7 +265,7 @@ def _describe_scene(result: Any, folder: Path) -> dict[str, Any]:
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
         mesh = _picture(draw_scene(scene, folder, structure), "The mesh with its named parts.")
-    values_by_key = written_value_by_key(scene)
+    values_by_key = file_value_by_key(scene)
     keys = [key for table in LISTED_TABLES for key in values_by_key if key.startswith(f"{table}.")]
     rows: list[tuple[str, object]] = [(key_in_words(k), _value(k, values_by_key[k])) for k in keys]
     if scene.excitation.order is not None:

@@ -136,7 +136,7 @@ class Growth(Saved):
     @property
     def repeats(self) -> np.ndarray | None:
         """Repeats of the spectrum until then (n,); None without a spectrum."""
-        repeat = self.scene.given("growth").repeat
+        repeat = self.scene.given("growth").repeat_cycles_and_duration
         return None if repeat is None else self.cycles / repeat[0]
 
     @property

@@ -89,7 +89,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         key = f"loads.{load_number}"
         if load.point is not None:
             added_coefficients, direction_vector = _point_load(
-                scene, dofs, key, load.point, load.parts("force")
+                scene, dofs, key, load.point, load.harmonic_components("force")
             )
             watched_vector = direction_vector if watched_vector is None else watched_vector
         else:
@@ -238,12 +238,12 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
     weights = test_integrals.reshape(-1, dofs.dimension)[:, 0]
     load_coefficients = np.array(
-        [_distribute_vector(dofs, weights, part) for part in load.parts("traction")]
+        [_distribute_vector(dofs, weights, part) for part in load.harmonic_components("traction")]
     )
     normal = ufl.FacetNormal(dofs.space.mesh)
     unit_pressure_force = -compat.assembled_vector(t * ufl.inner(normal, test) * edge_measure)
     load_coefficients += np.array(
-        [sum(part) * unit_pressure_force for part in load.parts("pressure")]
+        [sum(part) * unit_pressure_force for part in load.harmonic_components("pressure")]
     )
     return _require_free_force(dofs, f"{key}.edge", load.edge, load_coefficients)
 

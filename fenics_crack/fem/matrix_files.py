@@ -54,12 +54,12 @@ from fenics_crack.model.modes import check_damped_modes
 from fenics_crack.model.nodes import Nodes, Pairs, format_point
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES, Damping, Excitation
+from fenics_crack.scene.tables import FORCE_KEYS, Damping, Excitation
 from fenics_crack.scene.tables import Structure as StructureTable
 
 MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter for each matrix in a file with several matrices."""
-ROW_FILE_KEYS = ("gap", "tangential", *FORCES)
+ROW_FILE_KEYS = ("gap", "tangential", *FORCE_KEYS)
 """Keys of files with a row for each dof."""
 SCENE_FILE = "matrices.toml"
 """Name of the scene that reads the written files."""
@@ -129,7 +129,7 @@ def _make_structure(
     if scene.excitation.point is not None:
         assert nodes is not None
         _, point_dofs = nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
-        for name in FORCES:
+        for name in FORCE_KEYS:
             force = sparse.lil_matrix(parts.get(name, (n_dofs, 1)))
             for dof, component in zip(point_dofs, getattr(scene.excitation, name), strict=True):
                 if dof >= 0:
@@ -322,7 +322,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         "mass": local_rows(structure.mass),
         "stiffness": local_rows(structure.stiffness),
         "damping": None if damping is None else local_rows(damping),
-        **dict(zip(FORCES, (force[:1].T, force[1::2].T, force[2::2].T), strict=True)),
+        **dict(zip(FORCE_KEYS, (force[:1].T, force[1::2].T, force[2::2].T), strict=True)),
     }
     if structure.n_pairs:
         rank_rows = slice(None if comm.rank == 0 else 0)  # every rank has all pairs: write once

@@ -41,15 +41,15 @@ from fenics_crack.scene.fields import (
     vector_value_field,
 )
 
-FORCES = ("force_mean", "force_cos", "force_sin")
+FORCE_KEYS = ("force_mean", "force_cos", "force_sin")
 """Parts of the excitation."""
 LOAD_KINDS = ("force", "pressure", "traction")
 """Kinds of the loads at a point or on an edge."""
-MOST_POINTS = 100
+MAX_ALLOWED_POINTS = 100
 """Points of ``[output.points]``: every quantity of each is computed, printed and written."""
-MOST_FACES = 200
+MAX_ALLOWED_FACE_POINTS = 200
 """Points of ``[geometry.faces]``."""
-MIN_VALUES = 4
+MIN_ALLOWED_UNKNOWN_VALUES = 4
 """Minimum values of an unknown, as its interpolation requires."""
 
 
@@ -75,8 +75,9 @@ class Geometry(Table):
     unit: str | None = choice_field("mm", "m", "inch", default=None)
     """Unit of length of a .brep file, which has none."""
     faces: tuple[Face, ...] = value_field(
-        f"names with lists of points [x, y, z] in m, one on each face, at most {MOST_FACES}",
-        lambda faces: sum(len(face.values) for face in faces) <= MOST_FACES,
+        "names with lists of points [x, y, z] in m, one on each face, "
+        f"at most {MAX_ALLOWED_FACE_POINTS}",
+        lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
         (),
     )
     """Faces of a part: a point on, or near, each."""
@@ -88,8 +89,8 @@ class Geometry(Table):
             return
         self.require(self.kind == "solid", "kind", "'solid' with geometry.file")
         self.leave_out(("width", "height", "thickness"), "geometry.file")
-        clamped = any(face.key == "clamp" and face.values for face in self.faces)
-        self.require(clamped, "faces", "names with lists of points, one of them clamp")
+        has_clamp = any(face.key == "clamp" and face.values for face in self.faces)
+        self.require(has_clamp, "faces", "names with lists of points, one of them clamp")
         if self.file.lower().endswith(".brep"):
             self.given("unit", "given: 'mm', 'm' or 'inch', as a .brep file has none")
         else:
@@ -168,20 +169,22 @@ class Crack(Table):
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
         self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
-        given = [key for key in ("length", "depth") if getattr(self, key) is not None]
+        given_keys = [key for key in ("length", "depth") if getattr(self, key) is not None]
         if self.front == "through":
             self.leave_out(("radii", "depth"), "front = 'through'")
         elif self.radii is not None:
-            self.leave_out(given, "crack.radii")
+            self.leave_out(given_keys, "crack.radii")
         else:
-            words = "given: [a, b]; or front = 'through', or crack.length and depth"
-            self.require(len(given) == 2, "radii", words)
+            requirement = "given: [a, b]; or front = 'through', or crack.length and depth"
+            self.require(len(given_keys) == 2, "radii", requirement)
         if self.front == "through" or self.half_axes[0] != self.half_axes[1]:
             self.given("direction", "given: of the first radius, or in which a half-plane grows")
         if self.direction is not None:
-            across = np.linalg.norm(np.cross(normal, self.direction))
-            lengths = np.linalg.norm(normal) * np.linalg.norm(self.direction)
-            self.require(across > 1e-3 * lengths, "direction", "a vector across crack.normal")
+            cross_norm = np.linalg.norm(np.cross(normal, self.direction))
+            norm_product = np.linalg.norm(normal) * np.linalg.norm(self.direction)
+            self.require(
+                cross_norm > 1e-3 * norm_product, "direction", "a vector across crack.normal"
+            )
 
     @property
     def half_axes(self) -> Pair:
@@ -198,10 +201,10 @@ class Crack(Table):
         """Rows: the direction and another one in the crack's plane, and the normal; (3, 3)."""
         normal = np.array(self.given("normal"), dtype=float)
         normal /= np.linalg.norm(normal)
-        along = np.array(self.direction or np.eye(3)[np.abs(normal).argmin()], dtype=float)
-        along -= (along @ normal) * normal
-        along /= np.linalg.norm(along)
-        return np.array([along, np.cross(normal, along), normal])
+        first_axis = np.array(self.direction or np.eye(3)[np.abs(normal).argmin()], dtype=float)
+        first_axis -= (first_axis @ normal) * normal
+        first_axis /= np.linalg.norm(first_axis)
+        return np.array([first_axis, np.cross(normal, first_axis), normal])
 
     def span(self, width: float) -> tuple[float, float]:
         """x of its left and its right end [m] in a plate of some width."""
@@ -275,26 +278,31 @@ class Damping(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        ways = [("ratio",), ("mass", "stiffness"), ("ratios", "frequencies", "omegas")]
-        found = [(way, key) for way in ways for key in way if getattr(self, key) is not None]
-        allowed = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
-        self.require(bool(found), "ratio", f"{allowed} or frequencies")
-        (chosen, key), *_ = found
-        for way in ways:
-            if way is not chosen:
-                self.leave_out(way, f"{key} = {getattr(self, key)}")
+        key_groups = [("ratio",), ("mass", "stiffness"), ("ratios", "frequencies", "omegas")]
+        given_groups_and_keys = [
+            (key_group, key)
+            for key_group in key_groups
+            for key in key_group
+            if getattr(self, key) is not None
+        ]
+        requirement = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
+        self.require(bool(given_groups_and_keys), "ratio", f"{requirement} or frequencies")
+        (chosen_group, key), *_ = given_groups_and_keys
+        for key_group in key_groups:
+            if key_group is not chosen_group:
+                self.leave_out(key_group, f"{key} = {getattr(self, key)}")
         if self.ratio is None:
             self.require(self.modes == "all", "modes", f"left out with {key}: all are damped")
         elif isinstance(self.ratio, tuple):
-            fits = self.modes in ("all", len(self.ratio))
-            self.require(fits, "ratio", f"a list of damping.modes = {self.modes}")
-        if "ratios" in chosen:
+            has_right_length = self.modes in ("all", len(self.ratio))
+            self.require(has_right_length, "ratio", f"a list of damping.modes = {self.modes}")
+        if "ratios" in chosen_group:
             ratios = self.given("ratios", f"given with omegas = {self.omegas}")
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
             check_two_ratios(self.full_key("ratios"), ratios, omegas)
 
     @property
-    def of_all_modes(self) -> bool:
+    def damps_all_modes(self) -> bool:
         """True if every mode is damped, whatever the structure."""
         if self.ratio is None:
             return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
@@ -311,8 +319,8 @@ class Periodic:
     @property
     def highest_order(self) -> int:
         """Highest order of its harmonics."""
-        of_wave = self.wave_harmonics if self.wave is not None else 1
-        return max(of_wave, *(one.order for one in self.harmonics), 1)
+        wave_order = self.wave_harmonics if self.wave is not None else 1
+        return max(wave_order, *(harmonic.order for harmonic in self.harmonics), 1)
 
 
 @dataclass(frozen=True)
@@ -356,31 +364,38 @@ class Excitation(Table, Periodic):
 
     @classmethod
     def with_twins_removed(
-        cls, values: Mapping[str, object], held: Mapping[str, object]
+        cls, changes: Mapping[str, object], current_values: Mapping[str, object]
     ) -> dict[str, Any]:
         """As of every table; a frequency takes the place of the order, or it of that."""
-        both = ("omega", "frequency")
-        others = {key for key in both if values.get(key) is not None}
-        if held.get("order") is not None and any(held.get(key) is not None for key in both):
+        frequency_keys = ("omega", "frequency")
+        changed_frequency_keys = {key for key in frequency_keys if changes.get(key) is not None}
+        if current_values.get("order") is not None and any(
+            current_values.get(key) is not None for key in frequency_keys
+        ):
             pass  # of a bladed disk at rest, where neither makes the other
-        elif others and "order" not in values:
-            values = {"order": None, **values}
-        elif values.get("order", held.get("order")) is not None:
-            values = {"omega": None, **values}
-        return super().with_twins_removed(values, held)
+        elif changed_frequency_keys and "order" not in changes:
+            changes = {"order": None, **changes}
+        elif changes.get("order", current_values.get("order")) is not None:
+            changes = {"omega": None, **changes}
+        return super().with_twins_removed(changes, current_values)
 
     @property
     def first_force_key(self) -> str:
         """The first key of a force that is not zero; empty if there is none."""
-        found = next((name for name in FORCES[::-1] if any(getattr(self, name))), "")
-        return found or next((n for n in ("harmonics", "wave") if getattr(self, n)), "")
+        force_key = next((key for key in FORCE_KEYS[::-1] if any(getattr(self, key))), "")
+        return force_key or next((key for key in ("harmonics", "wave") if getattr(self, key)), "")
 
 
-def add_harmonics(rows: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
+def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
     """Add harmonics to the components of a mean, and of cosine and sine of each order."""
     for harmonic in harmonics:
-        for row, part in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
-            rows[row] = tuple(a + b for a, b in zip_longest(rows[row], part, fillvalue=0.0))
+        for row_index, vector in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
+            harmonic_vectors[row_index] = tuple(
+                component + addition
+                for component, addition in zip_longest(
+                    harmonic_vectors[row_index], vector, fillvalue=0.0
+                )
+            )
 
 
 @dataclass(frozen=True)
@@ -416,38 +431,56 @@ class Load(Table, Periodic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        forces, pressures, tractions = (self._names(kind) for kind in LOAD_KINDS)
-        allowed, others = forces, pressures + tractions
+        force_keys, pressure_keys, traction_keys = (
+            self._component_keys(load_kind) for load_kind in LOAD_KINDS
+        )
+        allowed_keys, forbidden_keys = force_keys, pressure_keys + traction_keys
         if self.point is not None:
             self.leave_out(("edge",), "point")
         else:
             self.given("edge", "given, or point: where the load acts")
-            allowed, others = others, allowed
-        self.leave_out(others, "edge" if self.point is None else "point")
-        some = any(getattr(self, name) is not None for name in allowed) or bool(self.harmonics)
-        vectors = self.point is None or all(len(one.cos) > 1 for one in self.harmonics)
-        self.require(vectors, "harmonics", "vectors at a point: components of a force")
-        self.require(some, allowed[-1], f"given, or another of {', '.join(allowed[:-1])}")
-        if all(getattr(self, name) is None for name in allowed if not name.endswith("_mean")):
+            allowed_keys, forbidden_keys = forbidden_keys, allowed_keys
+        self.leave_out(forbidden_keys, "edge" if self.point is None else "point")
+        has_load = any(getattr(self, key) is not None for key in allowed_keys) or bool(
+            self.harmonics
+        )
+        has_vectors = self.point is None or all(
+            len(harmonic.cos) > 1 for harmonic in self.harmonics
+        )
+        self.require(has_vectors, "harmonics", "vectors at a point: components of a force")
+        self.require(
+            has_load, allowed_keys[-1], f"given, or another of {', '.join(allowed_keys[:-1])}"
+        )
+        if all(getattr(self, key) is None for key in allowed_keys if not key.endswith("_mean")):
             self.leave_out(("phase",), "a mean load alone")
 
     @staticmethod
-    def _names(kind: str) -> tuple[str, ...]:
-        return tuple(f"{kind}_{part}" for part in ("mean", "cos", "sin"))
+    def _component_keys(load_kind: str) -> tuple[str, ...]:
+        return tuple(f"{load_kind}_{suffix}" for suffix in ("mean", "cos", "sin"))
 
-    def parts(self, kind: str) -> list[Vector]:
+    def harmonic_components(self, load_kind: str) -> list[Vector]:
         """Mean, and cosine and sine part of each order, of the "force" or the "traction"; of the
         "pressure" (p,); without numbers where they are not given."""
-        values = [getattr(self, name) for name in self._names(kind)]
-        rows = [v if isinstance(v, tuple) else () if v is None else (v,) for v in values]
-        mean, cosine, sine = rows
-        c, s = math.cos(math.radians(self.phase)), math.sin(math.radians(self.phase))
-        both = list(zip_longest(cosine, sine, fillvalue=0.0))
-        first = [tuple(c * a - s * b for a, b in both), tuple(s * a + c * b for a, b in both)]
-        rows = [mean, *first, *((),) * (2 * self.highest_order - 2)]
-        scalar = kind == "pressure"
-        add_harmonics(rows, tuple(h for h in self.harmonics if (len(h.cos) == 1) == scalar))
-        return rows
+        component_values = [getattr(self, key) for key in self._component_keys(load_kind)]
+        harmonic_vectors = [
+            value if isinstance(value, tuple) else () if value is None else (value,)
+            for value in component_values
+        ]
+        mean, cosine, sine = harmonic_vectors
+        phase = math.radians(self.phase)
+        cos_phase, sin_phase = math.cos(phase), math.sin(phase)
+        cosine_sine_pairs = list(zip_longest(cosine, sine, fillvalue=0.0))
+        first_order_vectors = [
+            tuple(cos_phase * x - sin_phase * y for x, y in cosine_sine_pairs),
+            tuple(sin_phase * x + cos_phase * y for x, y in cosine_sine_pairs),
+        ]
+        harmonic_vectors = [mean, *first_order_vectors, *((),) * (2 * self.highest_order - 2)]
+        is_scalar = load_kind == "pressure"
+        add_harmonics(
+            harmonic_vectors,
+            tuple(harmonic for harmonic in self.harmonics if (len(harmonic.cos) == 1) == is_scalar),
+        )
+        return harmonic_vectors
 
 
 @dataclass(frozen=True)
@@ -465,26 +498,32 @@ class Base(Table, Periodic):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = (self.acceleration_cos, self.acceleration_sin)
-        moving = bool(self.harmonics) or any(any(part) for part in given if part)
-        self.require(moving, "acceleration_sin", "given, or acceleration_cos, not zero")
+        accelerations = (self.acceleration_cos, self.acceleration_sin)
+        has_acceleration = bool(self.harmonics) or any(
+            any(acceleration) for acceleration in accelerations if acceleration
+        )
+        self.require(has_acceleration, "acceleration_sin", "given, or acceleration_cos, not zero")
 
     @property
     def accelerations(self) -> list[Vector]:
         """Cosine and sine part of each order [m/s^2]."""
-        parts = (self.acceleration_cos, self.acceleration_sin)
-        size = max(len(part) for part in (*parts, *(h.cos for h in self.harmonics)) if part)
-        zero = (0.0,) * size
-        rows: list[Vector] = [zero] * (2 * self.highest_order + 1)
-        rows[1:3] = [part or zero for part in parts]
-        add_harmonics(rows, self.harmonics)
-        return rows[1:]
+        first_order_vectors = (self.acceleration_cos, self.acceleration_sin)
+        n_components = max(
+            len(vector)
+            for vector in (*first_order_vectors, *(harmonic.cos for harmonic in self.harmonics))
+            if vector
+        )
+        zero_vector = (0.0,) * n_components
+        harmonic_vectors: list[Vector] = [zero_vector] * (2 * self.highest_order + 1)
+        harmonic_vectors[1:3] = [vector or zero_vector for vector in first_order_vectors]
+        add_harmonics(harmonic_vectors, self.harmonics)
+        return harmonic_vectors[1:]
 
     @property
     def direction(self) -> Vector:
         """(1, 0), (0, 1) or, of a solid, (0, 0, 1): the direction of the largest motion."""
-        along = np.abs(self.accelerations).max(axis=0)
-        return tuple(np.eye(len(along))[int(np.argmax(along))].tolist())
+        max_components = np.abs(self.accelerations).max(axis=0)
+        return tuple(np.eye(len(max_components))[int(np.argmax(max_components))].tolist())
 
 
 @dataclass(frozen=True)
@@ -534,15 +573,15 @@ class Rotation(Table):
         elif self.center is None:
             self.given("hub_radius", "given: a finite number >= 0")
 
-    def locate_axis(self, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def locate_axis(self, box_center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a point of the axis in space [m] and its direction, of length 1: (3,) each.
 
         With ``hub_radius`` the axis is below the middle of a box (3,) [m], which has zeros of other
         shapes.
         """
-        axis = np.array(self.axis or (1.0, 0.0, 0.0))
-        axis_point = middle[0], -(self.hub_radius or 0.0), middle[2]
-        return np.array(self.center or axis_point), axis / np.linalg.norm(axis)
+        direction = np.array(self.axis or (1.0, 0.0, 0.0))
+        axis_point = box_center[0], -(self.hub_radius or 0.0), box_center[2]
+        return np.array(self.center or axis_point), direction / np.linalg.norm(direction)
 
 
 @dataclass(frozen=True)
@@ -569,7 +608,7 @@ class Disk(Table):
     """Sectors whose crack is one; in the others its faces are bonded."""
     mistuning: tuple[float, ...] | None = value_field(
         "a list of numbers above -0.5 and below 1, one for each sector",
-        lambda given: all(-0.5 < one < 1.0 for one in given),
+        lambda deviations: all(-0.5 < deviation < 1.0 for deviation in deviations),
         None,
     )
     """Relative deviation of the stiffness of each sector at rest."""
@@ -596,8 +635,8 @@ class Disk(Table):
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
                      f"numbers of sectors, from 1 to disk.sectors = {self.sectors}")  # fmt: skip
         if self.mistuning is not None:
-            allowed = f"one number for each of the {self.sectors} sectors"
-            self.require(len(self.mistuning) == self.sectors, "mistuning", allowed)
+            requirement = f"one number for each of the {self.sectors} sectors"
+            self.require(len(self.mistuning) == self.sectors, "mistuning", requirement)
             self.leave_out(("deviation", "seed"), "disk.mistuning")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
@@ -638,20 +677,24 @@ class Contact(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        law = f"law = {self.law!r}"
+        law_text = f"law = {self.law!r}"
         if self.law == "unilateral":
-            self.leave_out(("stiffness", "stiffness_per_area"), law)
+            self.leave_out(("stiffness", "stiffness_per_area"), law_text)
         else:
-            one = (self.stiffness is None) != (self.stiffness_per_area is None)
-            self.require(one, "stiffness", f"given, or contact.stiffness_per_area, with {law}")
+            has_one_stiffness = (self.stiffness is None) != (self.stiffness_per_area is None)
+            self.require(
+                has_one_stiffness,
+                "stiffness",
+                f"given, or contact.stiffness_per_area, with {law_text}",
+            )
         if self.law == "smoothed":
-            self.given("sharpness", f"given with {law}")
+            self.given("sharpness", f"given with {law_text}")
         else:
-            self.leave_out(("sharpness",), law)
+            self.leave_out(("sharpness",), law_text)
         if not self.friction:
             self.leave_out(("tangential_stiffness_per_area",), "contact.friction = 0")
         elif not self.is_unilateral:
-            self.require(False, "friction", f"0, or left out, with {law}")
+            self.require(False, "friction", f"0, or left out, with {law_text}")
 
     @property
     def is_unilateral(self) -> bool:
@@ -681,28 +724,34 @@ class HarmonicBalance(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        chosen = {"harmonics": 5, "tolerance": TOLERANCE}
+        default_by_key = {"harmonics": 5, "tolerance": TOLERANCE}
         if self.harmonics is not None or self.samples is not None or not self.error:
-            del chosen["tolerance"]
+            del default_by_key["tolerance"]
         if self.form == "block":
             self.leave_out(("tolerance",), "form = 'block'")
-            chosen.pop("tolerance", None)
-        follow = {key for key in chosen if getattr(self, key) is None}
-        vars(self).update({key: chosen[key] for key in follow}, _inferred_keys=follow)
+            default_by_key.pop("tolerance", None)
+        inferred_keys = {key for key in default_by_key if getattr(self, key) is None}
+        vars(self).update(
+            {key: default_by_key[key] for key in inferred_keys}, _inferred_keys=inferred_keys
+        )
         if self.tolerance is not None:
             self.leave_out(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
-        least = 4 * self.harmonics + 1
-        fits = self.samples is None or least <= self.samples <= MAX_SAMPLES
-        allowed = f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out"
-        self.require(fits, "samples", allowed)
+        min_samples = 4 * self.harmonics + 1
+        has_allowed_samples = self.samples is None or min_samples <= self.samples <= MAX_SAMPLES
+        requirement = (
+            f"a whole number from {min_samples} (4 harmonics + 1) to {MAX_SAMPLES}, or left out"
+        )
+        self.require(has_allowed_samples, "samples", requirement)
 
-    def with_load_harmonics(self, highest: int) -> HarmonicBalance:
+    def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
         """The same with as many harmonics as a load has, unless fewer are given."""
-        least = f"a whole number >= {highest}, the highest order of the load"
-        fits = self.harmonics >= highest
-        self.require(fits or "harmonics" in self.derived_keys, "harmonics", least)
-        return self if fits else self.with_values(harmonics=highest)
+        requirement = f"a whole number >= {highest_order}, the highest order of the load"
+        has_enough_harmonics = self.harmonics >= highest_order
+        self.require(
+            has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement
+        )
+        return self if has_enough_harmonics else self.with_values(harmonics=highest_order)
 
 
 @dataclass(frozen=True)
@@ -751,15 +800,15 @@ class Mesh(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keys = {
+        keys_by_layout = {
             "grid": ("columns", "rows"),
             "graded": ("size", "lip_elements", "grading", "per_turn"),
             "file": ("file", "coarser"),
         }
-        given = keys.pop(self.layout)
-        for others in keys.values():
-            self.leave_out(others, f"layout = {self.layout!r}")
-        for key in given:
+        layout_keys = keys_by_layout.pop(self.layout)
+        for other_keys in keys_by_layout.values():
+            self.leave_out(other_keys, f"layout = {self.layout!r}")
+        for key in layout_keys:
             if key not in ("lip_elements", "coarser"):  # an uncracked plate has no crack faces
                 self.given(key, f"given with layout = {self.layout!r}")
         if self.layout == "file":
@@ -817,8 +866,8 @@ class Structure(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        moved = any((self.force_sin, self.force_cos, self.force_mean, self.model))
-        self.require(moved, "force_sin", "given, or force_cos or force_mean: what moves it")
+        has_load = any((self.force_sin, self.force_cos, self.force_mean, self.model))
+        self.require(has_load, "force_sin", "given, or force_cos or force_mean: what moves it")
 
 
 @dataclass(frozen=True)
@@ -865,13 +914,14 @@ class Curve(Table):
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
         if self.at is not None:
             self.require(self.parameter == "load", "at", "left out, or curve.parameter = 'load'")
-        positive_ones = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
-        if self.parameter in positive_ones or self.at is not None:
-            least = max(1e-12 * max(self.start, self.stop), 0.0)  # else rounding takes it to 0
-            for name in ("start", "stop"):
-                allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                allowed += ", and 1e-12 of the other end" * (getattr(self, name) > 0.0)
-                self.require(getattr(self, name) > least, name, allowed)
+        positive_parameters = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
+        if self.parameter in positive_parameters or self.at is not None:
+            # Rounding would take a smaller end to 0.
+            lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
+            for end_key in ("start", "stop"):
+                requirement = f"a number > 0 with curve.parameter = {self.parameter!r}"
+                requirement += ", and 1e-12 of the other end" * (getattr(self, end_key) > 0.0)
+                self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
 
     @property
     def continuation_range(self) -> tuple[str, float, float]:
@@ -973,13 +1023,15 @@ class Growth(Table):
     through the ``frequencies`` again and again."""
     frequencies: tuple[float, ...] | None = value_field(
         "a list of different numbers > 0",
-        lambda given: len(set(given)) == len(given) > 0 and min(given) > 0.0,
+        lambda frequencies: (
+            len(set(frequencies)) == len(frequencies) > 0 and min(frequencies) > 0.0
+        ),
         None,
         unit="Hz",
     )
     """Of the load in a spectrum."""
     cycles: tuple[float, ...] | None = value_field(
-        "a list of numbers > 0", lambda given: len(given) > 0 and min(given) > 0.0, None
+        "a list of numbers > 0", lambda cycles: len(cycles) > 0 and min(cycles) > 0.0, None
     )
     """Of the load at each of the frequencies, in one repeat."""
     rate_deviation: float = bounded_field("0", "10", 0.0)
@@ -997,17 +1049,20 @@ class Growth(Table):
             return
         for key in ("frequencies", "cycles"):
             self.given(key, "given with drive = 'spectrum': frequencies and cycles of the load")
-        same = len(self.cycles or ()) == len(self.frequencies or ())
-        self.require(same, "cycles", "as many numbers as there are frequencies")
+        has_equal_lengths = len(self.cycles or ()) == len(self.frequencies or ())
+        self.require(has_equal_lengths, "cycles", "as many numbers as there are frequencies")
 
     @property
-    def repeat(self) -> tuple[float, float] | None:
+    def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
         """Cycles of the load in one repeat of the spectrum, and how long it takes [s]; None without
         one."""
         if self.cycles is None or self.frequencies is None:
             return None
-        lasting = sum(n / f for n, f in zip(self.cycles, self.frequencies, strict=True))
-        return sum(self.cycles), lasting
+        duration = sum(
+            n_cycles / frequency
+            for n_cycles, frequency in zip(self.cycles, self.frequencies, strict=True)
+        )
+        return sum(self.cycles), duration
 
 
 @dataclass(frozen=True)
@@ -1126,61 +1181,87 @@ class Identify(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.unknown and not self.meshes:
-            allowed = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
-            raise InputError("identify.unknown", None, allowed)
+            requirement = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
+            raise InputError("identify.unknown", None, requirement)
         self._check_meshes()
         for axis in self.unknown:
-            words = [isinstance(value, str) for value in axis.values]
-            numbers = not any(words) and len(axis.values) >= MIN_VALUES
-            if not (all(words) or (numbers and np.all(np.diff(axis.values) > 0))):
-                allowed = f"words, or {MIN_VALUES} or more numbers in ascending order"
-                raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
+            is_word = [isinstance(value, str) for value in axis.values]
+            has_enough_numbers = not any(is_word) and len(axis.values) >= MIN_ALLOWED_UNKNOWN_VALUES
+            if not (all(is_word) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
+                requirement = (
+                    f"words, or {MIN_ALLOWED_UNKNOWN_VALUES} or more numbers in ascending order"
+                )
+                raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
 
     def _check_meshes(self) -> None:
         """Raise InputError unless there is one mesh for every combination of enough numbers."""
-        metres = [key for key, item in Crack.field_by_key().items() if item.metadata["unit"] == "m"]
-        named = {*map(Crack.full_key, metres)} - {axis.key for axis in self.unknown}
+        length_keys = [
+            key
+            for key, key_field in Crack.field_by_key().items()
+            if key_field.metadata["unit"] == "m"
+        ]
+        allowed_names = {*map(Crack.full_key, length_keys)} - {axis.key for axis in self.unknown}
         for mesh in self.meshes:
-            key, names = f'identify.meshes."{mesh.key}"', [name for name, _ in mesh.values]
-            if not names or set(names) != {name for name, _ in self.meshes[0].values}:
-                raise InputError(key, names, "the same numbers as of the others, one or more")
-            for name in names:
-                if not (name in named or name.isidentifier()):
-                    allowed = f"a word, or one of {', '.join(sorted(named))}"
-                    raise InputError(key, name, allowed)
+            error_key = f'identify.meshes."{mesh.key}"'
+            parameter_names = [name for name, _ in mesh.values]
+            if not parameter_names or set(parameter_names) != {
+                name for name, _ in self.meshes[0].values
+            }:
+                raise InputError(
+                    error_key, parameter_names, "the same numbers as of the others, one or more"
+                )
+            for name in parameter_names:
+                if not (name in allowed_names or name.isidentifier()):
+                    requirement = f"a word, or one of {', '.join(sorted(allowed_names))}"
+                    raise InputError(error_key, name, requirement)
         axes = self.mesh_axes
         for axis in axes:
-            if len(axis.values) < MIN_VALUES:
-                allowed = f"{MIN_VALUES} or more different ones"
-                raise InputError(f"identify.meshes, {axis.key}", axis.values, allowed)
-        there = Counter(tuple(dict(mesh.values)[a.key] for a in axes) for mesh in self.meshes)
-        every = itertools.product(*(axis.values for axis in axes))
-        for wanted in every if there else ():
-            if (count := there[wanted]) != 1:
-                pairs = zip(axes, wanted, strict=True)
-                of = ", ".join(f"{axis.key} = {value:g}" for axis, value in pairs)
-                allowed = "one mesh for every combination of its numbers"
-                raise InputError("identify.meshes", f"{count or 'no'} files of {of}", allowed)
+            if len(axis.values) < MIN_ALLOWED_UNKNOWN_VALUES:
+                requirement = f"{MIN_ALLOWED_UNKNOWN_VALUES} or more different ones"
+                raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
+        n_meshes_by_values = Counter(
+            tuple(dict(mesh.values)[axis.key] for axis in axes) for mesh in self.meshes
+        )
+        value_combinations = itertools.product(*(axis.values for axis in axes))
+        for combination in value_combinations if n_meshes_by_values else ():
+            if (n_meshes := n_meshes_by_values[combination]) != 1:
+                axes_and_values = zip(axes, combination, strict=True)
+                combination_text = ", ".join(
+                    f"{axis.key} = {value:g}" for axis, value in axes_and_values
+                )
+                requirement = "one mesh for every combination of its numbers"
+                raise InputError(
+                    "identify.meshes",
+                    f"{n_meshes or 'no'} files of {combination_text}",
+                    requirement,
+                )
 
     @property
     def mesh_axes(self) -> tuple[Axis, ...]:
         """The numbers of the meshes, in ascending order, by their names."""
         names = [name for name, _ in self.meshes[0].values] if self.meshes else []
-        values = {name: {dict(mesh.values)[name] for mesh in self.meshes} for name in names}
-        return tuple(Axis(name, tuple(sorted(found))) for name, found in values.items())
+        values_by_name = {name: {dict(mesh.values)[name] for mesh in self.meshes} for name in names}
+        return tuple(
+            Axis(name, tuple(sorted(parameter_values)))
+            for name, parameter_values in values_by_name.items()
+        )
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
         """The meshes by their numbers, those of the last name fastest."""
         names = [axis.key for axis in self.mesh_axes]
-        ordered = sorted(self.meshes, key=lambda one: [dict(one.values)[name] for name in names])
-        return tuple(one.key for one in ordered)
+        ordered_meshes = sorted(
+            self.meshes, key=lambda mesh: [dict(mesh.values)[name] for name in names]
+        )
+        return tuple(mesh.key for mesh in ordered_meshes)
 
     @property
     def priors(self) -> dict[str, Any]:
         """Priors and levels by their keys: all that does not define the forward model."""
-        forward = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
-        return {key: getattr(self, key) for key in self.field_by_key() if key not in forward}
+        forward_model_keys = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
+        return {
+            key: getattr(self, key) for key in self.field_by_key() if key not in forward_model_keys
+        }
 
 
 @dataclass(frozen=True)
@@ -1276,9 +1357,9 @@ class Output(Table):
     """Default: a few of them. Files have them all."""
     points: tuple[Point, ...] = value_field(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
-        f"finite numbers; {MOST_POINTS} of them at most",
+        f"finite numbers; {MAX_ALLOWED_POINTS} of them at most",
         lambda points: (
-            len(points) <= MOST_POINTS
+            len(points) <= MAX_ALLOWED_POINTS
             and all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points)
         ),
         (),

@@ -67,11 +67,11 @@ def describe_differences(scenes: Sequence[Scene]) -> list[str]:
     list of str
         One text for each scene; empty texts if all scenes are equal.
     """
-    written_values = [written_value_by_key(scene) for scene in scenes]
-    keys = list(dict.fromkeys(key for value_by_key in written_values for key in value_by_key))
+    file_values_by_scene = [file_value_by_key(scene) for scene in scenes]
+    keys = list(dict.fromkeys(key for value_by_key in file_values_by_scene for key in value_by_key))
     scene_values = [
         {key: value_by_key.get(key, _default_value(scene, key)) for key in keys}
-        for scene, value_by_key in zip(scenes, written_values, strict=True)
+        for scene, value_by_key in zip(scenes, file_values_by_scene, strict=True)
     ]
     differing_keys = [
         key
@@ -93,7 +93,7 @@ def word_for_crack_faces(scene: Scene) -> str:
     return "pairs" if has_matrices_alone else "crack faces"
 
 
-def written_value_by_key(scene: Scene) -> dict[str, Any]:
+def file_value_by_key(scene: Scene) -> dict[str, Any]:
     """Return all values that a scene's file has, by full keys: "cracks.1.length".
 
     Default values are left out.

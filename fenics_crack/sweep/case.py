@@ -32,7 +32,7 @@ from fenics_crack.model.modes import FREQUENCY_KINDS, BilinearFrequencies, bilin
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES
+from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
@@ -119,8 +119,8 @@ class Geometry:
         """The structure with the load and the clearance of a case."""
         load: float | np.ndarray = 1.0
         if self.unit_loads:
-            load = np.zeros((len(FORCES), len(FORCES)))
-            wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
+            load = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
+            wanted = np.array([getattr(scene.excitation, name) for name in FORCE_KEYS])
             load[:, -scene.dimension :] = wanted[:, ::-1]
         of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
         return self.structure.varied(load=load, clearance=of_cracks)
@@ -132,7 +132,9 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if asked.unit_loads:
         size = scene.dimension
-        units = zip(FORCES, np.eye(len(FORCES), size, size - len(FORCES))[:, ::-1], strict=True)
+        units = zip(
+            FORCE_KEYS, np.eye(len(FORCE_KEYS), size, size - len(FORCE_KEYS))[:, ::-1], strict=True
+        )
         scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in units})
     whole = prepare(scene, comm, whole=True, like=None if last is None else last.study)
     modes = modes_chosen(whole, MOST_OF_MANY) if asked.judged else []

@@ -18,10 +18,10 @@ from fenics_crack.fem.blocks import count_plate_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES, Contact
+from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
-OF_FORCES = {f"excitation.{name}" for name in FORCES}
+OF_FORCES = {f"excitation.{name}" for name in FORCE_KEYS}
 SAME_GEOMETRY = {
     *FREQUENCIES, *OF_FORCES, *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",

@@ -38,7 +38,7 @@ from fenics_crack.monitoring.identification.posterior import Branch, Likelihood,
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import MIN_VALUES, Identify, Sweep
+from fenics_crack.scene.tables import MIN_ALLOWED_UNKNOWN_VALUES, Identify, Sweep
 from fenics_crack.study.meshes import finer_mesh
 from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
 
@@ -349,7 +349,9 @@ def solve_forward(
         return sweep
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
+    count = MIN_ALLOWED_UNKNOWN_VALUES - (
+        numbers > 2
+    )  # values of the finer sweep and of that between
     meshes = [Axis(MESH_AXIS, table.mesh_files)] if table.meshes else []
 
     def others(
