@@ -41,7 +41,7 @@ from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
 from fenics_crack.study.campbell import ORDERS, Campbell
 from fenics_crack.study.prepare import prepare
-from fenics_crack.sweep.plan import FREQUENCIES
+from fenics_crack.sweep.plan import FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
@@ -266,7 +266,9 @@ def _shown_axes(found: SweepResult) -> list[int]:
         raise InputError("sweep.over", [a.key for a in axes], "over numbers, to be drawn")
     if not np.any(found.converged):
         raise InputError("path", str(found.path), "a sweep with a case that converged")
-    numbers.sort(key=lambda place: (axes[place].key not in FREQUENCIES, -len(axes[place].values)))
+    numbers.sort(
+        key=lambda place: (axes[place].key not in FREQUENCY_KEYS, -len(axes[place].values))
+    )
     return numbers[:2]
 
 

@@ -43,7 +43,7 @@ from fenics_crack.scene.words import (
     value_in_words,
 )
 from fenics_crack.study.shelf import KIND as KEPT_KIND
-from fenics_crack.sweep.result import is_part
+from fenics_crack.sweep.result import is_partial_sweep
 from fenics_crack.version import VERSION, packaged
 
 LISTED_TABLES = (
@@ -118,9 +118,11 @@ def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
             raise InputError("result", str(path), "a folder with results, .h5 files")
         result_files += map(read, files)
     result_files = [file for file in result_files if file.kind != KEPT_KIND] or result_files
-    whole_files = [file for file in result_files if not is_part(file)]
+    whole_files = [file for file in result_files if not is_partial_sweep(file)]
     part_paths = (
-        ", ".join(str(file.path) for file in result_files if is_part(file)) if whole_files else ""
+        ", ".join(str(file.path) for file in result_files if is_partial_sweep(file))
+        if whole_files
+        else ""
     )
     return (
         whole_files or result_files,

@@ -259,7 +259,7 @@ def _impossible(scene: Scene) -> str:
 
     plan = Plan(scene)
     places = [*itertools.islice(np.ndindex(*plan.shape), 10_000)]  # others while they are run
-    reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
+    reasons = [case for case in map(plan.case_at, places) if isinstance(case, str)]
     more = f" of the first {len(places)}" if np.prod(plan.shape) > len(places) else ""
     return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")
 

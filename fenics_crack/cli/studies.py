@@ -14,8 +14,13 @@ from fenics_crack.cli.account import ON_MODES, of_error
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import NOT_STABLE, SweepResult, by_reason, in_words
+from fenics_crack.sweep.plan import FREQUENCY_KEYS
+from fenics_crack.sweep.result import (
+    VERDICTS_NOT_STABLE,
+    SweepResult,
+    describe_by_reason,
+    describe_position,
+)
 
 SPEEDS = ("rotation.speed", "rotation.rpm")
 
@@ -61,16 +66,16 @@ def report_of_sweep(found: SweepResult) -> Report:
 
 def warnings_of(found: SweepResult) -> Iterator[str]:
     """Failed cases, large errors, and what is not stable; one line for each kind."""
-    yield from by_reason(found, found.failed, "failed")
+    yield from describe_by_reason(found, found.failed, "failed")
     yield from _large_errors(found)
     verdicts = found["verdict"][found.converged]
-    counts = {name: int(np.sum(verdicts == name)) for name in NOT_STABLE}
+    counts = {name: int(np.sum(verdicts == name)) for name in VERDICTS_NOT_STABLE}
     if counts["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
     elif shares := " and ".join(f"{count} {name}" for name, count in counts.items() if count):
         yield f"{shares} of {counted(verdicts.size, 'case')}"
-    yield from by_reason(found, found.undecided, "undecided")
-    for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
+    yield from describe_by_reason(found, found.undecided, "undecided")
+    for said in describe_by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
         yield f"{said}; raise {found.scene.modes_key}"
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
@@ -90,7 +95,7 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
         report = ErrorReport(**dict(zip(ERROR_PARTS, errors[:, *place].tolist(), strict=True)))
         count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
         for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
-            yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"
+            yield f"{count}, the largest at {describe_position(found.axes, place)}: {text}"
 
 
 def stepped_over(found: SweepResult) -> list[str]:
@@ -100,7 +105,7 @@ def stepped_over(found: SweepResult) -> list[str]:
     Between its half-power points the phase falls by a quarter of a turn (rises, where speeds pass a
     load of one frequency), between others next to it by more.
     """
-    over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
+    over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCY_KEYS, *SPEEDS)]
     if not over:
         return []
     axis, wave = found.axes[over[0]], found["sine_1"] + 1j * found["cosine_1"]
@@ -115,7 +120,7 @@ def stepped_over(found: SweepResult) -> list[str]:
     ends = (axis.values[one] for one in rising[at : at + 2])
     between = in_unit((1.0, axis.key, unit_of_key(axis.key)), *ends)
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
-    where = "".join(f", {words}" for words in [in_words(others, place)] if words)
+    where = "".join(f", {words}" for words in [describe_position(others, place)] if words)
     more = int(turns.sum()) - 1
     also = f", and at {counted(more, 'other place')}" if more else ""
     return [
@@ -144,7 +149,7 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     if len(table.rows) <= FEW_ROWS:
         return table, ""
     along = int(np.argmax(found.shape))
-    for key in FREQUENCIES:
+    for key in FREQUENCY_KEYS:
         along = keys.index(key) if key in keys else along
     height = np.nan_to_num(found["response"], nan=-1.0)
     numbers = np.arange(height.size).reshape(height.shape)

@@ -37,12 +37,18 @@ from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
-from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
+from fenics_crack.sweep.file import (
+    CONTRADICTION_PREFIX,
+    HARMONIC_PART_UNITS,
+    POINT_QUANTITY_UNITS,
+    UNDECIDED_PREFIX,
+    load_column_name,
+)
 from fenics_crack.sweep.plan import Chunk
 
 
 @dataclass(frozen=True)
-class Asked:
+class CaseRequest:
     """Request for the cases of a sweep.
 
     Attributes
@@ -55,22 +61,22 @@ class Asked:
         True if each case is solved at its resonance.
     verdicts : bool
         True if the stability of each case is assessed.
-    judged : bool
-        True if the error of the reduction is.
-    natural : tuple of bool
+    with_reduction_error : bool
+        True if the reduction error of each case is estimated.
+    frequencies_only : tuple of bool
         For each place on the last axis, True if natural frequencies alone are found there.
     """
 
-    unit_loads: bool
-    hopeless: bool = False
+    has_unit_loads: bool
+    ends_at_large_structure: bool = False
     at_resonance: bool = False
-    verdicts: bool = True
-    judged: bool = True
-    natural: tuple[bool, ...] = (False,)
+    with_verdicts: bool = True
+    with_reduction_error: bool = True
+    frequencies_only: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
-class Geometry:
+class SweepGeometry:
     """Common part of cases that differ in load, clearance, law and harmonics only.
 
     Attributes
@@ -95,93 +101,118 @@ class Geometry:
     """
 
     study: Study
-    unit_loads: bool
+    has_unit_loads: bool
     crack_length: float
-    natural: BilinearFrequencies
-    watched: dict[str, np.ndarray]
-    whole: Study
-    modes: tuple[int, ...] = ()
+    natural_frequencies: BilinearFrequencies
+    watched_row_by_name: dict[str, np.ndarray]
+    unreduced_study: Study
+    mode_counts: tuple[int, ...] = ()
 
     @cached_property
-    def finer(self) -> Geometry | None:
+    def with_more_modes(self) -> SweepGeometry | None:
         """The same with the next number of modes; None where these are the most."""
-        if len(self.modes) < 2:
+        if len(self.mode_counts) < 2:
             return None
-        study = reduced_to(self.whole, self.modes[1])
-        return replace(self, study=study, watched=_watched(study), modes=self.modes[1:])
+        study = reduced_to(self.unreduced_study, self.mode_counts[1])
+        return replace(
+            self,
+            study=study,
+            watched_row_by_name=_find_watched_rows(study),
+            mode_counts=self.mode_counts[1:],
+        )
 
     @property
     def structure(self) -> Structure:
         """Without clearance."""
         return self.study.structure
 
-    def of_case(self, scene: Scene) -> Structure:
+    def structure_of_case(self, scene: Scene) -> Structure:
         """The structure with the load and the clearance of a case."""
         load: float | np.ndarray = 1.0
-        if self.unit_loads:
+        if self.has_unit_loads:
             load = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
-            wanted = np.array([getattr(scene.excitation, name) for name in FORCE_KEYS])
-            load[:, -scene.dimension :] = wanted[:, ::-1]
-        of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
-        return self.structure.varied(load=load, clearance=of_cracks)
+            force_vectors = np.array([getattr(scene.excitation, name) for name in FORCE_KEYS])
+            load[:, -scene.dimension :] = force_vectors[:, ::-1]
+        clearance = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
+        return self.structure.varied(load=load, clearance=clearance)
 
 
-def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = None) -> Geometry:
+def build_geometry(
+    scene: Scene, comm: MPI.Comm, request: CaseRequest, last_geometry: SweepGeometry | None = None
+) -> SweepGeometry:
     """The geometry of a case, with the reference of its reduction if requested; the mesh of the
     last one serves another speed of the rotor (collective)."""
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
-    if asked.unit_loads:
-        size = scene.dimension
-        units = zip(
-            FORCE_KEYS, np.eye(len(FORCE_KEYS), size, size - len(FORCE_KEYS))[:, ::-1], strict=True
+    if request.has_unit_loads:
+        dimension = scene.dimension
+        unit_loads = zip(
+            FORCE_KEYS,
+            np.eye(len(FORCE_KEYS), dimension, dimension - len(FORCE_KEYS))[:, ::-1],
+            strict=True,
         )
-        scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in units})
-    whole = prepare(scene, comm, whole=True, like=None if last is None else last.study)
-    modes = modes_chosen(whole, MOST_OF_MANY) if asked.judged else []
+        scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in unit_loads})
+    unreduced_study = prepare(
+        scene, comm, whole=True, like=None if last_geometry is None else last_geometry.study
+    )
+    mode_counts = (
+        modes_chosen(unreduced_study, MOST_OF_MANY) if request.with_reduction_error else []
+    )
     # Natural frequencies have no error of their own: they are of many modes.
-    every = reduced(whole, judged=asked.judged and not modes)
-    structure = every.structure
+    many_mode_study = reduced(
+        unreduced_study, judged=request.with_reduction_error and not mode_counts
+    )
+    structure = many_mode_study.structure
     if not is_small(structure):
         method = "off" if scene.reduction is None else scene.reduction.method
-        allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
-        raise InputError("reduction.method", method, allowed)
-    rows_requested(every)
-    lengths = [crack.length for crack in every.scene.all_cracks.values()]
-    known = lengths[0] if lengths and lengths[0] is not None else np.nan
-    natural = bilinear_frequencies(structure)
-    study = reduced_to(whole, modes[0]) if modes else every
-    rows = _watched(study)
-    return Geometry(study, asked.unit_loads, known, natural, rows, whole, tuple(modes))
+        requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
+        raise InputError("reduction.method", method, requirement)
+    rows_requested(many_mode_study)
+    crack_lengths = [crack.length for crack in many_mode_study.scene.all_cracks.values()]
+    crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
+    natural_frequencies = bilinear_frequencies(structure)
+    study = reduced_to(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
+    watched_row_by_name = _find_watched_rows(study)
+    return SweepGeometry(
+        study,
+        request.has_unit_loads,
+        crack_length,
+        natural_frequencies,
+        watched_row_by_name,
+        unreduced_study,
+        tuple(mode_counts),
+    )
 
 
-def with_any_modes(scene: Scene, asked: Asked) -> Iterator[Geometry]:
+def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[SweepGeometry]:
     """The geometry of a case with each number of modes with which it may have been solved."""
-    first = build(scene, MPI.COMM_SELF, asked)
-    made: Geometry | None = first
-    while made is not None:
-        yield made
-        made = made.finer
-    if first.modes:
-        yield build(scene, MPI.COMM_SELF, replace(asked, judged=False))
+    first_geometry = build_geometry(scene, MPI.COMM_SELF, request)
+    geometry: SweepGeometry | None = first_geometry
+    while geometry is not None:
+        yield geometry
+        geometry = geometry.with_more_modes
+    if first_geometry.mode_counts:
+        yield build_geometry(scene, MPI.COMM_SELF, replace(request, with_reduction_error=False))
 
 
-def _watched(study: Study) -> dict[str, np.ndarray]:
+def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
     """The rows of the motion at the load and at the named points (collective)."""
-    named = [watched for watched in study.watched if watched.name]
-    rows = rows_of(study.structure, [watched.dof for watched in named])
-    found = {watched.name: row for watched, row in zip(named, rows, strict=True)}
-    return _at_load(study.scene, study.structure) | found
+    named_watches = [watch for watch in study.watched if watch.name]
+    displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
+    row_by_name = {
+        watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
+    }
+    return _find_watched_load_rows(study.scene, study.structure) | row_by_name
 
 
-def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
+def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     """Return the rows of the motion watched at the load, where the structure has it; of matrices
     the dof that carries most of the load (collective)."""
-    whole = structure.whole
-    if whole.watched is not None:
-        weights = gather_rows(whole.comm, whole.watched)
+    whole_structure = structure.whole
+    if whole_structure.watched is not None:
+        weights = gather_rows(whole_structure.comm, whole_structure.watched)
     elif scene.structure is not None:
-        weights = np.zeros(whole.n_dofs)
-        weights[whole.find_most_loaded_dof()] = 1.0
+        weights = np.zeros(whole_structure.n_dofs)
+        weights[whole_structure.find_most_loaded_dof()] = 1.0
     else:
         return {}
     dofs = np.flatnonzero(weights)
@@ -191,94 +222,102 @@ def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
 # --- a case ---------------------------------------------------------------------------------------
 
 
-ALONE = "natural frequencies alone"
+FREQUENCIES_ONLY_STATUS = "natural frequencies alone"
 """Status of a case for which nothing else is requested."""
-Found = dict[str, Any]
+CaseValues = dict[str, Any]
 """Values of a case, columns of the file and others, which that does not keep; and "gap" and "force"
 coefficients if it converged."""
 
 
 def solve_chunk(
-    geometry: Geometry, chunk: Chunk, asked: Asked, go_on: Callable[[], bool]
-) -> list[Found]:
+    geometry: SweepGeometry, chunk: Chunk, request: CaseRequest, may_continue: Callable[[], bool]
+) -> list[CaseValues]:
     """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
     on their stability, if wanted, and with the error of a reduction that has been assessed.
 
     The first ones where ``go_on``, which is called before each, ends it.
     """
-    cases, solved = Cases(geometry), []
-    for number, case in zip(chunk.numbers.tolist(), chunk.cases, strict=True):
-        if not go_on():
+    solver, chunk_values = CaseSolver(geometry), []
+    for case_number, case in zip(chunk.case_numbers.tolist(), chunk.cases, strict=True):
+        if not may_continue():
             break
         if isinstance(case, str):
-            solved.append({"status": case})
-            cases = Cases(geometry)
+            chunk_values.append({"status": case})
+            solver = CaseSolver(geometry)
             continue
-        started = time.perf_counter()
+        start_time = time.perf_counter()
         harmonics = case.harmonic_balance.harmonics
-        found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
-        found |= _at(case.excitation.omega, geometry.natural) | _numbered(geometry.natural)
-        if asked.natural[number % len(asked.natural)]:
-            solved.append(found | {"status": ALONE, "seconds": time.perf_counter() - started})
+        case_values: CaseValues = {"crack_length": geometry.crack_length, "harmonics": harmonics}
+        case_values |= _frequency_values(case.excitation.omega, geometry.natural_frequencies)
+        case_values |= _natural_frequency_values(geometry.natural_frequencies)
+        if request.frequencies_only[case_number % len(request.frequencies_only)]:
+            chunk_values.append(
+                case_values
+                | {"status": FREQUENCIES_ONLY_STATUS, "seconds": time.perf_counter() - start_time}
+            )
             continue
         try:
-            solution = cases.found(case, asked)
+            solution = solver.solve_as_requested(case, request)
             tolerance = case.harmonic_balance.tolerance
-            while tolerance and lacks_modes(solution, tolerance) and geometry.finer:
-                geometry = geometry.finer  # for the cases behind it, too
-                cases = Cases(geometry)
-                solution = cases.found(case, asked)
-            found |= _observed(solution, case, geometry)
-            found |= _at(solution.omega, geometry.natural) | solution.to_dict()
-            if not asked.judged:
-                found.pop("reduction_error")
-            if asked.verdicts and case.harmonic_balance.error:
-                found |= cases.verdict(solution)
-                found["status"] += found.pop("remark", "")
-            found |= {"gap": solution.gap_rows, "force": solution.force_rows}
+            while tolerance and lacks_modes(solution, tolerance) and geometry.with_more_modes:
+                geometry = geometry.with_more_modes  # for the cases behind it, too
+                solver = CaseSolver(geometry)
+                solution = solver.solve_as_requested(case, request)
+            case_values |= _observe_values(solution, case, geometry)
+            case_values |= (
+                _frequency_values(solution.omega, geometry.natural_frequencies) | solution.to_dict()
+            )
+            if not request.with_reduction_error:
+                case_values.pop("reduction_error")
+            if request.with_verdicts and case.harmonic_balance.error:
+                case_values |= solver.assess_stability(solution)
+                case_values["status"] += case_values.pop("remark", "")
+            case_values |= {"gap": solution.gap_rows, "force": solution.force_rows}
         except REFUSALS as error:
-            cases = Cases(geometry)
-            found["status"] = str(error)
-        solved.append(found | {"seconds": time.perf_counter() - started})
-    return solved
+            solver = CaseSolver(geometry)
+            case_values["status"] = str(error)
+        chunk_values.append(case_values | {"seconds": time.perf_counter() - start_time})
+    return chunk_values
 
 
-class Cases:
+class CaseSolver:
     """Cases of a geometry, each solved from the one before.
 
     Those that differ in the frequency alone share structure, law and equations.
     """
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: SweepGeometry) -> None:
         self._geometry = geometry
-        self._last: Scene | None = None
-        self._near: PeriodicSolution | None = None
+        self._last_case: Scene | None = None
+        self._last_solution: PeriodicSolution | None = None
 
-    def found(self, case: Scene, asked: Asked) -> PeriodicSolution:
+    def solve_as_requested(self, case: Scene, request: CaseRequest) -> PeriodicSolution:
         """The solution of a case, or at its resonance, as requested; raises as :meth:`solve`."""
-        return self.at_resonance(case) if asked.at_resonance else self.solve(case)
+        return self.at_resonance(case) if request.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
         """The solution of a case; one of :data:`REFUSALS` where there is none."""
-        omega, table = case.excitation.omega, case.harmonic_balance
-        self._take(case)
+        omega, balance_table = case.excitation.omega, case.harmonic_balance
+        self._set_structure(case)
         structure, law = self._structure, self._law
         if law is not None:
             law = slide_along_lines(structure, omega, law)
         if law is None:
-            return solve_linear(structure, omega, harmonics=table.harmonics)
-        check_memory(structure, table.harmonics)
-        problem = Problem(structure, omega, law, table.harmonics, table.samples)
-        near, self._near = self._near, None
-        self._near = solve_beside(problem, near, table.tolerance, error=table.error)
-        return self._near
+            return solve_linear(structure, omega, harmonics=balance_table.harmonics)
+        check_memory(structure, balance_table.harmonics)
+        problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
+        neighbour, self._last_solution = self._last_solution, None
+        self._last_solution = solve_beside(
+            problem, neighbour, balance_table.tolerance, error=balance_table.error
+        )
+        return self._last_solution
 
-    def _take(self, case: Scene) -> None:
+    def _set_structure(self, case: Scene) -> None:
         """Structure and law of a case, unless they are those of the last one."""
-        at_omega = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last != at_omega:
-            self._last = at_omega
-            self._structure = self._geometry.of_case(case)
+        comparable_case = case.replace({"excitation.omega": 1.0, "curve": None})
+        if self._last_case != comparable_case:
+            self._last_case = comparable_case
+            self._structure = self._geometry.structure_of_case(case)
             self._law = law_of(case, self._structure)
 
     def at_resonance(self, case: Scene) -> PeriodicSolution:
@@ -288,42 +327,47 @@ class Cases:
         Where several modes answer together, and with friction or a smooth law, which have no phase
         resonance, it is the top of the response curve.
         """
-        table = case.harmonic_balance
-        self._take(case)
+        balance_table = case.harmonic_balance
+        self._set_structure(case)
         omega = case.excitation.omega
         assert self._law is not None
         law = slide_along_lines(self._structure, omega, self._law)
-        problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
-        found = None
+        problem = Problem(
+            self._structure, omega, law, balance_table.harmonics, balance_table.samples
+        )
+        resonance = None
         if is_unilateral(law) and not problem.friction:
-            near = float(self._geometry.natural.nearest(omega)["omega_bilinear"])
-            found = resonance_at(problem, near, tolerance=table.tolerance)
-        if found is None or found.several:
-            omega, self._near = self._top(problem)
+            nearest_mode = self._geometry.natural_frequencies.nearest(omega)
+            bilinear_frequency = float(nearest_mode["omega_bilinear"])
+            resonance = resonance_at(problem, bilinear_frequency, tolerance=balance_table.tolerance)
+        if resonance is None or resonance.several:
+            omega, self._last_solution = self._find_response_peak(problem)
         else:
-            omega, self._near = found.omega, found.solution
+            omega, self._last_solution = resonance.omega, resonance.solution
         return self.solve(case.replace({"excitation.omega": omega}))
 
-    def _top(self, problem: Problem) -> tuple[float, PeriodicSolution]:
+    def _find_response_peak(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Where the response curve is largest, from below the mode with the crack open to above
         that with it bonded, and the nearest of its points."""
-        natural = self._geometry.natural
-        nearest = natural.nearest(problem.omega)
-        ratios = damping_ratios(self._geometry.structure.whole, natural.omega_open)
-        ratio = float(ratios[int(nearest["mode"]) - 1])
-        if not 0.0 < 2.0 * ratio < 1.0:  # widths to either side where it is looked for
-            allowed = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
-            raise InputError("damping", ratio, allowed)
-        low, high = float(nearest["omega_open"]), float(nearest["omega_tied"])
-        ends = (1.0 - 2.0 * ratio) * low, (1.0 + 2.0 * ratio) * high
+        natural_frequencies = self._geometry.natural_frequencies
+        nearest_mode = natural_frequencies.nearest(problem.omega)
+        mode_damping_ratios = damping_ratios(
+            self._geometry.structure.whole, natural_frequencies.omega_open
+        )
+        damping_ratio = float(mode_damping_ratios[int(nearest_mode["mode"]) - 1])
+        if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
+            requirement = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
+            raise InputError("damping", damping_ratio, requirement)
+        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_mode["omega_open"])
+        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_mode["omega_tied"])
         curve = continue_frequency(
-            problem.structure, *ends, problem.contact, harmonics=problem.harmonics,
-            samples=problem.samples, stability=False,
+            problem.structure, start_omega, stop_omega, problem.contact,
+            harmonics=problem.harmonics, samples=problem.samples, stability=False,
         )  # fmt: skip
-        top = curve.top()
-        return top.value, curve.solution(top.index)
+        peak = curve.top()
+        return peak.value, curve.solution(peak.index)
 
-    def verdict(self, solution: PeriodicSolution) -> Found:
+    def assess_stability(self, solution: PeriodicSolution) -> CaseValues:
         """Verdict on a solution, modulus of its leading multiplier, and a remark: why no orbit
         decides it, or how more modes contradict it; empty without a law, and for a constraint of
         crack faces with mass."""
@@ -331,49 +375,77 @@ class Cases:
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
-            found = floquet(structure, solution)
+            stability = floquet(structure, solution)
         except REFUSALS:
-            return {"verdict": "undecided", "remark": f"; {UNSURE}no multipliers were found"}
-        if found.reason:
-            remark = f"; {found.verdict}: {found.reason}"
-        elif structure.light_lips and (more := solution.assessment.more_modes):
-            said = more.contradicts(found.verdict)
-            remark = YET + said if said else ""
-        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
+            return {
+                "verdict": "undecided",
+                "remark": f"; {UNDECIDED_PREFIX}no multipliers were found",
+            }
+        if stability.reason:
+            remark = f"; {stability.verdict}: {stability.reason}"
+        elif structure.light_lips and (more_modes := solution.assessment.more_modes):
+            contradiction = more_modes.contradicts(stability.verdict)
+            remark = CONTRADICTION_PREFIX + contradiction if contradiction else ""
+        return {
+            "verdict": stability.verdict,
+            "multiplier": abs(stability.multipliers[0]),
+            "remark": remark,
+        }
 
 
-def _at(omega: float, natural: BilinearFrequencies) -> Found:
+def _frequency_values(omega: float, natural_frequencies: BilinearFrequencies) -> CaseValues:
     """A load frequency, and the natural ones that it is next to."""
-    return with_frequency({"omega": omega}) | natural.nearest(omega)
+    return with_frequency({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
-def _numbered(natural: BilinearFrequencies) -> Found:
+def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Natural frequencies by the names of their columns; there may be fewer than these."""
-    rows = natural.omega_open, np.sort(natural.omega_tied), natural.omega_bilinear
-    kinds = zip(FREQUENCY_KINDS, rows, strict=True)
-    return {f"omega_{kind}_{n}": omega for kind, row in kinds for n, omega in enumerate(row, 1)}
+    frequency_rows = (
+        natural_frequencies.omega_open,
+        np.sort(natural_frequencies.omega_tied),
+        natural_frequencies.omega_bilinear,
+    )
+    kinds_and_frequencies = zip(FREQUENCY_KINDS, frequency_rows, strict=True)
+    return {
+        f"omega_{kind}_{mode_number}": omega
+        for kind, frequencies in kinds_and_frequencies
+        for mode_number, omega in enumerate(frequencies, 1)
+    }
 
 
-def _observed(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
+def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeometry) -> CaseValues:
     """Return the indicators at the load and at the watched points, and the quantities of places
     with rows of their own."""
-    rows = _load_row(solution, case) | geometry.watched
-    stacked = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs))
-    points, found = solution.observe_rows(stacked, rows_requested(geometry.study))
-    for name, seen in zip(rows, points, strict=True):
-        values = {quantity: getattr(seen.indicators, quantity) for quantity in AT_POINTS}
-        values |= zip(PHASES, seen.coefficients[1:].tolist(), strict=False)
-        found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
-    return found
+    row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
+    row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
+    observed_displacements, case_values = solution.observe_rows(
+        row_matrix, rows_requested(geometry.study)
+    )
+    for name, displacement in zip(row_by_name, observed_displacements, strict=True):
+        value_by_quantity = {
+            quantity: getattr(displacement.indicators, quantity)
+            for quantity in POINT_QUANTITY_UNITS
+        }
+        value_by_quantity |= zip(
+            HARMONIC_PART_UNITS, displacement.coefficients[1:].tolist(), strict=False
+        )
+        case_values |= {
+            f"{name}.{quantity}" if name else load_column_name(quantity): value
+            for quantity, value in value_by_quantity.items()
+        }
+    return case_values
 
 
-def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
+def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
     """The displacement of the load's point in the load's direction from the coordinates; nothing
     without a load.
 
     The direction is that of the largest of the sine and the cosine parts, of the mean if there is
     none. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
-    sizes = np.linalg.norm(force_parts(case), axis=1)
-    row = len(sizes) - 1 - int(np.argmax(sizes[:0:-1])) if np.any(sizes[1:]) else 0
-    return {"": solution.structure.force[row] / sizes[row]} if sizes[row] else {}
+    force_norms = np.linalg.norm(force_parts(case), axis=1)
+    has_harmonic = np.any(force_norms[1:])
+    row_index = len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if has_harmonic else 0
+    if not force_norms[row_index]:
+        return {}
+    return {"": solution.structure.force[row_index] / force_norms[row_index]}

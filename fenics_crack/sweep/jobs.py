@@ -23,7 +23,14 @@ from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
 from fenics_crack.files.store import Stored
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
-from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk
+from fenics_crack.sweep.case import (
+    FREQUENCIES_ONLY_STATUS,
+    CaseRequest,
+    CaseValues,
+    SweepGeometry,
+    build_geometry,
+    solve_chunk,
+)
 from fenics_crack.sweep.file import State, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
@@ -35,15 +42,15 @@ class Tag(IntEnum):
     END = 1
 
 
-Outcome = list[Found] | Exception
+ChunkOutcome = list[CaseValues] | Exception
 """Values of the cases of a chunk, or the error that ends the sweep."""
 
 
 class Job(NamedTuple):
     """Some chunks of a geometry, as numbers of their cases."""
 
-    geometry: int
-    chunks: tuple[np.ndarray, ...]
+    geometry_number: int
+    chunk_case_numbers: tuple[np.ndarray, ...]
 
 
 class Worker:
@@ -57,190 +64,224 @@ class Worker:
         Of the cases.
     """
 
-    def __init__(self, asked: Asked, plan: Plan) -> None:
-        self._asked, self._plan = asked, plan
-        self._number = -1
-        self._built: Geometry | Exception | None = None
+    def __init__(self, request: CaseRequest, plan: Plan) -> None:
+        self._request, self._plan = request, plan
+        self._geometry_number = -1
+        self._geometry_or_error: SweepGeometry | Exception | None = None
         """Geometry of that number, or the error that prevents it."""
 
-    def free(self, *, stopped: bool) -> None:
+    def release_geometry(self, *, stopped: bool) -> None:
         """Let go of what was built."""
-        self._built = None
+        self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
         collect_garbage(MPI.COMM_SELF, stopped=stopped)
 
-    def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
+    def run_job(
+        self, job: Job, may_continue: Callable[[], bool]
+    ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
         """Do a job, and yield what is found of each chunk; ``go_on`` is called before each of
         them, and before each of its cases."""
-        chunks = list(map(self._plan.chunk, job.chunks))
+        chunks = list(map(self._plan.make_chunk, job.chunk_case_numbers))
         for chunk in chunks:
-            if not go_on():
+            if not may_continue():
                 return
-            self._build(job.geometry, chunks)
-            yield self._outcome(chunk, go_on)
+            self._build_geometry(job.geometry_number, chunks)
+            yield self._solve_chunk(chunk, may_continue)
 
-    def _build(self, number: int, chunks: list[Chunk]) -> None:
+    def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
         """Build the geometry of a job, unless it is at hand or none of the cases is a scene."""
-        every = (case for chunk in chunks for case in chunk.cases)
-        scene = next((case for case in every if isinstance(case, Scene)), None)
-        if scene is None or number == self._number:
+        cases = (case for chunk in chunks for case in chunk.cases)
+        scene = next((case for case in cases if isinstance(case, Scene)), None)
+        if scene is None or geometry_number == self._geometry_number:
             return
-        known = self._built if scene.speed and isinstance(self._built, Geometry) else None
+        last_geometry = self._geometry_or_error if scene.speed else None
+        if not isinstance(last_geometry, SweepGeometry):
+            last_geometry = None
         try:
-            self._built = build(scene, MPI.COMM_SELF, self._asked, known)
+            self._geometry_or_error = build_geometry(
+                scene, MPI.COMM_SELF, self._request, last_geometry
+            )
         except REFUSALS as error:
-            self._built = error
+            self._geometry_or_error = error
         except Exception:
-            self._built = _unforeseen()
-        self._number = number
+            self._geometry_or_error = _make_unforeseen_error()
+        self._geometry_number = geometry_number
 
-    def _outcome(self, chunk: Chunk, go_on: Callable[[], bool]) -> tuple[np.ndarray, Outcome]:
+    def _solve_chunk(
+        self, chunk: Chunk, may_continue: Callable[[], bool]
+    ) -> tuple[np.ndarray, ChunkOutcome]:
         """Numbers of the cases that were done, and what was found of them."""
-        built = self._built
-        if isinstance(built, Geometry):
+        geometry_or_error = self._geometry_or_error
+        if isinstance(geometry_or_error, SweepGeometry):
             try:
-                found = solve_chunk(built, chunk, self._asked, go_on)
-                return chunk.numbers[: len(found)], found
+                chunk_values = solve_chunk(geometry_or_error, chunk, self._request, may_continue)
+                return chunk.case_numbers[: len(chunk_values)], chunk_values
             except Exception:
-                return chunk.numbers, _unforeseen()
-        large = isinstance(built, InputError) and built.key == "reduction.method"
-        if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
-            reasons = [case if isinstance(case, str) else str(built) for case in chunk.cases]
-            return chunk.numbers, [{"status": status} for status in reasons]
-        return chunk.numbers, built
+                return chunk.case_numbers, _make_unforeseen_error()
+        is_too_large = (
+            isinstance(geometry_or_error, InputError)
+            and geometry_or_error.key == "reduction.method"
+        )
+        if geometry_or_error is None or (
+            isinstance(geometry_or_error, REFUSALS)
+            and not (is_too_large and self._request.ends_at_large_structure)
+        ):
+            reasons = [
+                case if isinstance(case, str) else str(geometry_or_error) for case in chunk.cases
+            ]
+            return chunk.case_numbers, [{"status": status} for status in reasons]
+        return chunk.case_numbers, geometry_or_error
 
 
-def _unforeseen() -> RuntimeError:
+def _make_unforeseen_error() -> RuntimeError:
     """An error that is none of the input's, with its place."""
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
 
-def serve(worker: Worker, comm: MPI.Comm) -> None:
+def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     """Do the jobs that rank 0 sends, until the end."""
-    sent: list[MPI.Request] = []
+    send_requests: list[MPI.Request] = []
 
-    def go_on() -> bool:
-        sent[:] = [request for request in sent if not request.Test()]
+    def may_continue() -> bool:
+        send_requests[:] = [request for request in send_requests if not request.Test()]
         return not comm.iprobe(source=0, tag=Tag.END)
 
     status = MPI.Status()
     while status.tag != Tag.END:
-        job = _received(comm, status)
+        job = _receive_message(comm, status)
         if status.tag == Tag.JOB:
-            sent += [comm.isend(found, 0) for found in worker.work(job, go_on)]
-            sent.append(comm.isend(None, 0))
-    MPI.Request.waitall(sent)
+            send_requests += [
+                comm.isend(outcome, 0) for outcome in worker.run_job(job, may_continue)
+            ]
+            send_requests.append(comm.isend(None, 0))
+    MPI.Request.waitall(send_requests)
 
 
-def _received(comm: MPI.Comm, status: MPI.Status) -> Any:
+def _receive_message(comm: MPI.Comm, status: MPI.Status) -> Any:
     """The next message; MPI itself would wait with all of a processor, also for the end of a long
     one."""
     wait_until(lambda: comm.iprobe(status=status))
-    room = bytearray(status.Get_count(MPI.BYTE))
-    request, arrived = comm.irecv(room, status.source, status.tag), list[Any]()
+    buffer = bytearray(status.Get_count(MPI.BYTE))
+    request, test_result = comm.irecv(buffer, status.source, status.tag), list[Any]()
 
     def has_arrived() -> bool:
-        arrived[:] = request.test()
-        return bool(arrived[0])
+        test_result[:] = request.test()
+        return bool(test_result[0])
 
     wait_until(has_arrived)
-    return arrived[1]
+    return test_result[1]
 
 
 class Manager:
     """Remaining cases of a sweep, and its file; on rank 0."""
 
-    def __init__(self, plan: Plan, file: SweepFile, ranks: int, *, progress: bool) -> None:
+    def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
-        self.plan, self._file, self._ranks = plan, file, ranks
-        left = {
-            number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == State.PENDING)]
-            for number, chunks in enumerate(plan.geometries)
+        self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
+        chunks_by_geometry = {
+            geometry_number: [
+                chunk
+                for chunk in chunks
+                if np.any(sweep_file.case_states.flat[chunk] == State.PENDING)
+            ]
+            for geometry_number, chunks in enumerate(plan.chunks_by_geometry)
         }
         # The longest jobs first: the last ones are what ranks wait for.
-        largest = sorted(left, key=plan.sizes.__getitem__, reverse=True)
-        self._left = {number: left[number] for number in largest if left[number]}
-        self._given: dict[int, int] = {}
+        geometry_order = sorted(
+            chunks_by_geometry, key=plan.geometry_costs.__getitem__, reverse=True
+        )
+        self._chunks_by_geometry = {
+            geometry_number: chunks_by_geometry[geometry_number]
+            for geometry_number in geometry_order
+            if chunks_by_geometry[geometry_number]
+        }
+        self._geometry_by_rank: dict[int, int] = {}
         """Geometry that each rank has, or will have built."""
-        self._given_out, self._recorded = 0, 0
+        self._n_jobs_sent, self._n_recorded_chunks = 0, 0
         """Jobs at the other ranks, and chunks written."""
-        self._failed = int(np.count_nonzero(file.state == State.FAILED))
+        self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == State.FAILED))
         from tqdm import tqdm
 
-        how = {"desc": "sweep", "unit": "case", "disable": not progress}
-        self._bar = tqdm(total=file.state.size, initial=self._done, **how)
+        bar_options = {"desc": "sweep", "unit": "case", "disable": not progress}
+        self._progress_bar = tqdm(
+            total=sweep_file.case_states.size, initial=self._n_finished_cases, **bar_options
+        )
 
     @property
-    def _done(self) -> int:
-        return int(np.count_nonzero(self._file.state != State.PENDING))
+    def _n_finished_cases(self) -> int:
+        return int(np.count_nonzero(self._sweep_file.case_states != State.PENDING))
 
-    def how_far(self) -> str:
+    def progress_text(self) -> str:
         """Cases that are done, and all."""
-        return f"{self._done} of {self._file.state.size} cases of the sweep"
+        return f"{self._n_finished_cases} of {self._sweep_file.case_states.size} cases of the sweep"
 
     @property
-    def stored(self) -> Stored:
+    def stored_sweep(self) -> Stored:
         """The file's header, when all is done; raises the error that has ended the sweep."""
         if self._error is not None:
             raise self._error
-        return self._file.stored
+        return self._sweep_file.stored_sweep
 
-    def run(self, worker: Worker, comm: MPI.Comm, stop: StopRequest) -> None:
+    def run(self, worker: Worker, comm: MPI.Comm, stop_request: StopRequest) -> None:
         """See that all jobs are done, and close the file; an error is kept, and removes a file that
         is new and empty."""
-        others = range(1, comm.size)
+        other_ranks = range(1, comm.size)
 
-        def go_on() -> bool:
-            while self._given_out and comm.iprobe():
-                if stop.asked(MPI.COMM_SELF):
-                    self._left.clear()  # no job is handed out any more
-                self._hear(comm)
-            return self._error is None and not stop.asked(MPI.COMM_SELF)
+        def may_continue() -> bool:
+            while self._n_jobs_sent and comm.iprobe():
+                if stop_request.asked(MPI.COMM_SELF):
+                    self._chunks_by_geometry.clear()  # no job is handed out any more
+                self._receive_outcome(comm)
+            return self._error is None and not stop_request.asked(MPI.COMM_SELF)
 
         try:
-            for rank in others:
-                self._send(comm, rank)
+            for rank in other_ranks:
+                self._send_job(comm, rank)
             job = self._next_job(0)
-            for rank in others:  # to go on with
-                self._send(comm, rank)
-            while job is not None and go_on():
-                for numbers, outcome in worker.work(job, go_on):
-                    self._record(numbers, outcome)
+            for rank in other_ranks:  # a second job, to go on with
+                self._send_job(comm, rank)
+            while job is not None and may_continue():
+                for case_numbers, outcome in worker.run_job(job, may_continue):
+                    self._record_outcome(case_numbers, outcome)
                 job = self._next_job(0)
-            while go_on() and self._given_out:
-                self._hear(comm)
+            while may_continue() and self._n_jobs_sent:
+                self._receive_outcome(comm)
         except BaseException as error:
-            second = isinstance(error, KeyboardInterrupt) and stop.asked(MPI.COMM_SELF)
-            if not second:  # else what is written is all
-                self._fail(error)
-        self._left.clear()
-        for rank in others:
+            is_second_interrupt = isinstance(error, KeyboardInterrupt) and stop_request.asked(
+                MPI.COMM_SELF
+            )
+            if not is_second_interrupt:  # else what is written is all
+                self._end_with_error(error)
+        self._chunks_by_geometry.clear()
+        for rank in other_ranks:
             comm.send(None, rank, tag=Tag.END)
-        while self._given_out:
-            self._hear(comm)
-        self._bar.close()
-        useless = self._file.made and self._recorded == 0 and self._error is not None
+        while self._n_jobs_sent:
+            self._receive_outcome(comm)
+        self._progress_bar.close()
+        is_useless_file = (
+            self._sweep_file.is_new and self._n_recorded_chunks == 0 and self._error is not None
+        )
         try:
-            self._file.close(remove=useless)
+            self._sweep_file.close(remove=is_useless_file)
         except InputError as error:
-            self._fail(error)
+            self._end_with_error(error)
 
-    def _send(self, comm: MPI.Comm, rank: int) -> None:
+    def _send_job(self, comm: MPI.Comm, rank: int) -> None:
         """Send a rank a job, if there is one."""
         job = self._next_job(rank)
         if job is not None:
             comm.send(job, rank, tag=Tag.JOB)
-            self._given_out += 1
+            self._n_jobs_sent += 1
 
-    def _hear(self, comm: MPI.Comm) -> None:
+    def _receive_outcome(self, comm: MPI.Comm) -> None:
         """Write what a rank has found of a chunk, or send it a job where one is done."""
         status = MPI.Status()
-        found = _received(comm, status)
-        if found is not None:
-            self._record(*found)
+        numbers_and_outcome = _receive_message(comm, status)
+        if numbers_and_outcome is not None:
+            self._record_outcome(*numbers_and_outcome)
             return
-        self._given_out -= 1
-        self._send(comm, status.source)
+        self._n_jobs_sent -= 1
+        self._send_job(comm, status.source)
 
     def _next_job(self, rank: int) -> Job | None:
         """Chunks of the geometry that a rank has, or else of one that nobody has, or of the one of
@@ -249,39 +290,51 @@ class Manager:
         A geometry is one job as long as the others have something to do meanwhile, and then is
         shared in jobs that shrink towards the end.
         """
-        if not self._left:
+        if not self._chunks_by_geometry:
             return None
-        fresh = [number for number in self._left if number not in self._given.values()]
-        number = self._given.get(rank, -1)
-        if number not in self._left:
-            number = fresh[0] if fresh else max(self._left, key=lambda one: len(self._left[one]))
-        self._given[rank] = number
-        places = self._left[number]
-        alone = self._ranks == 1 or len(fresh) > self._ranks
-        count = len(places) if alone else -(-len(places) // (2 * self._ranks))
-        self._left[number] = places[count:]
-        if not self._left[number]:
-            del self._left[number]
-        return Job(number, tuple(places[:count]))
+        unassigned_geometries = [
+            geometry_number
+            for geometry_number in self._chunks_by_geometry
+            if geometry_number not in self._geometry_by_rank.values()
+        ]
+        geometry_number = self._geometry_by_rank.get(rank, -1)
+        if geometry_number not in self._chunks_by_geometry:
+            longest_geometry = max(
+                self._chunks_by_geometry, key=lambda number: len(self._chunks_by_geometry[number])
+            )
+            geometry_number = [*unassigned_geometries, longest_geometry][0]
+        self._geometry_by_rank[rank] = geometry_number
+        chunks = self._chunks_by_geometry[geometry_number]
+        is_one_job = self._n_ranks == 1 or len(unassigned_geometries) > self._n_ranks
+        n_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
+        self._chunks_by_geometry[geometry_number] = chunks[n_chunks:]
+        if not self._chunks_by_geometry[geometry_number]:
+            del self._chunks_by_geometry[geometry_number]
+        return Job(geometry_number, tuple(chunks[:n_chunks]))
 
-    def _record(self, numbers: np.ndarray, outcome: Outcome) -> None:
+    def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
         """Write the cases of a chunk; what cannot be written or solved ends the sweep."""
         if isinstance(outcome, Exception):
-            self._fail(outcome)
+            self._end_with_error(outcome)
             return
         try:
-            self._file.record(numbers, outcome)
+            self._sweep_file.record(case_numbers, outcome)
         except InputError as error:
-            self._fail(error)
+            self._end_with_error(error)
             return
-        self._recorded += 1
-        lost = (found for found in outcome if "gap" not in found)
-        self._failed += sum(found["status"] != ALONE for found in lost)
-        if self._failed:
-            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
-        self._bar.update(len(outcome))
+        self._n_recorded_chunks += 1
+        cases_without_solution = (
+            case_values for case_values in outcome if "gap" not in case_values
+        )
+        self._n_failed_cases += sum(
+            case_values["status"] != FREQUENCIES_ONLY_STATUS
+            for case_values in cases_without_solution
+        )
+        if self._n_failed_cases:
+            self._progress_bar.set_postfix_str(f"{self._n_failed_cases} failed", refresh=False)
+        self._progress_bar.update(len(outcome))
 
-    def _fail(self, error: BaseException) -> None:
+    def _end_with_error(self, error: BaseException) -> None:
         """End the sweep with an error; the first one counts."""
         self._error = self._error or error
-        self._left.clear()
+        self._chunks_by_geometry.clear()

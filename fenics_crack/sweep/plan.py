@@ -20,10 +20,11 @@ from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
-FREQUENCIES = ("excitation.omega", "excitation.frequency")
-OF_FORCES = {f"excitation.{name}" for name in FORCE_KEYS}
-SAME_GEOMETRY = {
-    *FREQUENCIES, *OF_FORCES, *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
+FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
+FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
+GEOMETRY_INDEPENDENT_KEYS = {
+    *FREQUENCY_KEYS, *FULL_FORCE_KEYS,
+    *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
@@ -32,116 +33,136 @@ SAME_GEOMETRY = {
 class Chunk(NamedTuple):
     """Neighbouring cases along one axis."""
 
-    numbers: np.ndarray  # of the cases
-    cases: tuple[Scene | str, ...]  # what to solve, or why it cannot be
+    case_numbers: np.ndarray
+    cases: tuple[Scene | str, ...]
 
 
 class Plan:
     """Geometries and chunks of a scene."""
 
     def __init__(self, scene: Scene) -> None:
-        table, self._swept = scene.given("sweep"), scene.swept
-        self._base = scene.replace({"sweep": None})
-        self._rows = 2 if scene.has_friction else 1  # of each pair
-        self.shape: tuple[int, ...] = table.shape  # of the table of cases
-        self.reduction_swept = "reduction.method" in self._swept
-        free = _free_keys(scene, self._swept)
+        sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
+        self._base_scene = scene.replace({"sweep": None})
+        self._rows_per_pair = 2 if scene.has_friction else 1
+        self.shape: tuple[int, ...] = sweep_table.shape
+        self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
+        free_keys = _find_free_keys(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
-        self.unit_loads = not free.isdisjoint(OF_FORCES & self._swept.keys())
-        self.geometries = self._chunks(free)
-        """Chunks of each geometry, as numbers of their cases."""
-        base = scene.harmonic_balance  # upper bounds for all cases:
-        self.harmonics = max(self._swept.get("harmonic_balance.harmonics", (base.harmonics,)))
-        if base.tolerance is not None or "harmonic_balance.tolerance" in self._swept:
-            self.harmonics = max(self.harmonics, MOST_HARMONICS)
-        if not any(isinstance(self._case(n), Scene) for n in range(math.prod(self.shape))):
-            reason = self._case(0)
+        self.has_unit_loads = not free_keys.isdisjoint(
+            FULL_FORCE_KEYS & self._swept_values_by_key.keys()
+        )
+        self.chunks_by_geometry = self._split_into_chunks(free_keys)
+        """Case numbers (n,) of each chunk, by geometry."""
+        balance_table = scene.harmonic_balance
+        self.max_harmonics = max(
+            self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
+        )
+        """Upper bound for the harmonics of all cases."""
+        has_tolerance = balance_table.tolerance is not None
+        if has_tolerance or "harmonic_balance.tolerance" in self._swept_values_by_key:
+            self.max_harmonics = max(self.max_harmonics, MOST_HARMONICS)
+        if not any(
+            isinstance(self._case_by_number(case_number), Scene)
+            for case_number in range(math.prod(self.shape))
+        ):
+            reason = self._case_by_number(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
-    def _chunks(self, free: set[str]) -> list[list[np.ndarray]]:
+    def _split_into_chunks(self, free_keys: set[str]) -> list[list[np.ndarray]]:
         """The cases by their geometries, cut along the frequency, or else along the last axis that
         leaves a geometry alone."""
-        keys = list(self._swept)
-        same = [place for place, key in enumerate(keys) if key in free]
-        along = ([place for place in same if keys[place] in FREQUENCIES] or same)[-1:]
-        inner = [place for place in same if place not in along]
-        fixed = [place for place in range(len(keys)) if place not in same]
-        length = self.shape[along[0]] if along else 1
-        numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
-        numbers = numbers.transpose([*fixed, *inner, *along])
-        rows = numbers.reshape(math.prod(self.shape[place] for place in fixed), -1, length)
-        pieces = -(-length // 16)  # cases of a chunk at most
-        return [[c for row in of_one for c in np.array_split(row, pieces)] for of_one in rows]
+        keys = list(self._swept_values_by_key)
+        free_axes = [axis for axis, key in enumerate(keys) if key in free_keys]
+        frequency_axes = [axis for axis in free_axes if keys[axis] in FREQUENCY_KEYS]
+        chunk_axes = (frequency_axes or free_axes)[-1:]
+        inner_axes = [axis for axis in free_axes if axis not in chunk_axes]
+        geometry_axes = [axis for axis in range(len(keys)) if axis not in free_axes]
+        chunk_axis_length = self.shape[chunk_axes[0]] if chunk_axes else 1
+        case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
+        case_numbers = case_numbers.transpose([*geometry_axes, *inner_axes, *chunk_axes])
+        numbers_by_geometry = case_numbers.reshape(
+            math.prod(self.shape[axis] for axis in geometry_axes), -1, chunk_axis_length
+        )
+        n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
+        return [
+            [chunk for row in geometry_rows for chunk in np.array_split(row, n_chunks)]
+            for geometry_rows in numbers_by_geometry
+        ]
 
     @property
-    def rows(self) -> int:
+    def max_gap_rows(self) -> int:
         """Bound of the gaps of all geometries: of pairs, and with friction tangential ones."""
-        return self._rows * max(pairs for pairs, _ in self.sizes)
+        return self._rows_per_pair * max(n_pairs for n_pairs, _ in self.geometry_costs)
 
     @cached_property
-    def sizes(self) -> list[tuple[int, float]]:
+    def geometry_costs(self) -> list[tuple[int, float]]:
         """Expected cost of each geometry: bound of the pairs, for which solids are meshed, and the
         first crack's length [m]."""
-        bounds: dict[Any, int] = {}
-        found: list[tuple[int, float]] = []
-        for chunks in self.geometries:
-            cases = map(self._case, itertools.chain(*chunks))
+        pair_bound_by_mesh: dict[Any, int] = {}
+        costs: list[tuple[int, float]] = []
+        for chunks in self.chunks_by_geometry:
+            cases = map(self._case_by_number, itertools.chain(*chunks))
             case = next((case for case in cases if not isinstance(case, str)), None)
             if case is None:
-                found.append((0, 0.0))
+                costs.append((0, 0.0))
                 continue
-            pairs = case.contact and case.contact.pairs
+            pair_selection = case.contact and case.contact.pairs
             cracks = tuple(replace(crack, clearance=0.0) for crack in case.all_cracks.values())
-            key = case.structure, case.mesh, pairs, cracks, case.geometry
-            if key not in bounds:
-                bounds[key] = _most_pairs(case)
-            found.append((bounds[key], cracks[0].length or 0.0 if cracks else 0.0))
-        return found
+            mesh_key = case.structure, case.mesh, pair_selection, cracks, case.geometry
+            if mesh_key not in pair_bound_by_mesh:
+                pair_bound_by_mesh[mesh_key] = _bound_contact_pairs(case)
+            costs.append((pair_bound_by_mesh[mesh_key], cracks[0].length or 0.0 if cracks else 0.0))
+        return costs
 
-    def case(self, index: Sequence[int]) -> Scene | str:
+    def case_at(self, index: Sequence[int]) -> Scene | str:
         """The scene of a case, or why there is none."""
-        places = zip(self._swept.items(), index, strict=True)
-        changes = {key: values[at] for (key, values), at in places}
+        axes_and_positions = zip(self._swept_values_by_key.items(), index, strict=True)
+        changes = {key: values[position] for (key, values), position in axes_and_positions}
         try:
-            return self._base.replace(changes)
+            return self._base_scene.replace(changes)
         except InputError as error:
             return str(error)
 
-    def _case(self, number: int) -> Scene | str:
-        return self.case(np.unravel_index(number, self.shape))
+    def _case_by_number(self, case_number: int) -> Scene | str:
+        return self.case_at(np.unravel_index(case_number, self.shape))
 
-    def chunk(self, numbers: np.ndarray) -> Chunk:
+    def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
         """The cases of some numbers."""
-        return Chunk(numbers, tuple(map(self._case, numbers)))
+        return Chunk(case_numbers, tuple(map(self._case_by_number, case_numbers)))
 
 
-def _most_pairs(scene: Scene) -> int:
+def _bound_contact_pairs(scene: Scene) -> int:
     """Upper bound of the contact pairs of a scene; the mesh is made of a solid alone, or read."""
     if scene.structure is not None:
         return count_pairs(scene.structure)
-    mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
-    each = 1 if mouth else mesh.patches or math.inf
-    if mesh.layout == "file" or scene.dimension == 3:
+    mesh_table = scene.mesh
+    has_mouth_pairs = scene.contact is not None and scene.contact.pairs == "mouth"
+    max_pairs_per_crack = 1 if has_mouth_pairs else mesh_table.patches or math.inf
+    if mesh_table.layout == "file" or scene.dimension == 3:
         try:
-            plate = build_mesh(scene, MPI.COMM_SELF)
+            plate_mesh = build_mesh(scene, MPI.COMM_SELF)
         except InputError:
             return 0  # its cases will fail
-        if not plate.has_cracks:
+        if not plate_mesh.has_cracks:
             return 0
-        cracks = len(plate.cracks)
-        nodes = len(plate.facets("lower_lip")) * mesh.order + cracks
+        n_cracks = len(plate_mesh.cracks)
+        n_face_nodes = len(plate_mesh.facets("lower_lip")) * mesh_table.order + n_cracks
     else:
-        cracks = len(scene.all_cracks)
-        nodes = count_plate_pairs(scene) if cracks else 0
-    return int(min(each * cracks, nodes)) if cracks else 0
+        n_cracks = len(scene.all_cracks)
+        n_face_nodes = count_plate_pairs(scene) if n_cracks else 0
+    return int(min(max_pairs_per_crack * n_cracks, n_face_nodes)) if n_cracks else 0
 
 
-def _free_keys(scene: Scene, swept: Collection[str]) -> set[str]:
+def _find_free_keys(scene: Scene, swept_keys: Collection[str]) -> set[str]:
     """Keys whose values share a geometry; loads beside the force at ``excitation.point`` are part
     of it, and so are clearances of matrices."""
-    free = SAME_GEOMETRY | {key for key in swept if re.fullmatch(r"crack.*\.clearance", key)}
-    more = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
-    others = scene.has_other_loads or scene.rotation is not None or more
-    if others or any(key.startswith(("base.", "loads.", "rotation.")) for key in swept):
-        free -= OF_FORCES
-    return free
+    free_keys = GEOMETRY_INDEPENDENT_KEYS | {
+        key for key in swept_keys if re.fullmatch(r"crack.*\.clearance", key)
+    }
+    has_harmonics = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
+    has_fixed_load = scene.has_other_loads or scene.rotation is not None or has_harmonics
+    if has_fixed_load or any(
+        key.startswith(("base.", "loads.", "rotation.")) for key in swept_keys
+    ):
+        free_keys -= FULL_FORCE_KEYS
+    return free_keys

@@ -53,23 +53,23 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Asked, with_any_modes
+from fenics_crack.sweep.case import CaseRequest, build_possible_geometries
 from fenics_crack.sweep.file import (
+    CONTRADICTION_PREFIX,
     KIND,
-    UNSURE,
-    YET,
+    UNDECIDED_PREFIX,
     State,
     SweepFile,
-    columns_of,
-    of_load,
+    column_formats_of,
+    load_column_name,
     read_columns,
     read_waves,
-    scene_of,
+    scene_of_sweep,
 )
-from fenics_crack.sweep.jobs import Manager, Worker, serve
+from fenics_crack.sweep.jobs import Manager, Worker, serve_jobs
 from fenics_crack.sweep.plan import Plan
 
-NO_PEAK_SOUGHT = "without contact, and with [rotation]"
+SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
 """Scenes whose largest response over the load's frequency is not sought."""
 STATE_NAMES = np.array([state.name.lower() for state in State])
 """Words for the states."""
@@ -128,52 +128,57 @@ def run_sweep(
     >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
-    table: Sweep = scene.given("sweep")
-    if table.at_resonance and not resonates(scene):
-        raise InputError("sweep.at_resonance", True, f"false {NO_PEAK_SOUGHT}")
-    count = table.shape[-1]
-    if outside := [place for place in natural if place not in range(count)]:
-        raise InputError("natural", outside, f"places on the last axis, 0 to {count - 1}")
+    sweep_table: Sweep = scene.given("sweep")
+    if sweep_table.at_resonance and not can_seek_resonance(scene):
+        raise InputError("sweep.at_resonance", True, f"false {SCENES_WITHOUT_PEAK_TEXT}")
+    last_axis_length = sweep_table.shape[-1]
+    if wrong_positions := [
+        position for position in natural if position not in range(last_axis_length)
+    ]:
+        raise InputError(
+            "natural", wrong_positions, f"places on the last axis, 0 to {last_axis_length - 1}"
+        )
     managers: list[Manager] = []
 
-    def start() -> Asked:
+    def start() -> CaseRequest:
         plan = Plan(scene)
-        wanted = {"verdicts": verdicts, "judged": judged}
-        omitted = [name for name, yes in wanted.items() if not yes]
-        omitted += [f"vibration_{place}" for place in sorted(natural)]
-        where = Path(path or passing_folder() / "sweep.h5")
-        file = SweepFile(where, scene, plan.harmonics, plan.rows, omitted)
-        managers.append(Manager(plan, file, comm.size, progress=progress))
-        return Asked(
-            plan.unit_loads,
-            hopeless=not plan.reduction_swept,
-            at_resonance=table.at_resonance,
-            **wanted,
-            natural=tuple(place in natural for place in range(count)),
+        option_by_name = {"verdicts": verdicts, "judged": judged}
+        omitted = [name for name, is_wanted in option_by_name.items() if not is_wanted]
+        omitted += [f"vibration_{position}" for position in sorted(natural)]
+        file_path = Path(path or passing_folder() / "sweep.h5")
+        sweep_file = SweepFile(file_path, scene, plan.max_harmonics, plan.max_gap_rows, omitted)
+        managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
+        return CaseRequest(
+            plan.has_unit_loads,
+            ends_at_large_structure=not plan.sweeps_reduction,
+            at_resonance=sweep_table.at_resonance,
+            with_verdicts=verdicts,
+            with_reduction_error=judged,
+            frequencies_only=tuple(position in natural for position in range(last_axis_length)),
         )
 
-    asked = on_root(comm, start)
-    worker, shared = Worker(asked, managers[0].plan if managers else Plan(scene)), comm.Dup()
-    with StopRequest() as stop:
+    request = on_root(comm, start)
+    worker, job_comm = Worker(request, managers[0].plan if managers else Plan(scene)), comm.Dup()
+    with StopRequest() as stop_request:
         if managers:
-            with reaching(managers[0].how_far):
-                managers[0].run(worker, shared, stop)
+            with reaching(managers[0].progress_text):
+                managers[0].run(worker, job_comm, stop_request)
         else:
-            serve(worker, shared)
-    worker.free(stopped=stop.asked(comm))
-    shared.Free()
-    return on_root(comm, lambda: SweepResult.of(managers[0].stored))
+            serve_jobs(worker, job_comm)
+    worker.release_geometry(stopped=stop_request.asked(comm))
+    job_comm.Free()
+    return on_root(comm, lambda: SweepResult.of(managers[0].stored_sweep))
 
 
-def resonates(scene: Scene) -> bool:
+def can_seek_resonance(scene: Scene) -> bool:
     """Return True if the largest response over the load's frequency can be sought; else a scene is
-    as :data:`NO_PEAK_SOUGHT` says."""
+    as :data:`SCENES_WITHOUT_PEAK_TEXT` says."""
     return scene.contact is not None and scene.speed == 0.0
 
 
 # --- the result -----------------------------------------------------------------------------------
 
-NOT_STABLE = "unstable", "irregular", "undecided"
+VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 """Verdicts of cases whose solution may not be what is seen."""
 
 
@@ -227,7 +232,7 @@ class SweepResult(Tabular):
     @classmethod
     def of(cls, stored: Stored) -> SweepResult:
         """The same of a file whose header is at hand."""
-        scene = scene_of(stored)
+        scene = scene_of_sweep(stored)
         return cls(stored.path, scene, read_columns(stored, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -267,18 +272,23 @@ class SweepResult(Tabular):
     @property
     def not_stable(self) -> np.ndarray:
         """Cases that are unstable, irregular or undecided, likewise."""
-        return np.isin(self["verdict"], NOT_STABLE)
+        return np.isin(self["verdict"], VERDICTS_NOT_STABLE)
 
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case that could not be solved."""
-        return self._status_where(self["state"] == State.FAILED)
+        return self._find_statuses(self["state"] == State.FAILED)
 
     @property
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case whose stability is undecided."""
-        cases = self._status_where(self.converged & (self["verdict"] == "undecided"))
-        return [(at, text.partition(UNSURE)[2] or "its reason is not kept") for at, text in cases]
+        indices_and_statuses = self._find_statuses(
+            self.converged & (self["verdict"] == "undecided")
+        )
+        return [
+            (index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
+            for index, status in indices_and_statuses
+        ]
 
     @property
     def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
@@ -289,11 +299,20 @@ class SweepResult(Tabular):
         modes shows it, for two cases in three; of each one :func:`fenics_crack.solve` finds the
         orbit.
         """
-        cases = self._status_where(self.converged & (self["verdict"] != "undecided"))
-        return [(at, said) for at, status in cases if (said := status.partition(YET)[2])]
+        indices_and_statuses = self._find_statuses(
+            self.converged & (self["verdict"] != "undecided")
+        )
+        return [
+            (index, contradiction)
+            for index, status in indices_and_statuses
+            if (contradiction := status.partition(CONTRADICTION_PREFIX)[2])
+        ]
 
-    def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
-        return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in np.argwhere(which)]
+    def _find_statuses(self, is_selected: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
+        return [
+            (tuple(map(int, index)), str(self["status"][tuple(index)]))
+            for index in np.argwhere(is_selected)
+        ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
         """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
@@ -308,10 +327,10 @@ class SweepResult(Tabular):
         InputError
             There is no such case, or it was not solved.
         """
-        place = self._place(index)
-        rows, case = read_waves(self.path, place)[0], Plan(self.scene).case(place)
+        position = self._find_converged_position(index)
+        gap_rows, case = read_waves(self.path, position)[0], Plan(self.scene).case_at(position)
         assert isinstance(case, Scene)
-        return rows[:, : rows.shape[1] // 2] if case.has_friction else rows
+        return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
 
     def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
         """The solution of a case that converged; its structure is built again.
@@ -321,56 +340,58 @@ class SweepResult(Tabular):
         InputError
             As :meth:`gap`; or a mesh file has changed.
         """
-        place = self._place(index)
+        position = self._find_converged_position(index)
         header(self.path).check_files(self.scene)
         plan = Plan(self.scene)
-        case = plan.case(place)
+        case = plan.case_at(position)
         assert isinstance(case, Scene)
-        length = float(self["crack_length"][place])
+        crack_length = float(self["crack_length"][position])
         if case.crack is not None and case.crack.first_omega is not None:
-            case = case.replace({"crack.length": length, "crack.first_omega": None})
-        for geometry in with_any_modes(case, Asked(plan.unit_loads)):
+            case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
+        for geometry in build_possible_geometries(case, CaseRequest(plan.has_unit_loads)):
             try:
-                return self._solution_in(geometry.of_case(case), case, place)
+                return self._solve_from_waves(geometry.structure_of_case(case), case, position)
             except InputError as error:  # the file's waves may be of other modes
-                refused = error
-        raise refused
+                last_error = error
+        raise last_error
 
-    def _solution_in(
-        self, structure: Structure, case: Scene, place: tuple[int, ...]
+    def _solve_from_waves(
+        self, structure: Structure, case: Scene, position: tuple[int, ...]
     ) -> PeriodicSolution:
         """The solution of a case in its structure; InputError where it is of another one."""
-        omega = float(self["omega"][place])
+        omega = float(self["omega"][position])
         law = law_of(case, structure)
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
-        gap, force = read_waves(self.path, place)
+        gap, force = read_waves(self.path, position)
         problem = Problem(structure, omega, law, len(gap) // 2)
         wave = problem.wave_of(np.zeros((len(gap), 0)), gap, force)  # u follows from the forces
-        parts = vars(wave) | {
-            "status": str(self["status"][place]),
-            "iterations": int(self["iterations"][place]),
-            "error_penetration": float(self["penetration_share"][place]),
+        solution_fields = vars(wave) | {
+            "status": str(self["status"][position]),
+            "iterations": int(self["iterations"][position]),
+            "error_penetration": float(self["penetration_share"][position]),
             "error_displacement": 0.0,
         }
-        parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
+        solution_fields |= {
+            f"error_{name}": float(self[f"{name}_error"][position]) for name in ERROR_PARTS
+        }
         if problem.is_projected:
-            parts["weight"] = default_weight(problem.compliance())
-        return solution_from(parts, structure, law)
+            solution_fields["weight"] = default_weight(problem.compliance())
+        return solution_from(solution_fields, structure, law)
 
-    def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
+    def _find_converged_position(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """The place of a case that converged."""
         try:
-            given = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
-            place = tuple(map(operator.index, given))
-            solved = len(place) == len(self.shape) and min(place) >= 0
-            solved = solved and bool(self.converged[place])
+            indices = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
+            position = tuple(map(operator.index, indices))
+            is_converged = len(position) == len(self.shape) and min(position) >= 0
+            is_converged = is_converged and bool(self.converged[position])
         except (IndexError, ValueError, TypeError):
-            solved = False
-        if not solved:
+            is_converged = False
+        if not is_converged:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
-        return place
+        return position
 
     # --- shown ------------------------------------------------------------------------------------
 
@@ -378,24 +399,37 @@ class SweepResult(Tabular):
     def quantities(self) -> dict[str, tuple[str, str]]:
         """The columns that are drawn and printed, in words and with units: those that the scene's
         ``[output] quantities`` chooses, or a few."""
-        seen, found = self.scene.point_names, {}
+        label_by_point, label_and_unit_by_column = self.scene.point_names, {}
         for name in self.scene.quantities or names_of(where=DRAWN):
             words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
             if QUANTITIES[name].of is not Place.POINT:
-                found[name] = words, unit
-            elif seen:
-                found |= {f"{at}.{name}": (f"{words}, {where}", unit) for at, where in seen.items()}
+                label_and_unit_by_column[name] = words, unit
+            elif label_by_point:
+                label_and_unit_by_column |= {
+                    f"{point}.{name}": (f"{words}, {point_label}", unit)
+                    for point, point_label in label_by_point.items()
+                }
             else:
-                found[of_load(name)] = f"{words} at the load's point", unit
-        return {name: how for name, how in found.items() if name in self.columns}
+                label_and_unit_by_column[load_column_name(name)] = (
+                    f"{words} at the load's point",
+                    unit,
+                )
+        return {
+            name: label_and_unit
+            for name, label_and_unit in label_and_unit_by_column.items()
+            if name in self.columns
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The values of the axes by their keys, then the columns; a row for each case."""
-        values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
-        found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
-        found["state"] = STATE_NAMES[self["state"]].ravel().tolist()
-        columns = (name for name in self.columns if name != "state")
-        return found | {name: self[name].ravel().tolist() for name in columns}
+        axis_columns = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
+        values_by_column = {
+            axis.key: list(axis_column)
+            for axis, axis_column in zip(self.axes, axis_columns, strict=True)
+        }
+        values_by_column["state"] = STATE_NAMES[self["state"]].ravel().tolist()
+        column_names = (name for name in self.columns if name != "state")
+        return values_by_column | {name: self[name].ravel().tolist() for name in column_names}
 
     def to_xarray(self) -> Any:
         """The columns of :meth:`to_dict` over the swept keys, as an ``xarray.Dataset`` with units.
@@ -405,50 +439,79 @@ class SweepResult(Tabular):
         ImportError
             xarray is not installed: the package does without it.
         """
-        dataset, units = optional("xarray", "to_xarray").Dataset, self._units()
-        swept = {a.key: [v if np.isscalar(v) else str(v) for v in a.values] for a in self.axes}
-        columns = {
-            name: ([*swept], np.reshape(values, self.shape), {"units": units.get(name, "")})
-            for name, values in self.to_dict().items()
-            if name not in swept
+        dataset_class, unit_by_name = optional("xarray", "to_xarray").Dataset, self._units()
+        coordinates = {
+            axis.key: [value if np.isscalar(value) else str(value) for value in axis.values]
+            for axis in self.axes
         }
-        return dataset(columns, swept)
+        variables = {
+            name: (
+                [*coordinates],
+                np.reshape(values, self.shape),
+                {"units": unit_by_name.get(name, "")},
+            )
+            for name, values in self.to_dict().items()
+            if name not in coordinates
+        }
+        return dataset_class(variables, coordinates)
 
     def _units(self) -> dict[str, str]:
-        swept = {axis.key: unit_of_key(axis.key) for axis in self.axes}
-        return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
+        unit_by_key = {axis.key: unit_of_key(axis.key) for axis in self.axes}
+        return unit_by_key | {
+            name: unit for name, (unit, _) in column_formats_of(self.scene).items()
+        }
 
     def said(self) -> Said:
         """What the last sentence on the sweep says."""
-        solved, known = self.converged, []
-        total, cases = self.errors.sum(axis=0)[solved], counted(solved.size, "case")
-        if np.any(np.isfinite(height := np.where(solved, self["response"], np.nan))):
-            place = np.unravel_index(int(np.nanargmax(height)), height.shape)
-            size = quantity(float(height[place]), "m")
-            known.append(f"the largest response is {size} half peak-to-peak at ")
-            known[0] += in_words(self.axes, [*map(int, place)])
-        largest, unknown = total.max(initial=0.0), int(np.sum(total >= UNKNOWN))
+        is_converged, clauses = self.converged, []
+        total_errors, cases_text = (
+            self.errors.sum(axis=0)[is_converged],
+            counted(is_converged.size, "case"),
+        )
+        if np.any(np.isfinite(responses := np.where(is_converged, self["response"], np.nan))):
+            peak_index = np.unravel_index(int(np.nanargmax(responses)), responses.shape)
+            response_text = quantity(float(responses[peak_index]), "m")
+            clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
+            clauses[0] += describe_position(self.axes, [*map(int, peak_index)])
+        max_error, n_unknown_errors = (
+            total_errors.max(initial=0.0),
+            int(np.sum(total_errors >= UNKNOWN)),
+        )
         if not self.scene.harmonic_balance.error:
-            known.append("errors and stability are not estimated (harmonic_balance.error = false)")
-        elif largest > 0.0 and not unknown:
-            error = error_in_words(largest)
-            known.append(f"largest estimated error by modes and harmonics {error}")
-        names, counts = np.unique(self["verdict"][solved], return_counts=True)
-        verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
+            clauses.append(
+                "errors and stability are not estimated (harmonic_balance.error = false)"
+            )
+        elif max_error > 0.0 and not n_unknown_errors:
+            error_text = error_in_words(max_error)
+            clauses.append(f"largest estimated error by modes and harmonics {error_text}")
+        verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
+        verdict_texts = [
+            f"{verdict_count} {verdict}"
+            for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
+            if verdict
+        ]
         return Said(
-            "sweep complete" if solved.all() else f"{solved.sum()} of {cases} converged",
-            ", ".join(known),
-            f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
-            [*report_linearity(self["closed_share"][solved]), ", ".join(verdicts)],
+            "sweep complete"
+            if is_converged.all()
+            else f"{is_converged.sum()} of {cases_text} converged",
+            ", ".join(clauses),
+            f"it could not be estimated in {counted(n_unknown_errors, 'case')}"
+            if n_unknown_errors
+            else "",
+            [*report_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
         )
 
     def _title(self) -> str:
-        counts = zip(STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
-        swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
-        return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
+        states_and_counts = zip(
+            STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
+        )
+        axes_text = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
+        return ", ".join(
+            [axes_text, *(f"{count} {state}" for state, count in states_and_counts if count)]
+        )
 
 
-def is_part(stored: Stored) -> bool:
+def is_partial_sweep(stored: Stored) -> bool:
     """Return True for the file of a sweep that another computation has made for itself: it leaves
     out errors that the command ``sweep`` estimates."""
     return stored.kind == KIND and bool(stored.attributes.get("omitted"))
@@ -457,27 +520,30 @@ def is_part(stored: Stored) -> bool:
 # --- cases in words -------------------------------------------------------------------------------
 
 
-def by_reason(
-    found: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], what: str
+def describe_by_reason(
+    sweep: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], outcome_text: str
 ) -> Iterator[str]:
     """Cases that failed or are undecided, those of one reason together: reasons that differ in
     numbers alone are one."""
-    kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
+    cases_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for index, reason in reasons:
-        kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
-    ordered, shown = sorted(kinds.values(), key=len, reverse=True), 4
-    for cases in ordered[:shown]:
+        cases_by_pattern.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append(
+            (index, reason)
+        )
+    case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
+    for cases in case_groups[:n_shown]:
         index, reason = cases[0]
-        number = f"{counted(len(cases), 'case')} {what}, the first at"
-        yield f"{number} {in_words(found.axes, index)}: {reason}"
-    if more := ordered[shown:]:
-        left = sum(map(len, more))
-        yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
+        count_text = f"{counted(len(cases), 'case')} {outcome_text}, the first at"
+        yield f"{count_text} {describe_position(sweep.axes, index)}: {reason}"
+    if further_groups := case_groups[n_shown:]:
+        n_further_cases = sum(map(len, further_groups))
+        count_text = f"{counted(n_further_cases, 'case')} {outcome_text}"
+        yield f"{count_text} for other reasons: column status of the table"
 
 
-def in_words(axes: Sequence[Axis], index: Sequence[int]) -> str:
+def describe_position(axes: Sequence[Axis], index: Sequence[int]) -> str:
     """The swept values of a case on some axes."""
     return ", ".join(
-        f"{axis.key.rpartition('.')[2]} = {axis.values[at]}"
-        for axis, at in zip(axes, index, strict=True)
+        f"{axis.key.rpartition('.')[2]} = {axis.values[position]}"
+        for axis, position in zip(axes, index, strict=True)
     )

@@ -40,7 +40,7 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import MIN_ALLOWED_UNKNOWN_VALUES, Identify, Sweep
 from fenics_crack.study.meshes import finer_mesh
-from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
+from fenics_crack.sweep.result import SweepResult, describe_by_reason, run_sweep
 
 IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
@@ -192,7 +192,7 @@ def _predicted(
             for at, why in sweep.failed
             if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
         ]
-        doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
+        doubts += [f"{path.name}: {text}" for text in describe_by_reason(sweep, failed, "failed")]
     used = list(itertools.compress(rows, known))
     if all(row.quantity == "frequency_uncracked" for row in used):
         why = "; ".join(doubts) or "no case has the measured quantities"
