@@ -19,7 +19,7 @@ from fenics_crack.sweep.result import (
     VERDICTS_NOT_STABLE,
     SweepResult,
     describe_by_reason,
-    describe_position,
+    describe_swept_values,
 )
 
 SPEEDS = ("rotation.speed", "rotation.rpm")
@@ -95,7 +95,7 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
         report = ErrorReport(**dict(zip(ERROR_PARTS, errors[:, *place].tolist(), strict=True)))
         count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
         for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
-            yield f"{count}, the largest at {describe_position(found.axes, place)}: {text}"
+            yield f"{count}, the largest at {describe_swept_values(found.axes, place)}: {text}"
 
 
 def stepped_over(found: SweepResult) -> list[str]:
@@ -120,7 +120,7 @@ def stepped_over(found: SweepResult) -> list[str]:
     ends = (axis.values[one] for one in rising[at : at + 2])
     between = in_unit((1.0, axis.key, unit_of_key(axis.key)), *ends)
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
-    where = "".join(f", {words}" for words in [describe_position(others, place)] if words)
+    where = "".join(f", {words}" for words in [describe_swept_values(others, place)] if words)
     more = int(turns.sum()) - 1
     also = f", and at {counted(more, 'other place')}" if more else ""
     return [

@@ -538,7 +538,7 @@ class Table:
 
     @classmethod
     def read_value(cls, key: str, value: object) -> Any:
-        """Return a value as the table stores it; raise InputError if it is not allowed."""
+        """Convert a value to its stored form; raise InputError if not allowed."""
         key_field = cls.field_by_key()[key]
         try:
             key_value = _find_reader(key_field)(value)
@@ -609,7 +609,7 @@ class Table:
 
     @classmethod
     def si_key_by_twin(cls) -> dict[str, str]:
-        """Return the SI keys by the keys in other units, such as Hz."""
+        """Return the SI keys by the keys in Hz and similar units."""
         metadata_by_key = {key: key_field.metadata for key, key_field in cls.field_by_key().items()}
         return {
             key: metadata["twin"] for key, metadata in metadata_by_key.items() if "twin" in metadata
@@ -663,7 +663,7 @@ class Table:
         return getattr(self, key)
 
     def leave_out(self, keys: Iterable[str], circumstance: str) -> None:
-        """Raise InputError if a key has a value other than None and its default."""
+        """Raise InputError if a key is neither None nor the default."""
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
             self.require(is_absent, key, f"left out with {circumstance}")
@@ -747,7 +747,7 @@ class Table:
 
 
 def full_keys_in_tables(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
-    """Return a key with each table that has it; lists (default ``()``) come last."""
+    """Return a key's full names in all tables; list keys (default ``()``) come last."""
     classes_with_key = [
         table_class for table_class in table_classes if key in table_class.field_by_key()
     ]

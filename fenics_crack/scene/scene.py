@@ -57,12 +57,12 @@ MAX_ALLOWED_SIDE_RATIO = 1e4
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
+    """A cracked structure, the load, and the settings for computing the vibration.
 
-    Each table of the file is an attribute, and each of its keys an attribute of that:
-    ``scene.material.young``; all of them are under "Keys of a scene" in the reference. SI units;
-    frequencies given in Hz are there in rad/s too. A table that is left out is None or has its
-    defaults. With the table ``structure`` the tables of a plate are None.
+    Each table in the file is an attribute, and each key an attribute of the table:
+    ``scene.material.young``. All keys are under "Keys of a scene" in the reference. SI units;
+    frequencies given in Hz are there in rad/s too. An omitted table is None or has default values.
+    With the table ``structure`` the tables of a plate are None.
 
     Raises
     ------
@@ -292,7 +292,7 @@ class Scene:
         return bool(self.loads) or self.base is not None or self.structure is not None
 
     def given(self, name: str) -> Any:
-        """Return a table that a command needs; raise InputError if it is missing."""
+        """Return a table for a command; raise InputError if the table is missing."""
         if getattr(self, name) is None:
             raise InputError(name, None, "given for this command: a table")
         is_condensed = self.harmonic_balance.form == "condensed"
@@ -419,9 +419,9 @@ class Scene:
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
-        An optional table is made where it is missing, and removed by ``{"crack": None}``. Tables of
-        a list are counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency
-        in Hz takes the place of the one in rad/s, and the other way round.
+        A missing optional table is made; ``{"crack": None}`` removes a table. Tables of a list are
+        counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency in Hz
+        replaces the frequency in rad/s, and vice versa.
         """
         tables_by_name = {
             scene_field.name: getattr(self, scene_field.name) for scene_field in fields(self)
@@ -524,7 +524,7 @@ _REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
     Place.ELLIPSE: reason_without_elliptical_growth,
     Place.CLAMP: reason_without_clamp_forces,
 }
-"""Functions that return why a scene lacks a place; empty text if it has the place."""
+"""Functions by place: the reason why a scene lacks observables there, or an empty text."""
 
 
 def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:

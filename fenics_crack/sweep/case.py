@@ -1,4 +1,4 @@
-"""The cases of one geometry of a sweep: the structure that they share, and the solutions."""
+"""Solve the cases that share a geometry of a sweep."""
 
 from __future__ import annotations
 
@@ -49,22 +49,22 @@ from fenics_crack.sweep.plan import Chunk
 
 @dataclass(frozen=True)
 class CaseRequest:
-    """Request for the cases of a sweep.
+    """Options that all cases of a sweep share.
 
     Attributes
     ----------
-    unit_loads : bool
+    has_unit_loads : bool
         True if geometries are built with unit loads.
-    hopeless : bool
-        True if a structure that stays large ends the sweep.
+    ends_at_large_structure : bool
+        True if the sweep ends with an error at a structure too large to solve.
     at_resonance : bool
         True if each case is solved at its resonance.
-    verdicts : bool
+    with_verdicts : bool
         True if the stability of each case is assessed.
     with_reduction_error : bool
         True if the reduction error of each case is estimated.
     frequencies_only : tuple of bool
-        For each place on the last axis, True if natural frequencies alone are found there.
+        For each position on the last axis, True if only natural frequencies are computed.
     """
 
     has_unit_loads: bool
@@ -77,27 +77,27 @@ class CaseRequest:
 
 @dataclass(frozen=True)
 class SweepGeometry:
-    """Common part of cases that differ in load, clearance, law and harmonics only.
+    """Structure for cases that differ only in load, clearance, contact law and harmonics.
 
     Attributes
     ----------
     study : Study
-        With a small structure without clearance.
-    unit_loads : bool
-        True if its load has a sine part of 1 N in x, a cosine part of 1 N in y and, of a solid, a
-        mean of 1 N in z.
+        Study with a small structure without clearance.
+    has_unit_loads : bool
+        True if the load has a sine part of 1 N in x and a cosine part of 1 N in y.
+        A solid has a mean of 1 N in z, too.
     crack_length : float [m]
-        Of the first crack; nan where it is unknown.
-    natural : BilinearFrequencies
-        With the crack open and bonded.
-    watched : dict of str to (n_dofs,)
-        Factors of the coordinates in the motion of the named points [m], by "tip.ux",
-        and at the load, by ""; of one load alone its own vector does that.
-    whole : Study
-        Not reduced.
-    modes : tuple of int
-        Number of modes, and those that the tolerance may choose instead; empty where it does not
-        choose them.
+        Length of the first crack; nan if unknown.
+    natural_frequencies : BilinearFrequencies
+        Natural frequencies with the crack open and bonded.
+    watched_row_by_name : dict of str to (n_dofs,)
+        Rows that give displacements [m]: named points by "tip.ux", the load's point by "".
+        Without "", the load vector of a case gives the displacement at the load.
+    unreduced_study : Study
+        Study before reduction.
+    mode_counts : tuple of int
+        Number of modes, then larger numbers that the tolerance may choose.
+        Empty if the tolerance does not choose the number.
     """
 
     study: Study
@@ -110,7 +110,7 @@ class SweepGeometry:
 
     @cached_property
     def with_more_modes(self) -> SweepGeometry | None:
-        """The same with the next number of modes; None where these are the most."""
+        """Geometry with the next number of modes; None if there is no larger number."""
         if len(self.mode_counts) < 2:
             return None
         study = reduced_to(self.unreduced_study, self.mode_counts[1])
@@ -123,11 +123,11 @@ class SweepGeometry:
 
     @property
     def structure(self) -> Structure:
-        """Without clearance."""
+        """Structure without clearance."""
         return self.study.structure
 
     def structure_of_case(self, scene: Scene) -> Structure:
-        """The structure with the load and the clearance of a case."""
+        """Return the structure with the load and clearance of a case."""
         load: float | np.ndarray = 1.0
         if self.has_unit_loads:
             load = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
@@ -140,8 +140,11 @@ class SweepGeometry:
 def build_geometry(
     scene: Scene, comm: MPI.Comm, request: CaseRequest, last_geometry: SweepGeometry | None = None
 ) -> SweepGeometry:
-    """The geometry of a case, with the reference of its reduction if requested; the mesh of the
-    last one serves another speed of the rotor (collective)."""
+    """Build the geometry for a case (collective).
+
+    ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
+    mesh, for another rotor speed.
+    """
     scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if request.has_unit_loads:
         dimension = scene.dimension
@@ -184,7 +187,7 @@ def build_geometry(
 
 
 def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[SweepGeometry]:
-    """The geometry of a case with each number of modes with which it may have been solved."""
+    """Build geometries with each number of modes that may have solved a case."""
     first_geometry = build_geometry(scene, MPI.COMM_SELF, request)
     geometry: SweepGeometry | None = first_geometry
     while geometry is not None:
@@ -195,7 +198,7 @@ def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[Sw
 
 
 def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
-    """The rows of the motion at the load and at the named points (collective)."""
+    """Return rows for displacements at the load and named points, by name (collective)."""
     named_watches = [watch for watch in study.watched if watch.name]
     displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
     row_by_name = {
@@ -205,8 +208,11 @@ def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
 
 
 def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
-    """Return the rows of the motion watched at the load, where the structure has it; of matrices
-    the dof that carries most of the load (collective)."""
+    """Return the row for the displacement at the load, with the key "" (collective).
+
+    For matrices it is the dof with the largest load. The dictionary is empty if the structure
+    watches no displacement.
+    """
     whole_structure = structure.whole
     if whole_structure.watched is not None:
         weights = gather_rows(whole_structure.comm, whole_structure.watched)
@@ -223,19 +229,34 @@ def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.
 
 
 FREQUENCIES_ONLY_STATUS = "natural frequencies alone"
-"""Status of a case for which nothing else is requested."""
+"""Status of a case with natural frequencies only."""
 CaseValues = dict[str, Any]
-"""Values of a case, columns of the file and others, which that does not keep; and "gap" and "force"
-coefficients if it converged."""
+"""Values of a case by column name, and by names that the file omits.
+
+A converged case has "gap" and "force" coefficients.
+"""
 
 
 def solve_chunk(
     geometry: SweepGeometry, chunk: Chunk, request: CaseRequest, may_continue: Callable[[], bool]
 ) -> list[CaseValues]:
-    """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
-    on their stability, if wanted, and with the error of a reduction that has been assessed.
+    """Solve the cases in a chunk in turn, at given frequencies or at resonances.
 
-    The first ones where ``go_on``, which is called before each, ends it.
+    Parameters
+    ----------
+    geometry : SweepGeometry
+        Shared structure.
+    chunk : Chunk
+        Cases.
+    request : CaseRequest
+        Options.
+    may_continue : callable
+        Called before each case; False ends the chunk.
+
+    Returns
+    -------
+    list of dict
+        Values of the cases that were tried.
     """
     solver, chunk_values = CaseSolver(geometry), []
     for case_number, case in zip(chunk.case_numbers.tolist(), chunk.cases, strict=True):
@@ -281,9 +302,9 @@ def solve_chunk(
 
 
 class CaseSolver:
-    """Cases of a geometry, each solved from the one before.
+    """Solver for cases with a common geometry; each case starts from the last case.
 
-    Those that differ in the frequency alone share structure, law and equations.
+    Cases that differ only in frequency share structure, law and equations.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
@@ -292,11 +313,11 @@ class CaseSolver:
         self._last_solution: PeriodicSolution | None = None
 
     def solve_as_requested(self, case: Scene, request: CaseRequest) -> PeriodicSolution:
-        """The solution of a case, or at its resonance, as requested; raises as :meth:`solve`."""
+        """Solve a case at a given frequency or at resonance; raises as :meth:`solve`."""
         return self.at_resonance(case) if request.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
-        """The solution of a case; one of :data:`REFUSALS` where there is none."""
+        """Solve a case at the given frequency; raises an error in :data:`REFUSALS` on failure."""
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure(case)
         structure, law = self._structure, self._law
@@ -313,7 +334,7 @@ class CaseSolver:
         return self._last_solution
 
     def _set_structure(self, case: Scene) -> None:
-        """Structure and law of a case, unless they are those of the last one."""
+        """Set structure and law for a case, unless only its frequency differs."""
         comparable_case = case.replace({"excitation.omega": 1.0, "curve": None})
         if self._last_case != comparable_case:
             self._last_case = comparable_case
@@ -321,11 +342,10 @@ class CaseSolver:
             self._law = law_of(case, self._structure)
 
     def at_resonance(self, case: Scene) -> PeriodicSolution:
-        """The solution of a case at the resonance nearest to its frequency; raises as
-        :meth:`solve`.
+        """Solve a case at the resonance nearest to its frequency; raises as :meth:`solve`.
 
-        Where several modes answer together, and with friction or a smooth law, which have no phase
-        resonance, it is the top of the response curve.
+        The resonance is the peak of the response curve if several modes respond together. The same
+        holds with friction or a smooth law, which have no phase resonance.
         """
         balance_table = case.harmonic_balance
         self._set_structure(case)
@@ -347,8 +367,17 @@ class CaseSolver:
         return self.solve(case.replace({"excitation.omega": omega}))
 
     def _find_response_peak(self, problem: Problem) -> tuple[float, PeriodicSolution]:
-        """Where the response curve is largest, from below the mode with the crack open to above
-        that with it bonded, and the nearest of its points."""
+        """Return frequency and solution at the peak of the response curve.
+
+        The curve covers the nearest mode, from below the open to above the bonded frequency.
+
+        Returns
+        -------
+        omega : float
+            Frequency at the peak [rad/s].
+        solution : PeriodicSolution
+            Solution at the nearest curve point.
+        """
         natural_frequencies = self._geometry.natural_frequencies
         nearest_mode = natural_frequencies.nearest(problem.omega)
         mode_damping_ratios = damping_ratios(
@@ -368,9 +397,11 @@ class CaseSolver:
         return peak.value, curve.solution(peak.index)
 
     def assess_stability(self, solution: PeriodicSolution) -> CaseValues:
-        """Verdict on a solution, modulus of its leading multiplier, and a remark: why no orbit
-        decides it, or how more modes contradict it; empty without a law, and for a constraint of
-        crack faces with mass."""
+        """Return "verdict", "multiplier" (largest modulus) and "remark" by name.
+
+        The remark says why stability is undecided, or how more modes contradict the verdict. The
+        dictionary is empty without a law, and for rigid contact between crack faces with mass.
+        """
         structure, law, remark = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
@@ -394,12 +425,12 @@ class CaseSolver:
 
 
 def _frequency_values(omega: float, natural_frequencies: BilinearFrequencies) -> CaseValues:
-    """A load frequency, and the natural ones that it is next to."""
+    """Return the load frequency and the nearest natural frequencies by column name."""
     return with_frequency({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
 def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseValues:
-    """Natural frequencies by the names of their columns; there may be fewer than these."""
+    """Return natural frequencies by column name; there may be fewer than columns."""
     frequency_rows = (
         natural_frequencies.omega_open,
         np.sort(natural_frequencies.omega_tied),
@@ -414,8 +445,10 @@ def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseV
 
 
 def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeometry) -> CaseValues:
-    """Return the indicators at the load and at the watched points, and the quantities of places
-    with rows of their own."""
+    """Return all quantities of a solution by column name.
+
+    They are indicators at the load, at named points, and quantities on request.
+    """
     row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
     observed_displacements, case_values = solution.observe_rows(
@@ -437,11 +470,10 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
 
 
 def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
-    """The displacement of the load's point in the load's direction from the coordinates; nothing
-    without a load.
+    """Return the row for the displacement in the load's direction, with the key "".
 
-    The direction is that of the largest of the sine and the cosine parts, of the mean if there is
-    none. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
+    The direction follows the largest sine or cosine part, or the mean if both are zero. A force F
+    at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
     """
     force_norms = np.linalg.norm(force_parts(case), axis=1)
     has_harmonic = np.any(force_norms[1:])

@@ -1,20 +1,20 @@
-"""The file of a sweep: filled in while the sweep runs, and valid whenever the program is killed.
+"""The file of a sweep: filled while the sweep runs, and valid after a kill at any time.
 
-HDF5 keeps metadata in memory and writes it at times of its own choice. A program killed in between
-leaves a file that cannot be opened, and a full disk ends HDF5 itself. So no metadata changes once
-the file has its name, and HDF5 writes to memory alone:
+HDF5 keeps metadata in memory and decides when to write them. A program killed in between
+leaves a file that cannot be opened, and a full disk ends HDF5 itself. So no metadata changes after
+the file has its name, and HDF5 writes to memory only:
 
-- the file is made under another name, closed, and renamed;
-- every dataset has its full size from the start, in one contiguous piece whose place is fixed
-  (early allocation), in the oldest file format, which does not mark a file as open;
-- a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
-  system, and only then its ``state``. A case with a state is complete, and not written again; one
-  that a kill or a full disk left half written has none and is computed again;
-- a case has a checksum of its numbers and its state, and it is what this confirms. A damaged case
-  is not read, and computed again if the sweep is continued.
+- The file is made under another name, closed, and renamed.
+- Each dataset has its full size from the start, in one contiguous block at a fixed offset (early
+  allocation). The oldest file format does not mark a file as open.
+- A finished case overwrites the case's bytes: first all numbers, then ``state``. A case with a
+  state is complete and not written again. A case that a kill left half written has no state and is
+  computed again.
+- Each case has a checksum for numbers and state. A damaged case is not read; a continued
+  sweep computes it again.
 
-Unwritten parts take no space if the file system supports sparse files. The file can be read while
-it is being written. A lock, the one that HDF5 takes too, keeps other sweeps from writing to it.
+Unwritten parts take no space if the file system supports sparse files. The file can be read while a
+sweep writes it. A lock, also used by HDF5, keeps other sweeps from writing.
 """
 
 from __future__ import annotations
@@ -54,18 +54,18 @@ class State(IntEnum):
 
 
 UNDECIDED_PREFIX = "undecided: "
-"""Beginning, in the status of a case, of the reason for undecided stability."""
+"""Text in a case's status before the reason for undecided stability."""
 CONTRADICTION_PREFIX = "; yet "
-"""Beginning of the remark that more modes contradict the verdict."""
+"""Text in a case's status before the remark that more modes contradict the verdict."""
 
 
 def load_column_name(quantity: str) -> str:
-    """The column of a quantity at the load's point in the load's direction."""
+    """Return the column name for a quantity at the load, in the load's direction."""
     return "response" if quantity == "amplitude" else quantity
 
 
 MODE_NUMBERS = range(1, FEW_MODES + 1)
-"""Numbers of the modes whose natural frequencies are kept of each case."""
+"""Numbers of the modes whose natural frequencies each case keeps."""
 NATURAL_FREQUENCY_COLUMNS = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
@@ -75,17 +75,23 @@ NATURAL_FREQUENCY_COLUMNS = {
     )
     for mode in MODE_NUMBERS
 }
-"""Words and unit of these frequencies."""
+"""Label and unit of natural frequencies, by column name."""
 POINT_QUANTITY_UNITS = {
     name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"
 }
-"""Quantities kept of each point and direction, and their units: no case has a longer period."""
+"""Units of the quantities at each point and direction, by quantity.
+
+``ratio_half_1`` is left out, since no case has a longer period.
+"""
 KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
-"""Harmonics of which the parts are kept."""
+"""Orders of the harmonics whose cosine and sine parts are kept."""
 HARMONIC_PART_UNITS = {
     f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine", "sine")
 }
-"""Parts of the harmonics kept likewise, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
+"""Units of cosine and sine parts, by column name.
+
+``harmonic_1`` to ``harmonic_3`` are the amplitudes for these parts.
+"""
 CASE_COLUMN_FORMATS: dict[str, tuple[str, str]] = {
     **{
         load_column_name(name): (unit, "f8")
@@ -105,24 +111,26 @@ CASE_COLUMN_FORMATS: dict[str, tuple[str, str]] = {
     "seconds": ("s", "f8"),
     "status": ("", "S400"),  # and its remark on the verdict; cut where it is longer
 }
-"""Unit and type of the columns of each case beside its state and the motion at points."""
+"""Unit and type of each column, without states, named points and quantities on request."""
 UNUSED_TABLE_REMOVALS = dict.fromkeys(
     name for name in RESULT_TABLES if name not in ("sweep", "output", "growth")
 )
-"""Tables that no case depends on; without them."""
+"""Changes that remove the tables without effect on any case."""
 WAVE_UNITS = {"gap": "m", "force": "N"}
-"""Coefficients kept of a case that converged, and their units."""
+"""Units of the coefficients that converged cases keep."""
 WAVES_CHECKSUM_COLUMN, CASE_CHECKSUM_COLUMN = "waves_checksum", "checksum"
-"""Columns: CRC-32 of the waves of a case; and of all its columns and its state, never 0."""
+"""Columns with the CRC-32 of a case's waves, and of all columns and the state (never 0)."""
 REQUIRED_COLUMNS = {"state", WAVES_CHECKSUM_COLUMN, CASE_CHECKSUM_COLUMN, "harmonics"}
-"""Columns without which no file is read; others may be missing in those of earlier versions."""
+"""Columns required in each file; files from earlier versions may lack further columns."""
 BLANK_VALUE_BY_KIND: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
-"""Value of a case without one, by the kind of the type."""
+"""Values that mean "no value", by the kind of the NumPy type."""
 
 
 def column_formats_of(scene: Scene) -> dict[str, tuple[str, str]]:
-    """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
-    tips and the clamp that it requests."""
+    """Return unit and type of all columns for a scene's sweep, by name.
+
+    Named points have columns such as "tip.ux.ratio_2_1".
+    """
     requested_names = names_of(where=FRICTION) * scene.has_friction + quantities_on_request(scene)
     point_formats = {
         f"{point}.{name}": (unit, "f8")
@@ -137,21 +145,33 @@ def column_formats_of(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 class SweepFile:
-    """A sweep's file, open for writing; continued if it exists, else made.
+    """File of a sweep, open for writing; an existing file is continued.
 
-    ``harmonics`` and ``rows`` are upper bounds for all cases, ``omitted`` names what is not asked
-    of them. Raises InputError if the file cannot be written, cases are left and another program is
-    writing it, it is not a sweep of this scene, or other cases would have other columns than those
-    in it.
+    Parameters
+    ----------
+    path : Path
+        File.
+    scene : Scene
+        Scene with its sweep.
+    max_harmonics, max_gap_rows : int
+        Upper bounds for all cases; without gap rows no waves are kept.
+    omitted_options : sequence of str
+        Options that the cases lack.
 
     Attributes
     ----------
-    made : bool
-        True if it is new.
-    stored : Stored
-        Where everything is in it.
-    state : array of int
-        In the shape of the axes; of damaged cases State.PENDING.
+    is_new : bool
+        True if the file did not exist.
+    sweep_header : Stored
+        Header with the offset of each dataset.
+    case_states : array of int
+        States in the shape of the axes; State.PENDING for damaged cases.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written, or holds another sweep or other columns.
+        Or cases are pending while another program writes the file.
     """
 
     def __init__(
@@ -160,38 +180,44 @@ class SweepFile:
         scene: Scene,
         max_harmonics: int,
         max_gap_rows: int,
-        omitted: Sequence[str] = (),
+        omitted_options: Sequence[str] = (),
     ) -> None:
         self._path, self._column_formats = path, column_formats_of(scene)
         with reported(path, "path", "a file that can be written, by one sweep at a time"):
-            new_sweep = (
+            new_header = (
                 None
                 if os.path.lexists(path)
-                else _make_file(path, scene, max_harmonics, max_gap_rows, omitted)
+                else _make_file(path, scene, max_harmonics, max_gap_rows, omitted_options)
             )
             bytes_of(path, None, links=False)  # nothing is written elsewhere
             self._descriptor = os.open(path, os.O_RDWR)
             try:
                 lock_error = _lock_file(self._descriptor)
-                self.stored_sweep = new_sweep or _read_matching_header(path, scene)
-                self.case_states = _read_intact_states(self.stored_sweep, scene)
+                self.sweep_header = new_header or _read_matching_header(path, scene)
+                self.case_states = _read_intact_states(self.sweep_header, scene)
                 if np.any(self.case_states == State.PENDING):  # else nothing is written
                     if lock_error:
                         raise lock_error
-                    _check_omitted(self.stored_sweep, omitted)
+                    _check_omitted(self.sweep_header, omitted_options)
             except BaseException:
                 os.close(self._descriptor)
                 raise
-        self.is_new = new_sweep is not None
+        self.is_new = new_header is not None
 
     def record(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
-        """Write those of some cases that are not complete: some of its columns each, and its waves
-        if it converged; by their numbers (n,).
+        """Write the given cases that are still pending.
+
+        Parameters
+        ----------
+        case_numbers : (n,) int
+            Numbers of the cases.
+        cases : sequence of mappings
+            Values by column name, with waves if a case converged.
 
         Raises
         ------
         InputError
-            The disk is full, or the file is no longer where it was; what was written before stays.
+            The disk is full, or the file was moved; earlier cases stay written.
         """
         pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == State.PENDING)
         if len(pending_positions):
@@ -200,7 +226,7 @@ class SweepFile:
             )
 
     def write(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
-        """Write cases of some numbers (n,): all that is known of them, then their states."""
+        """Write cases by number (n,): all values first, then the states."""
         if not self._is_in_place():
             requirement = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement)
@@ -212,14 +238,14 @@ class SweepFile:
         }
         column_by_name = {}
         for name in self._column_formats:
-            column_type = self.stored_sweep.columns[name].dtype
-            encoded_values = [
+            column_type = self.sweep_header.columns[name].dtype
+            column_values = [
                 _encode_value(
                     case.get(name, BLANK_VALUE_BY_KIND[column_type.kind]), column_type.itemsize
                 )
                 for case in cases
             ]
-            column_by_name[name] = np.array(encoded_values, column_type)
+            column_by_name[name] = np.array(column_values, column_type)
         wave_checksums = [
             _compute_waves_checksum(*gap_and_force)
             for gap_and_force in zip(*waves_by_name.values(), strict=True)
@@ -229,8 +255,8 @@ class SweepFile:
         with reported(self._path, "path"):
             self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
             for name, waves in waves_by_name.items():
-                if name in self.stored_sweep.columns:
-                    padded_waves = _pad_waves(waves, self.stored_sweep.columns[name].shape[-1])
+                if name in self.sweep_header.columns:
+                    padded_waves = _pad_waves(waves, self.sweep_header.columns[name].shape[-1])
                     self._write_column(name, case_numbers, padded_waves)
             for name, values in column_by_name.items():  # the checksum last, which confirms a case
                 self._write_column(name, case_numbers, values)
@@ -238,15 +264,15 @@ class SweepFile:
         self.case_states.flat[case_numbers] = case_states
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, or remove it; raises InputError where that reports an error."""
+        """Close the file, or remove it too; raise InputError on failure."""
         with reported(self._path, "path"):
             if remove and self._is_in_place():
                 self._path.unlink()
             os.close(self._descriptor)
 
     def _write_column(self, name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
-        """Write the first values of some cases in a column or a wave."""
-        column = self.stored_sweep.columns[name]
+        """Write values of cases into a column or a wave, from each case's offset on."""
+        column = self.sweep_header.columns[name]
         bytes_per_case = column.size // self.case_states.size
         byte_rows = np.ascontiguousarray(values, column.dtype).view("u1").reshape(len(values), -1)
         # Bytes of rows: NumPy drops trailing zeros from a single text.
@@ -255,7 +281,7 @@ class SweepFile:
             put(self._descriptor, case_bytes.tobytes(), offset)
 
     def _is_in_place(self) -> bool:
-        """Return True if the name still leads to the file."""
+        """Return True if the path still leads to the open file."""
         try:
             return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path))
         except OSError:
@@ -263,7 +289,7 @@ class SweepFile:
 
 
 def _lock_file(descriptor: int) -> OSError | None:
-    """Lock an open file, or return the error where another program has locked it."""
+    """Lock an open file; return the error if another program holds the lock."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -272,7 +298,7 @@ def _lock_file(descriptor: int) -> OSError | None:
 
 
 def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
-    """Waves of some cases as one array, nan where one has fewer rows or pairs."""
+    """Return waves as one array (n_waves, n_rows, n_columns), padded with nan."""
     padded_waves = np.full((len(waves), max(map(len, waves)), n_columns), np.nan)
     for padded_wave, wave in zip(padded_waves, waves, strict=True):
         padded_wave[: wave.shape[0], : wave.shape[1]] = wave
@@ -280,16 +306,16 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
 
 
 def _encode_value(value: Any, max_bytes: int) -> Any:
-    """A value for the file: words are encoded and cut to some bytes, between characters."""
+    """Return a value for the file: texts as UTF-8, cut between characters."""
     if not isinstance(value, str):
         return value
     return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
 
 
 def _make_file(
-    path: Path, scene: Scene, max_harmonics: int, max_gap_rows: int, omitted: Sequence[str]
+    path: Path, scene: Scene, max_harmonics: int, max_gap_rows: int, omitted_options: Sequence[str]
 ) -> store.Stored | None:
-    """A new file; None where another program has been quicker."""
+    """Make a new file and return its header; None if another program made one first."""
     shape = scene.given("sweep").shape
     dataset_formats = {
         name: (unit, type_name, shape)
@@ -310,9 +336,9 @@ def _make_file(
             )
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
             new_file.truncate(sum(dataset_bytes))
-            stored = _write_image(image, path, scene, dataset_formats, omitted)
+            sweep_header = _write_image(image, path, scene, dataset_formats, omitted_options)
             _copy_written_parts(image.fileno(), new_file.fileno())
-        return stored
+        return sweep_header
     return None
 
 
@@ -321,14 +347,17 @@ def _write_image(
     path: Path,
     scene: Scene,
     dataset_formats: Mapping[str, tuple[str, str, tuple[int, ...]]],
-    omitted: Sequence[str],
+    omitted_options: Sequence[str],
 ) -> store.Stored:
-    """Write a new file with datasets of some units, types and shapes; its header."""
+    """Write a new file's datasets to memory, and return the header.
+
+    ``dataset_formats`` holds unit, type and shape by name.
+    """
     import h5py  # what only reads has its reader
 
     with h5py.File(image, "w", libver="earliest") as file:
         store.write_header(file, KIND, scene)
-        file.attrs["omitted"] = " ".join(omitted)
+        file.attrs["omitted"] = " ".join(omitted_options)
         # Kept as written, since reading them takes longer.
         attribute_by_path, columns = store.texts(file), {}
         for name, (unit, type_name, dataset_shape) in dataset_formats.items():
@@ -348,7 +377,7 @@ def _write_image(
 
 
 def _copy_written_parts(image_descriptor: int, target_descriptor: int) -> None:
-    """Copy what has been written of an open file to another, and its size; OSError."""
+    """Copy the size and written parts of an open file to another; raises OSError."""
     image_size, part_end = os.fstat(image_descriptor).st_size, 0
     os.truncate(target_descriptor, image_size)
     while part_end < image_size:
@@ -365,7 +394,7 @@ def _copy_written_parts(image_descriptor: int, target_descriptor: int) -> None:
 
 
 def _describe_column(name: str) -> str:
-    """Describe a column or a wave; "" where its name does."""
+    """Return a description of a column or wave; empty if unknown."""
     if name in WAVE_UNITS:
         return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
     quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
@@ -374,14 +403,14 @@ def _describe_column(name: str) -> str:
 
 
 def _compute_waves_checksum(gap: np.ndarray, force: np.ndarray) -> int:
-    """Checksum of the waves of a case."""
+    """Return the checksum of a case's waves."""
     return zlib.crc32(force.tobytes(), zlib.crc32(gap.tobytes()))
 
 
 def _compute_case_checksums(
     column_by_name: Mapping[str, np.ndarray], case_states: np.ndarray
 ) -> np.ndarray:
-    """Checksums of cases (n,), of columns of theirs and a state each."""
+    """Return checksums of cases (n,) from their columns and states."""
     # Rows of bytes take memory: make few at once.
     checksums, n_block_cases = np.zeros(len(case_states), dtype="u4"), 4096
     for start in range(0, len(case_states), n_block_cases):
@@ -400,11 +429,10 @@ def _compute_case_checksums(
 
 
 def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
-    """The header of a file; InputError unless it is the sweep of a scene by this version of the
-    program."""
-    stored = store.header(path)
-    stored.fitting_argument(KIND)
-    stored_scene = stored.scene()
+    """Return a file's header; raise InputError unless it fits the scene and version."""
+    sweep_header = store.header(path)
+    sweep_header.fitting_argument(KIND)
+    stored_scene = sweep_header.scene()
     requested_scene = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
     if stored_scene is None or stored_scene.replace(
         UNUSED_TABLE_REMOVALS
@@ -417,25 +445,29 @@ def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
         path_text = f"{path}{difference_text and f', begun with {difference_text}'}"
         requirement = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", path_text, requirement)
-    if (version := stored.attributes["version"]) != VERSION:
-        raise stored.refused(f"a new name: it was begun by version {version}, this is {VERSION}")
-    stored.check_files(stored_scene)
-    if not _stored_column_formats(scene).keys() <= stored.columns.keys():
-        raise stored.refused("a whole sweep")
-    scene_of_sweep(stored)
-    return stored
+    if (version := sweep_header.attributes["version"]) != VERSION:
+        raise sweep_header.refused(
+            f"a new name: it was begun by version {version}, this is {VERSION}"
+        )
+    sweep_header.check_files(stored_scene)
+    if not _stored_column_formats(scene).keys() <= sweep_header.columns.keys():
+        raise sweep_header.refused("a whole sweep")
+    scene_of_sweep(sweep_header)
+    return sweep_header
 
 
-def _check_omitted(stored: store.Stored, omitted: Sequence[str]) -> None:
-    """Raise InputError where more or less was asked of the cases in a file than is of its others;
-    that is not known of older files."""
-    stored_omissions = stored.attributes.get("omitted", " ".join(omitted)).split()
+def _check_omitted(sweep_header: store.Stored, omitted_options: Sequence[str]) -> None:
+    """Raise InputError if a file was begun with other omitted options.
+
+    Files from earlier versions do not state the options and are accepted.
+    """
+    stored_options = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
     changed_options = [
-        f"{name}={name not in stored_omissions}"
-        for name in sorted({*stored_omissions} ^ {*omitted})
+        f"{name}={name not in stored_options}"
+        for name in sorted({*stored_options} ^ {*omitted_options})
     ]
     if changed_options:
-        path_text = f"{stored.path}, begun with {', '.join(changed_options)}"
+        path_text = f"{sweep_header.path}, begun with {', '.join(changed_options)}"
         requirement = "continued as it was begun; for other columns choose a new folder"
         raise InputError("path", path_text, requirement)
 
@@ -444,57 +476,74 @@ def _check_omitted(stored: store.Stored, omitted: Sequence[str]) -> None:
 
 
 def _stored_column_formats(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Unit and type of all that is kept of each case beside its waves."""
+    """Return unit and type of all columns in a file, by name."""
     checksums = dict.fromkeys((WAVES_CHECKSUM_COLUMN, CASE_CHECKSUM_COLUMN), ("", "u4"))
     return {"state": ("", "u1")} | column_formats_of(scene) | checksums
 
 
-def scene_of_sweep(stored: store.Stored) -> Scene:
-    """Return the scene of a sweep's file; InputError unless all its columns fit it."""
-    stored.fitting_argument(KIND)
-    scene = stored.scene()
+def scene_of_sweep(sweep_header: store.Stored) -> Scene:
+    """Return the scene in a sweep's file; raise InputError if columns do not fit."""
+    sweep_header.fitting_argument(KIND)
+    scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
-        raise stored.refused("a sweep with its scene")
+        raise sweep_header.refused("a sweep with its scene")
     n_bytes, column_formats = 0, _stored_column_formats(scene)
-    for name in sorted(column_formats.keys() & (stored.columns.keys() | REQUIRED_COLUMNS)):
-        column = stored.columns.get(name)
+    for name in sorted(column_formats.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMNS)):
+        column = sweep_header.columns.get(name)
         if column is None:
             requirement = f"a sweep with a column {name!r}: this one is of an older version"
-            raise stored.refused(f"{requirement}; solve it anew in another folder")
+            raise sweep_header.refused(f"{requirement}; solve it anew in another folder")
         column_type = np.dtype(column_formats[name][1])
         if column.shape != scene.given("sweep").shape or column.dtype != column_type:
-            raise stored.refused("a whole sweep")
+            raise sweep_header.refused("a whole sweep")
         n_bytes += column.size
     if n_bytes > MOST_BYTES:
-        raise stored.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
+        raise sweep_header.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
     return scene
 
 
-def _read_cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """``state`` and the columns (n,) of all cases, and which of them are damaged.
+def _read_cases(
+    sweep_header: store.Stored, scene: Scene
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Read all cases, as flat columns, and find damaged ones.
 
-    The state is the one that the checksum confirms: with another one, or none, a case is pending.
+    A case whose state has no matching checksum is pending.
+
+    Returns
+    -------
+    column_by_name : dict of str to (n_cases,)
+        ``state`` and all columns.
+    is_damaged : (n_cases,) bool
+        True for cases whose stored state does not match the checksum.
     """
-    column_by_name, is_damaged = _confirm_states(_read_flat_columns(stored, scene))
+    column_by_name, is_damaged = _confirm_states(_read_flat_columns(sweep_header, scene))
     if is_damaged.any():  # or is being written at this moment
-        column_by_name, is_damaged_again = _confirm_states(_read_flat_columns(stored, scene))
+        column_by_name, is_damaged_again = _confirm_states(_read_flat_columns(sweep_header, scene))
         is_damaged &= is_damaged_again
     return column_by_name, is_damaged
 
 
-def _read_flat_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
-    """All that is kept of each case (n,), beside its waves."""
+def _read_flat_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+    """Read all stored columns, (n_cases,) each, by name."""
     try:  # the state first: what is written later counts as pending
-        names = [name for name in _stored_column_formats(scene) if name in stored.columns]
-        return {name: stored.columns[name].of(stored.path).ravel() for name in names}
+        names = [name for name in _stored_column_formats(scene) if name in sweep_header.columns]
+        return {name: sweep_header.columns[name].of(sweep_header.path).ravel() for name in names}
     except (OSError, ValueError):
-        raise stored.refused("a whole sweep") from None
+        raise sweep_header.refused("a whole sweep") from None
 
 
 def _confirm_states(
     column_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The columns of all cases with the state that the checksum confirms, and which it does not."""
+    """Replace stored states by states that match the checksums.
+
+    Returns
+    -------
+    column_by_name : dict of str to (n_cases,)
+        ``state`` and the columns, without the checksum.
+    is_damaged : (n_cases,) bool
+        True for cases with a state that no checksum confirms.
+    """
     stored_states = column_by_name.pop("state")
     stored_checksums = column_by_name.pop(CASE_CHECKSUM_COLUMN)
     written_cases = np.flatnonzero(stored_checksums)
@@ -510,31 +559,32 @@ def _confirm_states(
     return {"state": case_states} | column_by_name, is_damaged
 
 
-def _read_intact_states(stored: store.Stored, scene: Scene) -> np.ndarray:
-    """The state of each case in the shape of the axes; of damaged ones State.PENDING."""
-    case_states: np.ndarray = _read_cases(stored, scene)[0]["state"].reshape(
+def _read_intact_states(sweep_header: store.Stored, scene: Scene) -> np.ndarray:
+    """Return states in the shape of the axes; State.PENDING for damaged cases."""
+    case_states: np.ndarray = _read_cases(sweep_header, scene)[0]["state"].reshape(
         scene.given("sweep").shape
     )
     for index in np.argwhere(case_states == State.CONVERGED):
-        if _read_intact_waves(stored, tuple(map(int, index))) is None:
+        if _read_intact_waves(sweep_header, tuple(map(int, index))) is None:
             case_states[tuple(index)] = State.PENDING
     return case_states
 
 
-def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
-    """``state`` and the columns in the shape of the axes.
+def read_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+    """Read ``state`` and all columns, in the shape of the axes.
 
-    Pending cases, and columns that an earlier version did not write, have nan, 0 in columns of
-    whole numbers, and empty words.
+    Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
     """
-    flat_column_by_name, is_damaged = _read_cases(stored, scene)
+    flat_column_by_name, is_damaged = _read_cases(sweep_header, scene)
     shape, column_by_name = scene.given("sweep").shape, {}
     if is_damaged.any():
         first_damaged_index = tuple(map(int, np.unravel_index(int(np.argmax(is_damaged)), shape)))
         damage_text = (
             f"{is_damaged.sum()} of its cases are damaged, the first at {first_damaged_index}"
         )
-        raise stored.refused(f"a whole sweep: {damage_text}; the command sweep computes them again")
+        raise sweep_header.refused(
+            f"a whole sweep: {damage_text}; the command sweep computes them again"
+        )
     for name, (_, type_name) in ({"state": ("", "u1")} | column_formats_of(scene)).items():
         values = flat_column_by_name.get(
             name, np.full(math.prod(shape), BLANK_VALUE_BY_KIND.get(type_name[0], 0), type_name)
@@ -550,24 +600,26 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
 
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Gap [m] and force [N] coefficients of a case that converged, with friction tangential ones
-    behind the normal ones: (2H+1, n_rows) each."""
-    stored = store.header(path)
-    stored.fitting_argument(KIND)
-    waves = _read_intact_waves(stored, index)
+    """Read the gap [m] and force [N] coefficients of a converged case: (2H+1, n_rows) each.
+
+    With friction, tangential rows follow the normal ones.
+    """
+    sweep_header = store.header(path)
+    sweep_header.fitting_argument(KIND)
+    waves = _read_intact_waves(sweep_header, index)
     if waves is None:
         requirement = (
             f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
         )
-        raise stored.refused(requirement)
+        raise sweep_header.refused(requirement)
     return waves
 
 
 def _read_intact_waves(
-    stored: store.Stored, index: tuple[int, ...]
+    sweep_header: store.Stored, index: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """The same, or None if they are damaged."""
-    columns, path, waves = stored.columns, stored.path, []
+    """Read the same coefficients; None if they are damaged."""
+    columns, path, waves = sweep_header.columns, sweep_header.path, []
     try:
         case_number = int(np.ravel_multi_index(index, columns["state"].shape))
         n_rows = 2 * int(columns["harmonics"].of(path, case_number, 1)[0]) + 1

@@ -1,10 +1,11 @@
-"""The jobs of a sweep: rank 0 hands them out, does some itself, and writes what is found.
+"""Share the jobs of a sweep among ranks; rank 0 writes the results.
 
-Every rank has one job to do and one to go on with, so that none waits for rank 0, which hears what
-the others have found between two chunks of its own. Messages to a rank are jobs, numbers of cases
-that are short enough to arrive at once while it computes, and one with the
-tag ``END``, on which it stops after the present chunk; those from it are what it has found of each
-chunk, and None behind a job.
+Each rank has a present and a next job, so that no rank waits for rank 0. Rank 0 solves chunks, too,
+and receives results between two chunks.
+
+Messages to a rank are short jobs, which arrive while the rank computes, and a message with the tag
+``END``. After ``END`` a rank stops behind its present chunk. Messages from a rank are the outcomes
+of chunks, and None behind each job.
 """
 
 from __future__ import annotations
@@ -36,42 +37,50 @@ from fenics_crack.sweep.plan import Chunk, Plan
 
 
 class Tag(IntEnum):
-    """Tag of a message to a rank."""
+    """Tags of messages to a rank."""
 
     JOB = 0
     END = 1
 
 
 ChunkOutcome = list[CaseValues] | Exception
-"""Values of the cases of a chunk, or the error that ends the sweep."""
+"""Values of the cases in a chunk, or the error that ends the sweep."""
 
 
 class Job(NamedTuple):
-    """Some chunks of a geometry, as numbers of their cases."""
+    """Chunks of one geometry for a rank.
+
+    Attributes
+    ----------
+    geometry_number : int
+        Position of the geometry in the plan.
+    chunk_case_numbers : tuple of (n,) int
+        Case numbers in each chunk.
+    """
 
     geometry_number: int
     chunk_case_numbers: tuple[np.ndarray, ...]
 
 
 class Worker:
-    """A rank that does jobs; it builds the geometries itself.
+    """Solver for jobs on one rank; builds the geometries itself.
 
     Parameters
     ----------
-    asked : Asked
-        Request for each case.
+    request : CaseRequest
+        Options that all cases share.
     plan : Plan
-        Of the cases.
+        Plan of the sweep.
     """
 
     def __init__(self, request: CaseRequest, plan: Plan) -> None:
         self._request, self._plan = request, plan
         self._geometry_number = -1
         self._geometry_or_error: SweepGeometry | Exception | None = None
-        """Geometry of that number, or the error that prevents it."""
+        """Last geometry, or the error from building it."""
 
     def release_geometry(self, *, stopped: bool) -> None:
-        """Let go of what was built."""
+        """Release the memory of the last geometry."""
         self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
         collect_garbage(MPI.COMM_SELF, stopped=stopped)
@@ -79,8 +88,10 @@ class Worker:
     def run_job(
         self, job: Job, may_continue: Callable[[], bool]
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
-        """Do a job, and yield what is found of each chunk; ``go_on`` is called before each of
-        them, and before each of its cases."""
+        """Solve a job's chunks, and yield case numbers and outcome of each.
+
+        ``may_continue`` is called before each chunk and each case.
+        """
         chunks = list(map(self._plan.make_chunk, job.chunk_case_numbers))
         for chunk in chunks:
             if not may_continue():
@@ -89,7 +100,7 @@ class Worker:
             yield self._solve_chunk(chunk, may_continue)
 
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
-        """Build the geometry of a job, unless it is at hand or none of the cases is a scene."""
+        """Build a job's geometry, unless already built or all cases are refused."""
         cases = (case for chunk in chunks for case in chunk.cases)
         scene = next((case for case in cases if isinstance(case, Scene)), None)
         if scene is None or geometry_number == self._geometry_number:
@@ -110,7 +121,7 @@ class Worker:
     def _solve_chunk(
         self, chunk: Chunk, may_continue: Callable[[], bool]
     ) -> tuple[np.ndarray, ChunkOutcome]:
-        """Numbers of the cases that were done, and what was found of them."""
+        """Return the numbers of tried cases (n,) and their outcome."""
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
             try:
@@ -134,12 +145,12 @@ class Worker:
 
 
 def _make_unforeseen_error() -> RuntimeError:
-    """An error that is none of the input's, with its place."""
+    """Return an error with the traceback of the present exception."""
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
 
 def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
-    """Do the jobs that rank 0 sends, until the end."""
+    """Solve the jobs that rank 0 sends, until a message with the tag END."""
     send_requests: list[MPI.Request] = []
 
     def may_continue() -> bool:
@@ -158,8 +169,10 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
 
 
 def _receive_message(comm: MPI.Comm, status: MPI.Status) -> Any:
-    """The next message; MPI itself would wait with all of a processor, also for the end of a long
-    one."""
+    """Wait for the next message and return it.
+
+    MPI's own wait keeps a processor busy; this one does not.
+    """
     wait_until(lambda: comm.iprobe(status=status))
     buffer = bytearray(status.Get_count(MPI.BYTE))
     request, test_result = comm.irecv(buffer, status.source, status.tag), list[Any]()
@@ -173,7 +186,7 @@ def _receive_message(comm: MPI.Comm, status: MPI.Status) -> Any:
 
 
 class Manager:
-    """Remaining cases of a sweep, and its file; on rank 0."""
+    """Owner of a sweep's jobs and file, on rank 0."""
 
     def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
@@ -196,7 +209,7 @@ class Manager:
             if chunks_by_geometry[geometry_number]
         }
         self._geometry_by_rank: dict[int, int] = {}
-        """Geometry that each rank has, or will have built."""
+        """Number of the present or next geometry, by rank."""
         self._n_jobs_sent, self._n_recorded_chunks = 0, 0
         """Jobs at the other ranks, and chunks written."""
         self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == State.FAILED))
@@ -212,19 +225,22 @@ class Manager:
         return int(np.count_nonzero(self._sweep_file.case_states != State.PENDING))
 
     def progress_text(self) -> str:
-        """Cases that are done, and all."""
+        """Return how many cases are finished, as a text."""
         return f"{self._n_finished_cases} of {self._sweep_file.case_states.size} cases of the sweep"
 
     @property
-    def stored_sweep(self) -> Stored:
-        """The file's header, when all is done; raises the error that has ended the sweep."""
+    def sweep_header(self) -> Stored:
+        """Header of the finished file; raises the error that ended the sweep."""
         if self._error is not None:
             raise self._error
-        return self._sweep_file.stored_sweep
+        return self._sweep_file.sweep_header
 
     def run(self, worker: Worker, comm: MPI.Comm, stop_request: StopRequest) -> None:
-        """See that all jobs are done, and close the file; an error is kept, and removes a file that
-        is new and empty."""
+        """Have all jobs done, then close the file.
+
+        The first error is kept for :attr:`sweep_header`. An error removes a new file without
+        results.
+        """
         other_ranks = range(1, comm.size)
 
         def may_continue() -> bool:
@@ -267,14 +283,14 @@ class Manager:
             self._end_with_error(error)
 
     def _send_job(self, comm: MPI.Comm, rank: int) -> None:
-        """Send a rank a job, if there is one."""
+        """Send a job to a rank if one remains."""
         job = self._next_job(rank)
         if job is not None:
             comm.send(job, rank, tag=Tag.JOB)
             self._n_jobs_sent += 1
 
     def _receive_outcome(self, comm: MPI.Comm) -> None:
-        """Write what a rank has found of a chunk, or send it a job where one is done."""
+        """Receive a rank's message: record an outcome, or answer a finished job."""
         status = MPI.Status()
         numbers_and_outcome = _receive_message(comm, status)
         if numbers_and_outcome is not None:
@@ -284,11 +300,11 @@ class Manager:
         self._send_job(comm, status.source)
 
     def _next_job(self, rank: int) -> Job | None:
-        """Chunks of the geometry that a rank has, or else of one that nobody has, or of the one of
-        which most is left; None where there is nothing left.
+        """Choose the next job for a rank; None if no chunk remains.
 
-        A geometry is one job as long as the others have something to do meanwhile, and then is
-        shared in jobs that shrink towards the end.
+        First comes the rank's geometry, then a geometry without a rank, then the geometry with most
+        chunks. A geometry is a single job with one rank, or while more geometries than ranks are
+        unassigned. Otherwise jobs shrink so that ranks finish together.
         """
         if not self._chunks_by_geometry:
             return None
@@ -313,7 +329,7 @@ class Manager:
         return Job(geometry_number, tuple(chunks[:n_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
-        """Write the cases of a chunk; what cannot be written or solved ends the sweep."""
+        """Write a chunk's cases; an error ends the sweep."""
         if isinstance(outcome, Exception):
             self._end_with_error(outcome)
             return
@@ -335,6 +351,6 @@ class Manager:
         self._progress_bar.update(len(outcome))
 
     def _end_with_error(self, error: BaseException) -> None:
-        """End the sweep with an error; the first one counts."""
+        """Discard all remaining jobs and keep the first error."""
         self._error = self._error or error
         self._chunks_by_geometry.clear()

@@ -1,4 +1,4 @@
-"""The cases of a sweep: its geometries, and chunks of neighbouring cases of each."""
+"""Plan a sweep: geometries, and chunks with neighbouring cases."""
 
 from __future__ import annotations
 
@@ -21,24 +21,53 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
 FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
+"""Keys that set the load frequency directly."""
 FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
+"""Full keys of the excitation's force."""
 GEOMETRY_INDEPENDENT_KEYS = {
     *FREQUENCY_KEYS, *FULL_FORCE_KEYS,
     *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
-"""Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
+"""Keys that change neither mesh, matrices and modes nor the load's position."""
 
 
 class Chunk(NamedTuple):
-    """Neighbouring cases along one axis."""
+    """Neighbouring cases along one axis.
+
+    Attributes
+    ----------
+    case_numbers : (n,) int
+        Numbers of the cases, last axis fastest.
+    cases : tuple of Scene or str
+        Scene of each case, or the reason why the case is refused.
+    """
 
     case_numbers: np.ndarray
     cases: tuple[Scene | str, ...]
 
 
 class Plan:
-    """Geometries and chunks of a scene."""
+    """Geometries and chunks for a scene's sweep.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Number of values on each axis.
+    sweeps_reduction : bool
+        True if the sweep changes ``reduction.method``.
+    has_unit_loads : bool
+        True if geometries are built with unit loads, since the sweep changes the force.
+    chunks_by_geometry : list of list of (n,) int
+        Case numbers in each chunk of each geometry.
+    max_harmonics : int
+        Upper bound for the harmonics in all cases.
+
+    Raises
+    ------
+    InputError
+        No combination of values is a scene.
+    """
 
     def __init__(self, scene: Scene) -> None:
         sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
@@ -69,8 +98,11 @@ class Plan:
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
     def _split_into_chunks(self, free_keys: set[str]) -> list[list[np.ndarray]]:
-        """The cases by their geometries, cut along the frequency, or else along the last axis that
-        leaves a geometry alone."""
+        """Split case numbers by geometry, then into chunks with at most 16 cases.
+
+        Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
+        axis without effect on the geometry.
+        """
         keys = list(self._swept_values_by_key)
         free_axes = [axis for axis, key in enumerate(keys) if key in free_keys]
         frequency_axes = [axis for axis in free_axes if keys[axis] in FREQUENCY_KEYS]
@@ -91,13 +123,15 @@ class Plan:
 
     @property
     def max_gap_rows(self) -> int:
-        """Bound of the gaps of all geometries: of pairs, and with friction tangential ones."""
+        """Upper bound for the gap rows in all geometries; friction doubles them."""
         return self._rows_per_pair * max(n_pairs for n_pairs, _ in self.geometry_costs)
 
     @cached_property
     def geometry_costs(self) -> list[tuple[int, float]]:
-        """Expected cost of each geometry: bound of the pairs, for which solids are meshed, and the
-        first crack's length [m]."""
+        """Upper bound for contact pairs and length of the first crack [m], by geometry.
+
+        Solids are meshed for the bound and mesh files read. Both are 0 if all cases are refused.
+        """
         pair_bound_by_mesh: dict[Any, int] = {}
         costs: list[tuple[int, float]] = []
         for chunks in self.chunks_by_geometry:
@@ -115,7 +149,7 @@ class Plan:
         return costs
 
     def case_at(self, index: Sequence[int]) -> Scene | str:
-        """The scene of a case, or why there is none."""
+        """Return the scene at an index, or the reason why it is refused."""
         axes_and_positions = zip(self._swept_values_by_key.items(), index, strict=True)
         changes = {key: values[position] for (key, values), position in axes_and_positions}
         try:
@@ -127,12 +161,15 @@ class Plan:
         return self.case_at(np.unravel_index(case_number, self.shape))
 
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
-        """The cases of some numbers."""
+        """Return the chunk with the given case numbers (n,)."""
         return Chunk(case_numbers, tuple(map(self._case_by_number, case_numbers)))
 
 
 def _bound_contact_pairs(scene: Scene) -> int:
-    """Upper bound of the contact pairs of a scene; the mesh is made of a solid alone, or read."""
+    """Return an upper bound for the number of contact pairs in a scene.
+
+    A solid is meshed, a mesh file is read; other plates need neither.
+    """
     if scene.structure is not None:
         return count_pairs(scene.structure)
     mesh_table = scene.mesh
@@ -154,8 +191,10 @@ def _bound_contact_pairs(scene: Scene) -> int:
 
 
 def _find_free_keys(scene: Scene, swept_keys: Collection[str]) -> set[str]:
-    """Keys whose values share a geometry; loads beside the force at ``excitation.point`` are part
-    of it, and so are clearances of matrices."""
+    """Return the keys whose values can share a geometry.
+
+    Forces are not among them if a geometry contains other loads, harmonics or rotation.
+    """
     free_keys = GEOMETRY_INDEPENDENT_KEYS | {
         key for key in swept_keys if re.fullmatch(r"crack.*\.clearance", key)
     }

@@ -349,9 +349,8 @@ def solve_forward(
         return sweep
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    count = MIN_ALLOWED_UNKNOWN_VALUES - (
-        numbers > 2
-    )  # values of the finer sweep and of that between
+    # values of the finer sweep and of that between
+    count = MIN_ALLOWED_UNKNOWN_VALUES - (numbers > 2)
     meshes = [Axis(MESH_AXIS, table.mesh_files)] if table.meshes else []
 
     def others(
