@@ -1,4 +1,4 @@
-"""The tables of a scene: every key states here, once, what it may hold."""
+"""The tables of a scene: each field states once what a key may hold."""
 
 from __future__ import annotations
 
@@ -42,27 +42,29 @@ from fenics_crack.scene.fields import (
 )
 
 FORCE_KEYS = ("force_mean", "force_cos", "force_sin")
-"""Parts of the excitation."""
+"""Keys for the parts of the excitation's force."""
 LOAD_KINDS = ("force", "pressure", "traction")
-"""Kinds of the loads at a point or on an edge."""
+"""Kinds of loads: at a point, or on an edge."""
 MAX_ALLOWED_POINTS = 100
-"""Points of ``[output.points]``: every quantity of each is computed, printed and written."""
+"""Maximum number of points in ``[output.points]``: each is computed, printed and written."""
 MAX_ALLOWED_FACE_POINTS = 200
-"""Points of ``[geometry.faces]``."""
+"""Maximum number of points in ``[geometry.faces]``."""
 MIN_ALLOWED_UNKNOWN_VALUES = 4
-"""Minimum values of an unknown, as its interpolation requires."""
+"""Minimum number of values for an unknown; interpolation needs as many."""
 
 
 @dataclass(frozen=True)
 class Geometry(Table):
-    """A plate [0, width] x [0, height] in plane stress, clamped along y = 0; or a solid, the box
-    [0, width] x [0, height] x [0, thickness], clamped at y = 0, or a part from a CAD file. A mesh
-    file has its own shape."""
+    """A plate [0, width] x [0, height] in plane stress, clamped along y = 0, or a solid.
+
+    A solid is a box [0, width] x [0, height] x [0, thickness], clamped at y = 0, or a part from a
+    CAD file. A mesh file has its own shape.
+    """
 
     kind: str = choice_field("plate", "solid", default="plate")
-    """Plane stress, or three dimensions."""
+    """"plate": plane stress; "solid": three dimensions."""
     thickness: float | None = positive_field(None, unit="m")
-    """Thickness of a plate, whatever its mesh, and of a box along z."""
+    """Thickness of a plate, also with a mesh file, or of a box along z."""
     width: float | None = bounded_field("1e-6", "1e6", None, unit="m")
     height: float | None = bounded_field("1e-6", "1e6", None, unit="m")
     file: str | None = value_field(
@@ -71,16 +73,16 @@ class Geometry(Table):
         None,
         path=True,
     )
-    """A part without a crack, one solid, that is meshed here."""
+    """CAD file with a part without a crack, one solid, for meshing."""
     unit: str | None = choice_field("mm", "m", "inch", default=None)
-    """Unit of length of a .brep file, which has none."""
+    """Length unit of a .brep file, which does not state the unit."""
     faces: tuple[Face, ...] = value_field(
         "names with lists of points [x, y, z] in m, one on each face, "
         f"at most {MAX_ALLOWED_FACE_POINTS}",
         lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
         (),
     )
-    """Faces of a part: a point on, or near, each."""
+    """Faces of a part: points on, or near, each face."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -103,29 +105,30 @@ class Geometry(Table):
 
     @property
     def sides(self) -> Vector:
-        """Width, height and, of a solid, thickness [m], as far as they are given."""
+        """Width, height and, for a solid, thickness [m], if given."""
         sides = (self.width, self.height, self.thickness)[: self.dimension]
         return tuple(side for side in sides if side is not None)
 
     @property
     def circumferential_width(self) -> float:
-        """Width of a plate or thickness of a box: of a blade, along the circumference [m]."""
+        """Width of a plate or thickness of a box [m]; for a blade, along the circumference."""
         return self.sides[0 if self.dimension == 2 else 2]
 
 
 BOX_CRACK_KEYS = ("edge", "center", "height", "first_frequency", "first_omega")
-"""Keys of a crack in a plate, or in the plane y = height of a box; and its length and depth."""
+"""Keys of a crack in a plate, or in the plane y = height of a box; length and depth are further
+keys."""
 PLANE_CRACK_KEYS = ("point", "normal", "direction", "radii")
-"""Keys of a crack in any plane of a solid."""
+"""Keys of a crack in an arbitrary plane of a solid."""
 
 
 @dataclass(frozen=True)
 class Crack(Table):
-    """Straight horizontal crack: a slit whose two faces share only its tip, or its two tips.
+    """Straight horizontal crack: a slit whose two faces share only the tip, or both tips.
 
-    Of a solid: in the plane y = height, through the thickness, or as deep as ``depth`` from the
-    face z = thickness. Or, of a box and of a part, in any plane: the part inside the solid of an
-    ellipse around ``point``, or of the half-plane that ends there.
+    In a box the crack lies in the plane y = height, through the thickness, or with a ``depth`` from
+    the face z = thickness. In a box or a part, a crack may lie in any plane. The crack is then the
+    part inside the solid of an ellipse around ``point``, or of the half-plane ending at ``point``.
     """
 
     _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = dict.fromkeys(
@@ -134,37 +137,48 @@ class Crack(Table):
     )
 
     edge: str | None = choice_field("left", "right", default=None)
-    """Edge of the plate at the crack's mouth; left out for a crack inside the plate."""
+    """Plate edge at the crack's mouth; left out for a crack inside the plate."""
     center: float | None = positive_field(None, unit="m")
-    """x of the middle of a crack inside the plate."""
+    """x of the middle, for a crack inside the plate."""
     height: float | None = positive_field(None, unit="m")
     """y of the crack."""
     length: float | None = positive_field(None, unit="m")
-    """Or let ``first_omega`` determine it."""
+    """Length; or ``first_omega`` determines the length."""
     depth: float | None = positive_field(None, unit="m")
-    """Depth of a crack in a solid that does not go through it."""
+    """Depth of a crack that does not go through a solid."""
     front: str | None = choice_field("straight", "elliptical", "through", default=None)
-    """Shape of such a crack: a rectangle, or half of an ellipse; a quarter of one at an edge. Or
-    "through": the half-plane that ends at ``point``."""
+    """Shape of a crack with a depth: a rectangle, half an ellipse, or a quarter at an edge.
+
+    "through": the half-plane that ends at ``point``.
+    """
     point: Vector | None = vector_value_field("", unit="m", of_solid=True)
-    """Middle of the ellipse; or where the half-plane ends or, with a length, where its mouth is."""
+    """Middle of the ellipse, or point on the half-plane's end.
+
+    With "through" and a length: point at the mouth.
+    """
     normal: Vector | None = vector_value_field("n", of_solid=True)
-    """Of the crack's plane."""
+    """Normal of the crack's plane."""
     direction: Vector | None = vector_value_field("d", of_solid=True)
-    """Of the first radius, or in which a half-plane grows; as far as it is in the crack's plane."""
+    """Direction of the first radius, or of growth for a half-plane.
+
+    Only the component in the crack's plane counts.
+    """
     radii: Pair | None = value_field(
         "[a, b], two finite numbers > 0", lambda radii: min(radii) > 0, None, unit="m"
     )
-    """Of the ellipse, along the direction and across; or half of ``length``, and ``depth``."""
+    """Radii of the ellipse, along the direction and across.
+
+    Or give ``length``, twice the first radius, and ``depth``, the second radius.
+    """
     first_omega: float | None = positive_field(None, unit="rad/s")
-    """First natural frequency with the crack open, from which the length is found."""
+    """First natural frequency with the crack open; determines the length."""
     first_frequency: float | None = hertz_field("first_omega")
-    """The same in Hz."""
+    """``first_omega`` in Hz."""
     clearance: float = number_field(0.0, unit="m")
-    """g0 >= 0: opening that closes before the crack faces touch; < 0: preload."""
+    """g0 >= 0: opening to be closed before the crack faces touch; < 0: preload."""
 
     def check_plane(self) -> None:
-        """Raise InputError unless the crack of a solid is one around a point."""
+        """Raise InputError unless the keys define a crack around a point in a solid."""
         self.leave_out(BOX_CRACK_KEYS, "crack.point")
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
@@ -193,12 +207,12 @@ class Crack(Table):
 
     @property
     def is_elliptical(self) -> bool:
-        """True of an ellipse, around a point or of a box."""
+        """True for an elliptical crack, around a point or in a box."""
         return self.front == "elliptical" or (self.point is not None and self.front != "through")
 
     @property
     def frame(self) -> np.ndarray:
-        """Rows: the direction and another one in the crack's plane, and the normal; (3, 3)."""
+        """Unit vectors as rows (3, 3): direction, second direction in the plane, normal."""
         normal = np.array(self.given("normal"), dtype=float)
         normal /= np.linalg.norm(normal)
         first_axis = np.array(self.direction or np.eye(3)[np.abs(normal).argmin()], dtype=float)
@@ -207,7 +221,7 @@ class Crack(Table):
         return np.array([first_axis, np.cross(normal, first_axis), normal])
 
     def span(self, width: float) -> tuple[float, float]:
-        """x of its left and its right end [m] in a plate of some width."""
+        """Return x at the left and right end [m], in a plate with the given width [m]."""
         length = self.given("length")
         if self.edge is None:
             center = self.given("center")
@@ -217,7 +231,7 @@ class Crack(Table):
 
 @dataclass(frozen=True)
 class Material(Table):
-    """Isotropic linear elastic."""
+    """Isotropic linear elastic material."""
 
     _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = {
         "name": "no material is known by its name: steel has young = 2.1e11, poisson = 0.3 and "
@@ -238,11 +252,11 @@ class Material(Table):
 class Damping(Table):
     """Modal or Rayleigh damping, given in one of three ways.
 
-    Modal: ``ratio``, xi_j of critical damping, for each of the lowest ``modes``. With ``modes =
-    "all"`` and one ratio, all coordinates of a reduced structure are damped.
+    Modal: ``ratio``, xi_j relative to critical damping, for each of the lowest ``modes``. With
+    ``modes = "all"`` and one ratio, all coordinates of a reduced structure are damped.
 
-    Rayleigh, C = mass M + stiffness K: ``mass`` and ``stiffness``, or one of them; or ``ratios``,
-    the ratios of damping at the two frequencies ``omegas`` or ``frequencies``.
+    Rayleigh, C = mass M + stiffness K: ``mass`` and ``stiffness``, or one of them. Or ``ratios``,
+    the damping ratios at the two frequencies ``omegas`` or ``frequencies``.
     """
 
     ratio: float | tuple[float, ...] | None = value_field(
@@ -250,11 +264,11 @@ class Damping(Table):
         lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
         None,
     )
-    """Of critical damping, of each mode."""
+    """Ratio to critical damping, for all modes or for each mode."""
     modes: int | str = value_field(
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
-    """How many of the lowest modes are damped."""
+    """Number of damped modes, from the lowest."""
     mass: float | None = nonnegative_field(None, unit="1/s")
     stiffness: float | None = nonnegative_field(None, unit="s")
     ratios: Pair | None = value_field(
@@ -262,7 +276,7 @@ class Damping(Table):
         lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
         None,
     )
-    """Of critical damping, at two frequencies."""
+    """Ratios to critical damping at two frequencies."""
     omegas: Pair | None = value_field(
         "[omega_1, omega_2], two different numbers > 0",
         lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
@@ -274,7 +288,7 @@ class Damping(Table):
         "[f_1, f_2], two different numbers > 0",
         lambda values: 0 < min(values) < max(values) <= 1e29,
     )
-    """The same in Hz."""
+    """``omegas`` in Hz."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -303,14 +317,14 @@ class Damping(Table):
 
     @property
     def damps_all_modes(self) -> bool:
-        """True if every mode is damped, whatever the structure."""
+        """True if the damping acts on every mode, for any structure."""
         if self.ratio is None:
             return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
 
 
 class Periodic:
-    """A load with further harmonics, and maybe a table of one period of it, "wave"."""
+    """Load with further harmonics and, for an excitation, a table of one period, "wave"."""
 
     harmonics: tuple[Harmonic, ...]
     wave: str | None = None
@@ -318,36 +332,43 @@ class Periodic:
 
     @property
     def highest_order(self) -> int:
-        """Highest order of its harmonics."""
+        """Highest order in the load's harmonics, at least 1."""
         wave_order = self.wave_harmonics if self.wave is not None else 1
         return max(wave_order, *(harmonic.order for harmonic in self.harmonics), 1)
 
 
 @dataclass(frozen=True)
 class Excitation(Table, Periodic):
-    """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t), and
-    ``[[excitation.harmonics]]`` of further orders k, cos cos(k omega t) + sin sin(k omega t); with
-    an engine order n these act at k n times ``rotation.speed``."""
+    """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t).
+
+    ``[[excitation.harmonics]]`` adds further orders k, cos cos(k omega t) + sin sin(k omega t).
+    With an engine order n the frequency is n times ``rotation.speed``.
+    """
 
     omega: float = positive_field(None, unit="rad/s")
-    """Angular frequency; with an engine order, the one that follows from it."""
+    """Angular frequency; with an engine order it follows from the speed."""
     frequency: float | None = hertz_field("omega")
-    """The same in Hz; one of the two is given, or an order."""
+    """``omega`` in Hz; give either key, or an order."""
     order: int | None = positive_int_field(None)
-    """Engine order: omega is this many times ``rotation.speed``."""
+    """Engine order: omega is the order times ``rotation.speed``."""
     point: Vector | None = vector_value_field("", unit="m")
-    """A mesh file may give it instead by a physical point named ``load``."""
+    """Point of the force; a mesh file may have a physical point ``load`` instead."""
     force_sin: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
     force_cos: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
     force_mean: Vector = vector_value_field("f", (0.0, 0.0), unit="N")
     harmonics: tuple[Harmonic, ...] = harmonics_field()
-    """Further harmonics of the force [N]: ``order``, and ``cos`` and ``sin``, or ``amplitude`` and
-    ``phase`` [degrees] by which it lags."""
+    """Further harmonics of the force [N]: ``order`` with ``cos`` and ``sin``.
+
+    Or ``order`` with ``amplitude`` and ``phase``, the lag [degrees].
+    """
     wave: str | None = path_field("a CSV file with a line of words, then rows of a time and forces")
-    """A table of one period of a force that is added: a time, from its beginning to its end in any
-    unit, and the components [N], linear in between; two rows of one time are a jump."""
+    """File with one period of a force, which is added.
+
+    Each row has a time, in any unit, and the force components [N]. Values are linear in between;
+    two rows with the same time are a jump.
+    """
     wave_harmonics: int = load_order_field(20)
-    """Harmonics kept of it; what they leave out is stated."""
+    """Number of harmonics kept from ``wave``; the neglected part is stated."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -357,7 +378,7 @@ class Excitation(Table, Periodic):
             self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
 
     def at_speed(self, speed: float) -> Excitation:
-        """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
+        """Return the excitation with omega from the order and a rotor speed [rad/s]."""
         if "_inferred_keys" not in vars(self):
             self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
         return self.with_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
@@ -366,7 +387,10 @@ class Excitation(Table, Periodic):
     def with_twins_removed(
         cls, changes: Mapping[str, object], current_values: Mapping[str, object]
     ) -> dict[str, Any]:
-        """As of every table; a frequency takes the place of the order, or it of that."""
+        """As for all tables; a new frequency also removes the order, a new order the frequency.
+
+        A bladed disk at rest keeps both.
+        """
         frequency_keys = ("omega", "frequency")
         changed_frequency_keys = {key for key in frequency_keys if changes.get(key) is not None}
         if current_values.get("order") is not None and any(
@@ -381,13 +405,13 @@ class Excitation(Table, Periodic):
 
     @property
     def first_force_key(self) -> str:
-        """The first key of a force that is not zero; empty if there is none."""
+        """Key of the first force that is not zero; empty without a force."""
         force_key = next((key for key in FORCE_KEYS[::-1] if any(getattr(self, key))), "")
         return force_key or next((key for key in ("harmonics", "wave") if getattr(self, key)), "")
 
 
 def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
-    """Add harmonics to the components of a mean, and of cosine and sine of each order."""
+    """Add harmonics to vectors: mean, then cosine and sine for each order."""
     for harmonic in harmonics:
         for row_index, vector in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
             harmonic_vectors[row_index] = tuple(
@@ -400,11 +424,12 @@ def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...
 
 @dataclass(frozen=True)
 class Load(Table, Periodic):
-    """A further load at the excitation's frequency: at a point a force, on an edge a pressure or a
-    traction;
-    q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase).
+    """Further load: a force at a point, or a pressure or traction on an edge.
 
-    An edge is "top", "left" or "right" of a plate, or a curve that a mesh file names. A pressure
+    q(t) = mean + cos cos(omega t - phase) + sin sin(omega t - phase), at the excitation's
+    frequency.
+
+    An edge is "top", "left" or "right" of a plate, or a curve named in a mesh file. A pressure
     pushes towards the plate.
     """
 
@@ -424,10 +449,12 @@ class Load(Table, Periodic):
     traction_cos: Vector | None = vector_value_field("t", unit="Pa")
     traction_mean: Vector | None = vector_value_field("t", unit="Pa")
     phase: float = number_field(0.0, unit="degrees")
-    """Angle by which its cosine and sine lag."""
+    """Lag of cosine and sine."""
     harmonics: tuple[Harmonic, ...] = harmonics_field()
-    """Further harmonics, ``[[loads.harmonics]]``, as of the excitation: of the force at a point; on
-    an edge of the traction, or with one number of the pressure [Pa]."""
+    """Further harmonics, ``[[loads.harmonics]]``, as in the excitation.
+
+    At a point they are forces; on an edge tractions or, with one number, pressures [Pa].
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -459,8 +486,18 @@ class Load(Table, Periodic):
         return tuple(f"{load_kind}_{suffix}" for suffix in ("mean", "cos", "sin"))
 
     def harmonic_components(self, load_kind: str) -> list[Vector]:
-        """Mean, and cosine and sine part of each order, of the "force" or the "traction"; of the
-        "pressure" (p,); without numbers where they are not given."""
+        """Return mean, then cosine and sine for each order, for a kind of load.
+
+        Parameters
+        ----------
+        load_kind : str
+            "force", "traction" or "pressure".
+
+        Returns
+        -------
+        list of tuple
+            Vectors; tuples with one number for a pressure. Empty tuples for missing parts.
+        """
         component_values = [getattr(self, key) for key in self._component_keys(load_kind)]
         harmonic_vectors = [
             value if isinstance(value, tuple) else () if value is None else (value,)
@@ -485,16 +522,16 @@ class Load(Table, Periodic):
 
 @dataclass(frozen=True)
 class Base(Table, Periodic):
-    """A clamp that moves as a whole, as on a shaker: u(t) = cos (omega t) + sin (omega t) parts.
+    """Clamp that moves as a whole, as on a shaker.
 
-    Given by its acceleration, at the frequency of the excitation; displacements are then relative
-    to the clamp. Of a clamp that moves by U it is -omega^2 U.
+    The acceleration is given, at the excitation's frequency. Displacements are relative to the
+    clamp. A clamp that moves by U has the acceleration -omega^2 U.
     """
 
     acceleration_sin: Vector | None = vector_value_field("a", unit="m/s^2")
     acceleration_cos: Vector | None = vector_value_field("a", unit="m/s^2")
     harmonics: tuple[Harmonic, ...] = harmonics_field()
-    """Further harmonics of the acceleration, ``[[base.harmonics]]``, as of the excitation."""
+    """Further harmonics of the acceleration, ``[[base.harmonics]]``, as in the excitation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -506,7 +543,7 @@ class Base(Table, Periodic):
 
     @property
     def accelerations(self) -> list[Vector]:
-        """Cosine and sine part of each order [m/s^2]."""
+        """Cosine and sine acceleration for each order [m/s^2]."""
         first_order_vectors = (self.acceleration_cos, self.acceleration_sin)
         n_components = max(
             len(vector)
@@ -521,28 +558,30 @@ class Base(Table, Periodic):
 
     @property
     def direction(self) -> Vector:
-        """(1, 0), (0, 1) or, of a solid, (0, 0, 1): the direction of the largest motion."""
+        """Unit vector along the axis with the largest acceleration."""
         max_components = np.abs(self.accelerations).max(axis=0)
         return tuple(np.eye(len(max_components))[int(np.argmax(max_components))].tolist())
 
 
 @dataclass(frozen=True)
 class Rotation(Table):
-    """The plate is a blade on a rotor, whose axis lies in its plane, parallel to the clamp.
+    """Rotation of the plate as a blade; the rotor axis lies in its plane, parallel to the clamp.
 
-    The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
-    along the radius: Coriolis forces stand normal to the plane. Those of a solid are left out, and
-    remarked where they matter; its axis may have any direction. It goes through the point at
-    y = -hub_radius below the middle of a box's clamped face, of a mesh file through (0,
-    -hub_radius, 0), or through another point.
+    The radius is hub_radius + y. Vibration in the plane is along x, parallel to the axis, and along
+    the radius. Coriolis forces are then normal to the plane. For a solid they are neglected, with a
+    remark if they matter.
+
+    The axis of a solid may have any direction. It goes through the point at y = -hub_radius below
+    the middle of a box's clamped face, or through ``center``. With a mesh file the point is (0,
+    -hub_radius, 0).
     """
 
     hub_radius: float | None = nonnegative_field(None, unit="m")
-    """Radius of the clamp, if it is at y = 0: the axis is at y = -hub_radius."""
+    """Radius at y = 0, the clamp: the axis is at y = -hub_radius."""
     axis: Vector | None = vector_value_field("a", of_solid=True)
-    """Direction of a solid's axis; left out: x."""
+    """Axis direction for a solid; default: x."""
     center: Vector | None = vector_value_field("", unit="m", of_solid=True)
-    """Of a solid, instead of hub_radius: a point of the axis."""
+    """Point on the axis, for a solid, instead of hub_radius."""
     speed: float = value_field(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
         lambda w: w == 0 or 1e-6 <= w <= 1e9,
@@ -557,7 +596,7 @@ class Rotation(Table):
         lambda w: w == 0 or 1e-5 <= w <= 9e9,
         "rpm",
     )
-    """The same in revolutions per minute; one of the two is given."""
+    """``speed`` in revolutions per minute; give one of the two."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -567,16 +606,16 @@ class Rotation(Table):
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     def check_axis_position(self, disk: Disk | None) -> None:
-        """Raise InputError unless it is known where the axis is."""
+        """Raise InputError unless the position of the axis is known."""
         if disk is not None:
             self.leave_out(("hub_radius", "axis", "center"), "[disk], which has an axis")
         elif self.center is None:
             self.given("hub_radius", "given: a finite number >= 0")
 
     def locate_axis(self, box_center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a point of the axis in space [m] and its direction, of length 1: (3,) each.
+        """Return a point on the axis [m] and the unit direction: (3,) each.
 
-        With ``hub_radius`` the axis is below the middle of a box (3,) [m], which has zeros of other
+        With ``hub_radius`` the axis is below ``box_center`` (3,) [m], which is zero for other
         shapes.
         """
         direction = np.array(self.axis or (1.0, 0.0, 0.0))
@@ -586,16 +625,16 @@ class Rotation(Table):
 
 @dataclass(frozen=True)
 class Disk(Table):
-    """A bladed disk: the mesh is that of one sector, and is copied; some of its blades are cracked.
+    """Bladed disk: copies of a meshed sector; some blades are cracked.
 
-    Sector j + 1 follows sector j in the direction that takes the side ``left`` of a sector to its
-    side ``right``, in which the rotor turns. The load acts on every blade, in the directions of the
-    blade; of an engine order E that on blade j leads the one on the first by 2 pi E (j - 1) /
-    sectors.
+    Sector j + 1 follows sector j in the direction from the side ``left`` of a sector to the side
+    ``right``. The rotor turns in this direction. The load acts on each blade, in the blade's
+    directions. With an engine order E the load on blade j leads the load on blade 1 by 2 pi E (j -
+    1) / sectors.
 
-    A plate or a solid made here is a blade on a rim: y = 0 of the blade is at the radius
-    ``outer_radius`` in the middle of its width, or of a solid of its thickness. The rim is clamped
-    at ``inner_radius``; that of a solid is as thick, along x and the axis, as the blade is wide. A
+    A plate or a solid made here is a blade on a rim. At the radius ``outer_radius`` the blade has y
+    = 0, in the middle of the plate's width or the solid's thickness. The rim is clamped at
+    ``inner_radius``. The rim of a solid is as thick, along x and the axis, as the blade is wide. A
     mesh file of one sector names the sides ``left`` and ``right``, whose nodes match.
     """
 
@@ -605,30 +644,32 @@ class Disk(Table):
         lambda numbers: min(numbers, default=1) >= 1,
         (1,),
     )
-    """Sectors whose crack is one; in the others its faces are bonded."""
+    """Sectors with a crack; in other sectors the crack faces are bonded."""
     mistuning: tuple[float, ...] | None = value_field(
         "a list of numbers above -0.5 and below 1, one for each sector",
         lambda deviations: all(-0.5 < deviation < 1.0 for deviation in deviations),
         None,
     )
-    """Relative deviation of the stiffness of each sector at rest."""
+    """Relative stiffness deviation of each sector at rest."""
     deviation: float = bounded_field("0", "0.1", 0.0)
-    """Or its standard deviation in a random pattern of independent normal numbers."""
+    """Or standard deviation for a random pattern: independent normal numbers."""
     seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
-    """Of that pattern, by NumPy's default generator."""
+    """Seed of the random pattern, for NumPy's default generator."""
     families: int = positive_int_field(3)
-    """Modes of each nodal diameter that are kept: those of the band in which the load vibrates;
-    those of four more families, and static answers, assess what they leave out."""
+    """Number of modes kept for each nodal diameter: those in the band of the load.
+
+    Four more families, and static solutions, assess the neglected part.
+    """
     modes: int = value_field("a whole number >= 0", lambda count: count >= 0, 0)
-    """How many more modes, those that move the cracks most."""
+    """Number of further modes, those that move the cracks most."""
     inner_radius: float | None = positive_field(None, unit="m")
-    """Where the rim is clamped."""
+    """Radius at which the rim is clamped."""
     outer_radius: float | None = positive_field(None, unit="m")
-    """Of the rim."""
+    """Outer radius of the rim."""
     center: Vector | None = vector_value_field("", unit="m")
-    """Of a mesh file: a point of the axis; default: the origin."""
+    """With a mesh file: point on the axis; default: the origin."""
     axis: Vector | None = vector_value_field("a", of_solid=True)
-    """Of a mesh file of a solid: direction of the axis; default: x."""
+    """With a mesh file of a solid: axis direction; default: x."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -642,7 +683,7 @@ class Disk(Table):
 
     @property
     def deviations(self) -> np.ndarray:
-        """Relative deviation of each sector's stiffness: (sectors,)."""
+        """Relative stiffness deviation of each sector: (sectors,)."""
         if self.mistuning is not None:
             return np.array(self.mistuning)
         return np.random.default_rng(self.seed).normal(0.0, self.deviation, self.sectors)
@@ -653,27 +694,32 @@ class Contact(Table):
     """Contact between the crack faces, pair by pair of nodes."""
 
     stiffness: float | None = positive_field(None, unit="N/m")
-    """Penalty stiffness k of one pair; or give it per area."""
+    """Penalty stiffness k of one pair; or give the stiffness per area."""
     stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
-    """Penalty stiffness per area of the crack face: independent of the mesh."""
+    """Penalty stiffness per area of crack face: independent of the mesh."""
     law: str = choice_field("penalty", "smoothed", "unilateral", default="penalty")
     """"unilateral": no penetration."""
     sharpness: float | None = positive_field(None, unit="1/m")
     """s of the smoothed law."""
     friction: float | None = nonnegative_field(None)
-    """Coefficient of Coulomb friction between the faces of a plate's cracks, at rest and in
-    motion. Left out: 0, and what friction would change is stated."""
+    """Coefficient of Coulomb friction between crack faces, static and kinetic.
+
+    Left out: 0, and the effect of friction is stated.
+    """
     friction_error: float | bool = value_field(
         "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
     )
-    """Coefficient whose effect is stated among the errors where contact.friction is left out;
-    false: it is not."""
+    """Coefficient for the friction error, if contact.friction is left out; false: none."""
     tangential_stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
-    """Stiffness of pairs that stick, per area of the crack face. Left out: infinite, of crack faces
-    without mass."""
+    """Stiffness of sticking pairs, per area of crack face.
+
+    Left out: infinite, with crack faces without mass.
+    """
     pairs: str = choice_field("all", "mouth", default="all")
-    """Every pair of crack-face nodes, or as many as mesh.patches; or of each crack only the one at
-    the mouth, or in the middle of a crack inside the plate."""
+    """"all": every pair of crack-face nodes, or mesh.patches pairs.
+
+    "mouth": for each crack only the pair at the mouth, or in the middle of an internal crack.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -698,8 +744,10 @@ class Contact(Table):
 
     @property
     def is_unilateral(self) -> bool:
-        """True if a pair is open or closed and nothing between; forces of other laws are not
-        proportional to gaps."""
+        """True for laws in which a pair is either open or closed.
+
+        With other laws forces are not proportional to gaps.
+        """
         return self.law in ("penalty", "unilateral")
 
 
@@ -708,19 +756,26 @@ class HarmonicBalance(Table):
     """Truncation of the Fourier series and sampling of the contact force."""
 
     harmonics: int = positive_int_field(None)
-    """H of plain harmonic balance; with a tolerance, the fewest of a solution. Default: 5."""
+    """Number of harmonics H; with a tolerance, the minimum. Default: 5."""
     samples: int | None = positive_int_field(None)
-    """Instants per period at which contact is evaluated; chosen by the solver when left out."""
+    """Instants per period for evaluating contact; default: chosen by the solver."""
     tolerance: float | None = positive_field(None)
-    """Find the exact orbit, and keep so many of its harmonics, and modes, that the error stays
-    below this; a curve is one of exact orbits. Default: 0.01, but none where harmonics or samples
-    are given, or no error is requested."""
+    """Tolerance for the error; the exact orbit is found, too.
+
+    So many harmonics and modes are kept that the error stays below the tolerance. A curve consists
+    of exact orbits. Default: 0.01, but none if harmonics or samples are given, or no error is
+    requested.
+    """
     form: str = choice_field("condensed", "block", default="condensed")
-    """Unknowns of ``solve``: the gaps of the crack faces, or with "block" all displacements, by
-    PETSc's SNES, which takes longer and needs a given number of harmonics. Nothing else changes."""
+    """Unknowns for ``solve``: "condensed", the gaps; "block", all displacements.
+
+    "block" uses PETSc's SNES, takes longer and has no tolerance. Nothing else changes.
+    """
     error: bool = value_field("true or false", default=True)
-    """false: neither the error nor the stability of solutions is found, which takes longer than the
-    solution itself where there are many pairs or modes."""
+    """false: neither error nor stability is computed.
+
+    With many pairs or modes they take longer than the solution.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -745,7 +800,10 @@ class HarmonicBalance(Table):
         self.require(has_allowed_samples, "samples", requirement)
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
-        """The same with as many harmonics as a load has, unless fewer are given."""
+        """Return the table with as many harmonics as the load, unless a number is given.
+
+        Raises InputError if a given number is too small.
+        """
         requirement = f"a whole number >= {highest_order}, the highest order of the load"
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
@@ -756,27 +814,31 @@ class HarmonicBalance(Table):
 
 @dataclass(frozen=True)
 class Mesh(Table):
-    """Mesh of the plate.
+    """Mesh of the plate or solid.
 
-    ``layout = "grid"``: columns x rows equal quadrilaterals (or twice as many triangles); the crack
-    must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
-    ``lip_elements`` along each face, the one at the tip ``grading`` times shorter than the one at
-    the mouth; along a crack inside half of them from its middle to each tip. Where cracks are above
-    one another, crack faces may get more. The sector of a disk is meshed by triangles, graded
-    towards the corners between blade and rim, too. ``"file"``: any gmsh mesh of a plane region
-    whose physical groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack``
-    (curves), ``load`` (a point) and, for the region itself, anything.
+    ``layout = "grid"``: columns x rows equal quadrilaterals, or twice as many triangles. The crack
+    must run along grid lines.
 
-    A solid is meshed by tetrahedra of order 2, ``"graded"`` towards the fronts of its cracks; a
-    file names surfaces, ``clamp`` and ``crack``.
+    ``"graded"``: element size ``size`` away from the crack and ``lip_elements`` along each face.
+    The element at the tip is ``grading`` times shorter than at the mouth. In an internal crack half
+    of the elements are on each side of the middle. With cracks above one another, faces may get
+    more elements. A disk's sector has triangles, graded also towards the corners between blade and
+    rim.
+
+    ``"file"``: any gmsh mesh of a plane region. The physical groups are named ``clamp``,
+    ``lower_lip`` and ``upper_lip`` or ``crack`` (curves), ``load`` (a point) and anything for the
+    region.
+
+    A solid has tetrahedra of order 2, ``"graded"`` towards the crack fronts. A file names surfaces,
+    ``clamp`` and ``crack``.
     """
 
     layout: str = choice_field("grid", "graded", "file")
-    """As above."""
+    """Layout of the mesh."""
     cells: str = choice_field("triangle", "quadrilateral", default="quadrilateral")
-    """Cells of a plate; a mesh file and a graded sector have their own."""
+    """Cells in a plate; a mesh file and a graded sector have their own."""
     order: int = value_field("1 or 2", lambda value: value in (1, 2), default=None)
-    """Polynomial order of the displacement; default: 1, of a solid 2."""
+    """Polynomial order of the displacement; default: 1 in a plate, 2 in a solid."""
     columns: int | None = positive_int_field(None)
     """Columns of a grid."""
     rows: int | None = positive_int_field(None)
@@ -787,16 +849,19 @@ class Mesh(Table):
     grading: float = bounded_field("1", "1e+06", 4.0)
     """Size of elements of a graded mesh at the mouth over that at the crack tip."""
     file: str | None = path_field("the path of a .msh file")
-    """Beside the scene's file, or with its whole path."""
+    """Mesh file, relative to the scene's folder, or with a full path."""
     coarser: str | None = path_field("the path of a .msh file")
-    """The same part with fewer elements, for the errors due to those of ``file``."""
+    """Mesh file with the same part and fewer elements, for estimating the mesh error."""
     per_turn: int = value_field("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
     """Elements on a full turn of a curved face of a part."""
     patches: int | None = positive_int_field(None)
-    """Contact pairs of each crack, at most: means over several nodes, where the mesh is finer than
-    contact needs. Default: all nodes; of a solid all corners of elements."""
+    """Maximum number of contact pairs in each crack.
+
+    Pairs are means over several nodes, if the mesh is finer than contact needs. Default: all nodes;
+    in a solid all corners of elements.
+    """
     error: bool = value_field("true or false", default=True)
-    """true: a coarser mesh gives the error of each number due to this one."""
+    """true: a coarser mesh gives the mesh error of each number."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -815,20 +880,20 @@ class Mesh(Table):
             self.leave_out(("cells",), "layout = 'file', whose mesh has its own")
 
     def with_dimension(self, dimension: int) -> Mesh:
-        """The same in a plane or in space, of the order that is usual there."""
+        """Return the mesh with the default order for a plane (1) or space (2)."""
         order = self.order or dimension - 1
         return self.with_values(order=order, _inferred_keys={"order"} if order == 1 else set())
 
 
 @dataclass(frozen=True)
 class Structure(Table):
-    """Matrices from elsewhere, in files beside the scene, instead of a plate.
+    """Matrices in files beside the scene, instead of a plate.
 
     M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
-    [mesh], [crack] and [base] are then left out. Matrices are in Matrix Market files, or in those
-    of CalculiX (.sti, .mas), Abaqus (.mtx) or Nastran (.pch, .op4); columns in Matrix Market files.
-    With the model that they are of, the load may act at excitation.point, and where there is
-    contact without a file of the gaps, the pairs are found.
+    [mesh], [crack] and [base] are then left out. Files have the formats of Matrix Market, CalculiX
+    (.sti, .mas), Abaqus (.mtx) or Nastran (.pch, .op4); columns are in Matrix Market files. With
+    the matrices' model, the load may act at excitation.point. The model's contact pairs are found
+    if there is contact without a file for the gaps.
     """
 
     mass: str = path_field("the path of a file: (n, n)", MISSING)
@@ -838,20 +903,26 @@ class Structure(Table):
     model: str | None = path_field(
         "the path of the input file of the program that made the matrices"
     )
-    """Nodes and elements: of CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb),
-    or a table of node, x, y, z [m] between commas."""
+    """Nodes and elements: CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb).
+
+    Or a table with node, x, y, z [m], separated by commas.
+    """
     dofs: str | None = path_field("the path of a file: node and direction of each row")
-    """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line; of CalculiX the .dof
-    beside the stiffness where it is left out."""
+    """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line.
+
+    For CalculiX, if left out, the .dof file beside the stiffness.
+    """
     gap: str | None = path_field("the path of a file: (n, n_pairs)")
-    """B, which makes the gaps of the contact pairs of the displacements; left out: none, or those
-    of the model."""
+    """B, which gives the gaps of contact pairs from displacements.
+
+    Left out: no gaps, or those of the model.
+    """
     tangential: str | None = path_field("the path of a file: (n, n_pairs)")
-    """B_t of the tangential gaps, for friction."""
+    """B_t for the tangential gaps, for friction."""
     damping: str | None = path_field("the path of a file: (n, n)")
     """C [N s/m]; or the table [damping]."""
     force_sin: str | None = path_field("the path of a Matrix Market file: (n, 1), or more columns")
-    """[N]; column k has k times the load's frequency. Or the force of [excitation] at its point."""
+    """[N]; column k acts at k times the load frequency. Or the force in [excitation] at a point."""
     force_cos: str | None = path_field("the path of a Matrix Market file: (n, 1), or more columns")
     force_mean: str | None = path_field("the path of a Matrix Market file: (n, 1)")
     clearance: float | str = path_field(
@@ -860,9 +931,9 @@ class Structure(Table):
         0.0,
         "m",
     )
-    """g0 of all pairs, or of each; < 0: preload."""
+    """g0 for all pairs, or for each; < 0: preload."""
     areas: str | None = path_field("the path of a Matrix Market file: (n_pairs, 1)")
-    """Area of each pair [m^2], for stiffnesses per area; those of the model's pairs are known."""
+    """Area of each pair [m^2], for stiffnesses per area; known for a model's pairs."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -872,20 +943,24 @@ class Structure(Table):
 
 @dataclass(frozen=True)
 class Reduction(Table):
-    """Reduction of the structure before it is solved (``reduce_structure``).
+    """Reduction of the structure before the solution (``reduce_structure``).
 
-    Without this table a structure of up to 100 dofs is solved as it is, and a larger one is reduced
+    Without this table a structure with up to 100 dofs is not reduced, and a larger one is reduced
     with the default basis. ``reduction = "off"`` is short for ``reduction.method = "off"``.
     """
 
     SHORTHAND_KEY = "method"
 
     method: str | None = choice_field("massless", "free_interface", "off", default=None)
-    """Default: "massless" (modes, and crack faces without mass) with contact, unless all modes are
-    kept; without contact "free_interface"."""
+    """Default with contact: "massless", modes and crack faces without mass.
+
+    Default without contact, or if all modes are kept: "free_interface".
+    """
     modes: int | None = positive_int_field(None)
-    """Lowest modes to keep. Default: with a tolerance few that meet it, else those that are damped,
-    but 50 where all are."""
+    """Number of lowest modes. Default with a tolerance: few modes that meet it.
+
+    Default otherwise: the damped modes, or 50 if all are damped.
+    """
 
 
 @dataclass(frozen=True)
@@ -893,21 +968,27 @@ class Curve(Table):
     """A response curve, followed through its folds by continuation."""
 
     start: float = number_field()
-    """As ``stop``."""
+    """Start of the parameter's range, in the units of ``stop``."""
     stop: float = number_field()
-    """Of the parameter: load frequencies [rad/s] or, with "frequency", [Hz]; factors of load,
-    stiffness, damping or friction; clearances added [m]; or, with an engine order, speeds of the
-    rotor [rad/s] or, with "rpm", in revolutions per minute."""
+    """End of the parameter's range.
+
+    Units are rad/s for the load frequency, or Hz with "frequency". Load, stiffness, damping and
+    friction are factors, clearances are added [m]. With an engine order: rotor speed [rad/s], or
+    "rpm".
+    """
     parameter: str = choice_field(
         "omega", "frequency", "load", "stiffness", "damping", "clearance", "friction", "speed",
         "rpm", default="omega",
     )  # fmt: skip
     """Parameter that changes along the curve."""
     at: str | None = choice_field("resonance", default=None)
-    """With "load": follow the resonance next to the load's frequency over the load but its mean,
-    the backbone of a forced and damped vibration; of a bladed disk that of the watched blade."""
+    """With "load": follow the resonance near the load frequency over the load, except the mean.
+
+    This is the backbone of a forced and damped vibration. In a bladed disk it is the watched
+    blade's.
+    """
     stability: bool = value_field("true or false", default=True)
-    """Floquet multipliers and period doublings along the curve."""
+    """Compute Floquet multipliers and period doublings along the curve."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -925,8 +1006,11 @@ class Curve(Table):
 
     @property
     def continuation_range(self) -> tuple[str, float, float]:
-        """The parameter of the equations, and its ends: "omega" and "speed" in rad/s where Hz or
-        revolutions per minute are given; "resonance" over the load at resonance."""
+        """Parameter in the equations, start and stop.
+
+        "omega" and "speed" are in rad/s, also if Hz or revolutions per minute are given. At
+        resonance the parameter is "resonance".
+        """
         if self.parameter == "rpm":
             return "speed", RPM * self.start, RPM * self.stop
         if self.parameter == "frequency":
@@ -936,29 +1020,40 @@ class Curve(Table):
 
 @dataclass(frozen=True)
 class Integration(Table):
-    """Direct integration in time: from rest, from the end of an earlier motion, or from a static
-    deflection; under the load, or as a free decay."""
+    """Direct integration in time, under the load or as a free decay.
+
+    It starts at rest, at the end of an earlier motion, or at a static deflection.
+    """
 
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
-    """"events": exact from one switching instant to the next. Default: "exponential" where crack
-    faces have no mass, else "central_difference"."""
+    """"events": exact from one switching instant to the next.
+
+    Default: "exponential" for crack faces without mass, otherwise "central_difference".
+    """
     periods: int = positive_int_field(600)
     """Maximum load periods."""
     settle: float = positive_field(1e-4)
-    """Relative change from one period to the next at which to stop, of the gaps and of the
-    displacement where the load acts, relative to what moves. The distance from the settled motion
-    is reported; its mean and its higher harmonics, mostly below a thousandth of the first,
-    show it most."""
+    """Relative change from one period to the next at which integration stops.
+
+    Gaps and the displacement at the load count, relative to the motion. The distance from the
+    settled motion is reported. The mean and the higher harmonics, mostly below a thousandth of the
+    first, show it most.
+    """
     steps_per_period: int | None = positive_int_field(None)
     """Default: 512; at least twice what is stable (central differences), 256 (events)."""
     initial: str | None = path_field("the path of the .h5 file of a solution or an integration")
-    """Start at a solution's displacement and velocity at phase 0 of its load, or at those at the
-    end of an integration, of the same mesh; under the scene's load."""
+    """File with a solution or an integration on the same mesh, as the start.
+
+    From a solution come displacement and velocity at phase 0 of the load, from an integration the
+    final displacement and velocity. The scene's load acts.
+    """
     deflection: float | None = positive_field(None)
-    """Start at rest from the static deflection, with contact, under the mean load and so many times
-    the sum of its cosine and sine parts."""
+    """Start at rest from the static deflection, with contact.
+
+    The static load is the mean plus the sum of cosine and sine parts times this factor.
+    """
     free: bool = value_field("true or false", default=False)
-    """Free decay: the mean load acts alone. All periods are recorded."""
+    """Free decay: only the mean load acts. All periods are recorded."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -968,7 +1063,7 @@ class Integration(Table):
 
 @dataclass(frozen=True)
 class Sweep(Table):
-    """Many cases: all combinations of the values of some keys of the scene.
+    """Many cases: all combinations of values for some keys of the scene.
 
     For example::
 
@@ -980,9 +1075,9 @@ class Sweep(Table):
     over: tuple[Axis, ...] = value_field(
         "a table of keys of the scene and the values that they take", lambda value: value
     )
-    """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
+    """Keys with lists of values, or start, stop, count and ``spacing = "logarithmic"``."""
     at_resonance: bool = value_field("true or false", default=False)
-    """Solve each case at its own resonance, the one nearest to the excitation's frequency."""
+    """Solve each case at the resonance nearest to the excitation's frequency."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -997,30 +1092,37 @@ class Sweep(Table):
 
 @dataclass(frozen=True)
 class Growth(Table):
-    """Growth of a crack by fatigue, for ``fenics-crack grow``: in a cycle by
+    """Crack growth by fatigue, for ``fenics-crack grow``.
+
+    Growth in a cycle of the load is
 
         rate sum_i (delta_K_i / ((1 - R_i)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent
 
-    over the cycles of K_I in one of the load, the ranges those of an open tip and
-    R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970)."""
+    over the K_I cycles in the load cycle. The ranges delta_K_i are those of an open tip, and R =
+    max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970).
+    """
 
     until: float = positive_field(unit="m")
-    """Length at which the growth ends, from ``crack.length`` on; of a half-ellipse the depth, from
-    ``crack.depth`` on."""
+    """Length at which growth ends, from ``crack.length`` on.
+
+    For a half-ellipse the depth, from ``crack.depth`` on.
+    """
     rate: float = positive_field(unit="m")
-    """In a cycle, at an effective range of 1 MPa m^0.5 with R = 0."""
+    """Growth in a cycle with an effective range of 1 MPa m^0.5 and R = 0."""
     exponent: float = bounded_field("0.1", "50", MISSING)
     """Exponent m."""
     ratio_exponent: float = bounded_field("0", "1", 1.0)
-    """Walker's gamma; 1: the ratio does not matter but by closure, which is that of the crack
-    faces."""
+    """Walker's gamma; 1: R matters only through closure by the crack faces."""
     threshold: float = nonnegative_field(0.0, unit="Pa m^0.5")
     """Effective range below which the crack does not grow."""
     toughness: float | None = positive_field(None, unit="Pa m^0.5")
-    """K_max at which the plate breaks."""
+    """K_max at which the structure breaks."""
     drive: str = choice_field("frequency", "resonance", "spectrum", default="frequency")
-    """The load keeps the excitation's frequency, follows the largest response, or passes
-    through the ``frequencies`` again and again."""
+    """"frequency": the load keeps the excitation's frequency.
+
+    "resonance": the load follows the largest response. "spectrum": the load passes through the
+    ``frequencies`` again and again.
+    """
     frequencies: tuple[float, ...] | None = value_field(
         "a list of different numbers > 0",
         lambda frequencies: (
@@ -1029,18 +1131,17 @@ class Growth(Table):
         None,
         unit="Hz",
     )
-    """Of the load in a spectrum."""
+    """Load frequencies in a spectrum."""
     cycles: tuple[float, ...] | None = value_field(
         "a list of numbers > 0", lambda cycles: len(cycles) > 0 and min(cycles) > 0.0, None
     )
-    """Of the load at each of the frequencies, in one repeat."""
+    """Load cycles at each frequency, in one repeat of the spectrum."""
     rate_deviation: float = bounded_field("0", "10", 0.0)
     """Relative standard deviation of the rate."""
     exponent_deviation: float = bounded_field("0", "10", 0.0)
-    """Standard deviation of the exponent, the rate at 1 MPa m^0.5 being the same."""
+    """Standard deviation of the exponent, with the same rate at 1 MPa m^0.5."""
     life_tolerance: float = bounded_field("1e-6", "1", 0.01)
-    """Relative error of the number of cycles, by interpolation between the lengths that are
-    solved."""
+    """Relative error in the number of cycles, from interpolation between solved lengths."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1054,8 +1155,7 @@ class Growth(Table):
 
     @property
     def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
-        """Cycles of the load in one repeat of the spectrum, and how long it takes [s]; None without
-        one."""
+        """Load cycles in one repeat of the spectrum, and duration [s]; None without a spectrum."""
         if self.cycles is None or self.frequencies is None:
             return None
         duration = sum(
@@ -1075,7 +1175,7 @@ class Identify(Table):
         "crack.length" = { start = 0.003, stop = 0.045, count = 8 }
         "crack.height" = { start = 0.02, stop = 0.2, count = 10 }
 
-    or, with meshes of one's own::
+    or, with meshes of the user::
 
         [identify.meshes]
         "blade_05.msh" = { "crack.length" = 0.005 }
@@ -1087,96 +1187,133 @@ class Identify(Table):
     unknown: tuple[Axis, ...] = value_field(
         "a table of keys of the scene and the values between which they are looked for", default=()
     )
-    """Keys with at least 4 numbers in ascending order, at which the forward model is solved, or
-    start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
-    "right"]``. May be left out with ``meshes``."""
+    """Keys with at least 4 ascending numbers at which the forward model is solved.
+
+    Or start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
+    "right"]``. May be left out with ``meshes``.
+    """
     meshes: tuple[MeshFile, ...] = value_field(
         'a table of .msh files and their numbers, "blade_05.msh" = { "crack.length" = 0.005 }',
         default=(),
     )
-    """Meshes of the structure with its crack, for ``mesh.layout = "file"``, and what is unknown of
-    each: keys of the crack, or words of one's own for other numbers; at least 4 values of each, and
-    a mesh for every combination."""
+    """Meshes of the cracked structure, with the unknowns of each, for ``mesh.layout = "file"``.
+
+    The names are keys of the crack, or words for other numbers. Each name has at least 4 values,
+    and each combination a mesh.
+    """
     uncracked: str | None = path_field("the path of a .msh file")
-    """Mesh of the same structure without its crack, where it is read from a file."""
+    """Mesh of the same structure without the crack, if meshes are read from files."""
     frequencies: tuple[float, ...] = value_field(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
-    """Further load frequencies at which measuring is considered [Hz]."""
+    """Further load frequencies considered for measuring [Hz]."""
     finer: float = bounded_field("0.25", "4", 0.5)
-    """How much finer the mesh is, and how many more harmonics there are, in the few cases that
-    correct the model and give its error; 1: neither. Below 1 these few have the scene's own mesh,
-    and the others one that is coarser: 0.5 has elements twice as long."""
+    """Refinement of mesh and harmonics in the few cases that correct the model.
+
+    These cases also give the model's error; 1: no such cases. Below 1 they have the scene's mesh,
+    and all other cases a coarser mesh: 0.5 doubles the element length.
+    """
     harmonic_deviation: float = bounded_field("0", "1", 0.05)
-    """Least standard deviation of the computed second harmonic of the crack, over its value, and of
-    the k-th k - 1 times as much: contact on a coarse mesh makes them uneven, and all of them
-    together too large or too small."""
+    """Minimum relative standard deviation of the crack's computed second harmonic.
+
+    The k-th harmonic has k - 1 times as much. Contact on a coarse mesh makes the harmonics uneven,
+    and all together too large or too small.
+    """
     young_deviation: float = bounded_field("0", "1", 0.03)
-    """Standard deviations of what the scene says, over its value, and of the model: Young's
-    modulus. That of structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001."""
+    """Relative standard deviation of Young's modulus.
+
+    Structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001. The following keys are
+    standard deviations, too.
+    """
     density_deviation: float = bounded_field("0", "1", 0.01)
-    """Density: the same, part 2.1."""
+    """Density: the same source, part 2.1."""
     thickness_deviation: float = bounded_field("0", "1", 0.01)
-    """Thickness, which changes amplitudes: 0.2 mm of 10 mm (ISO 2768-1, medium) at most."""
+    """Thickness, which changes amplitudes: at most 0.2 mm in 10 mm (ISO 2768-1, medium)."""
     clamp_deviation: float = bounded_field("0", "1", 0.01)
-    """What a soft clamp may take from the first natural frequency, over that. A beam that grows out
-    of an elastic body as thick as itself is as if longer by 0.44 of its depth (W. J. O'Donnell,
-    Journal of Applied Mechanics 27, 1960, 461), and loses 6 % if 15 times as long as deep: jaws
-    are some times stiffer."""
+    """Relative decrease of the first natural frequency by a soft clamp.
+
+    A beam on an elastic body of the same thickness acts as if longer by 0.44 times the depth (W. J.
+    O'Donnell, Journal of Applied Mechanics 27, 1960, 461). At a length of 15 depths the frequency
+    is 6 % lower; jaws are several times stiffer.
+    """
     before_deviation: float = bounded_field("0", "1", 0.002)
-    """What the clamp takes from the first natural frequency before there was a crack against what
-    it takes since: one that was opened holds otherwise. Likewise what rotation adds, by the seat of
-    a blade or the measured speed. Temperatures have keys of their own."""
+    """Change of the clamp's effect on the first natural frequency, before and since the crack.
+
+    A clamp that was opened holds otherwise. Rotation adds a change too, by a blade's seat or the
+    measured speed. Temperatures have separate keys.
+    """
     before_scatter: float = bounded_field("0", "1", 0.2)
-    """Part of that change that each mode has by itself. Of plates clamped deeper, let go at an end
-    of the clamp or on an elastic block, turning, moving and a common change leave up to 0.05 of the
-    largest change if 15 times as tall as wide, 0.07 if five times, 0.12 if three, 0.18 if two and
-    0.29 if square (benchmarks/identification_limits.py)."""
+    """Part of that change that differs between modes.
+
+    Plates clamped deeper, partly released or on an elastic block were computed, with turning,
+    moving and a common change. The remaining part of the largest change is up to 0.05 for plates 15
+    times as tall as wide. It is 0.07 for five times, 0.12 for three, 0.18 for two and 0.29 for
+    squares (benchmarks/identification_limits.py).
+    """
     temperature_deviation: float | None = value_field(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
-    """Temperature since there was a crack against before, where measurements do not state it.
-    Default: 10 K at rest, which takes 0.2 % from all natural frequencies, and 25 K of a rotor,
-    whose blades their gas or their drag warms (engineering judgement); 0: the same."""
+    """Temperature difference since the crack, if measurements do not state temperatures.
+
+    Default at rest: 10 K, which takes 0.2 % from all natural frequencies. Default for a rotor: 25
+    K, since gas or drag warms blades (engineering judgement). 0: equal temperatures.
+    """
     temperature_coefficient: float = bounded_field("-0.01", "0.01", -4e-4, unit="1/K")
-    """Relative change of Young's modulus by a kelvin: of steel -2.6e-4 to -3e-4, of aluminium and
-    titanium -5e-4 to -6e-4 at room temperature, of all more where they are hot."""
+    """Relative change of Young's modulus per kelvin.
+
+    Steel -2.6e-4 to -3e-4, aluminium and titanium -5e-4 to -6e-4 at room temperature; more if hot.
+    """
     coefficient_deviation: float = bounded_field("0", "1", 0.3)
-    """Standard deviation of that, over its value, where temperatures are stated; of a metal whose
-    coefficient is known 0.1."""
+    """Relative standard deviation of the coefficient, if temperatures are stated.
+
+    0.1 for a metal with a known coefficient.
+    """
     thermometer_deviation: float = bounded_field("0", "100", 1.0, unit="K")
-    """Standard deviation of the difference of the temperatures that are stated, before and since:
-    of a thermocouple of class 1 (IEC 60584-1: 1.5 K) at the blade or its root."""
+    """Standard deviation of the stated temperature difference, before and since the crack.
+
+    For a thermocouple of class 1 (IEC 60584-1: 1.5 K) at the blade or its root.
+    """
     damping_deviation: float = bounded_field("0", "10", 0.3)
-    """Ratio of damping: of joints and air, it differs by so much between assemblies."""
+    """Damping ratio: joints and air change it so much between assemblies."""
     stiffening_deviation: float = bounded_field("0", "1", 0.05)
-    """What rotation adds to the square of a natural frequency: beams and plates differ by so much
-    in it."""
+    """Square of a natural frequency, part added by rotation: beams and plates differ so much."""
     angle_deviation: float = bounded_field("0", "45", 5.0, unit="degrees")
-    """Angle of a crack with the horizontal, which moves its tip from the height of its mouth."""
+    """Angle between crack and horizontal, which moves the tip from the mouth's height."""
     model_deviation: float = bounded_field("0", "1", 0.01)
-    """Each natural frequency, the same with the crack and without it: models of spacecraft are to
-    meet measured ones to 5 % (NASA-STD-5002), and the ratio of the first two of a plain beam is
-    2 % off (docs/notebook/measured_beams.md)."""
+    """Each natural frequency, equally with and without the crack.
+
+    Spacecraft models shall meet measured frequencies to 5 % (NASA-STD-5002). The ratio of the first
+    two frequencies of a plain beam is 2 % off (docs/notebook/measured_beams.md).
+    """
     first_resonance_deviation: float = bounded_field("0", "1", 0.04)
-    """Resonance of mode 1 with a breathing crack less the bilinear frequency, over the difference
-    between the frequencies with the crack bonded and open (docs/identification.md)."""
+    """Resonance of mode 1 with a breathing crack, minus the bilinear frequency.
+
+    It is relative to the difference between bonded and open frequency (docs/identification.md).
+    """
     resonance_deviation: float = bounded_field("0", "1", 0.3)
-    """The same of other modes, whose neighbours open and close the crack, too, and of a crack that
-    is open for any part of the period; 12^-1/2 is that of a uniform distribution."""
+    """The same for other modes, whose neighbours open and close the crack, too.
+
+    It also holds for a crack that is open for any part of the period. 12^-1/2 belongs to a uniform
+    distribution.
+    """
     crack_deviation: float = bounded_field("0", "1", 0.15)
-    """What a crack changes: two compliances in wide use, of the same crack from 0.1 to 0.3 of the
-    depth, differ by 25 to 29 % (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration
-    150, 1991, 191; P. F. Rizos, N. Aspragathos and A. D. Dimarogonas, 138, 1990, 381); half of
-    that. A slot changes more than a crack (P. Cawley and R. Ray, Journal of Vibration and
-    Acoustics 110, 1988, 366)."""
+    """Effect of a crack.
+
+    Two common compliances for one crack, from 0.1 to 0.3 of the depth, differ by 25 to 29 %; half
+    is taken (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration 150, 1991, 191; P.
+    F. Rizos, N. Aspragathos and A. D. Dimarogonas, 138, 1990, 381). A slot changes more than a
+    crack (P. Cawley and R. Ray, Journal of Vibration and Acoustics 110, 1988, 366).
+    """
     crack_correlation: float = bounded_field("0", "1", 0.9)
-    """Correlation of that between modes, 1 for a compliance that is common to all."""
+    """Correlation of that effect between modes; 1 for a common compliance error."""
     confidence: float = bounded_field("0.5", "0.9999", 0.95)
-    """Probability of the regions and intervals that are reported. A hypothesis explains the
-    measurements where the p-value of chi^2 is at least one minus that."""
+    """Probability of reported regions and intervals.
+
+    A hypothesis explains the measurements if the p-value of chi^2 is at least one minus the
+    probability.
+    """
     log_bayes_factor: float = bounded_field("0", "1000", 3.0)
-    """Logarithm of the ratio of evidences beyond which a hypothesis is preferred: 20 to 1."""
+    """Logarithm of the evidence ratio above which a hypothesis is preferred: 20 to 1."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1194,7 +1331,7 @@ class Identify(Table):
                 raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
 
     def _check_meshes(self) -> None:
-        """Raise InputError unless there is one mesh for every combination of enough numbers."""
+        """Raise InputError unless each combination of enough numbers has one mesh."""
         length_keys = [
             key
             for key, key_field in Crack.field_by_key().items()
@@ -1238,7 +1375,7 @@ class Identify(Table):
 
     @property
     def mesh_axes(self) -> tuple[Axis, ...]:
-        """The numbers of the meshes, in ascending order, by their names."""
+        """Axes with the names and sorted values of the meshes' numbers."""
         names = [name for name, _ in self.meshes[0].values] if self.meshes else []
         values_by_name = {name: {dict(mesh.values)[name] for mesh in self.meshes} for name in names}
         return tuple(
@@ -1248,7 +1385,7 @@ class Identify(Table):
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
-        """The meshes by their numbers, those of the last name fastest."""
+        """Mesh files ordered by their numbers, the last name fastest."""
         names = [axis.key for axis in self.mesh_axes]
         ordered_meshes = sorted(
             self.meshes, key=lambda mesh: [dict(mesh.values)[name] for name in names]
@@ -1257,7 +1394,7 @@ class Identify(Table):
 
     @property
     def priors(self) -> dict[str, Any]:
-        """Priors and levels by their keys: all that does not define the forward model."""
+        """Values of all keys that do not define the forward model, by key."""
         forward_model_keys = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
         return {
             key: getattr(self, key) for key in self.field_by_key() if key not in forward_model_keys
@@ -1266,7 +1403,7 @@ class Identify(Table):
 
 @dataclass(frozen=True)
 class TipTiming(Table):
-    """Probes in the casing that see when the tip of a blade passes, and what is sought in that.
+    """Probes in the casing that see a blade's tip pass, and the fit to their arrivals.
 
     [tip_timing]
     probes = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0, 288.0, 330.0]
@@ -1279,29 +1416,33 @@ class TipTiming(Table):
             angles and 0.0 <= angles[0] and angles[-1] < 360.0 and bool(np.all(np.diff(angles) > 0))
         ),
     )
-    """Angles of the probes [degrees], from the tip's place at a mark on the shaft, in the direction
-    of rotation."""
+    """Probe angles [degrees] in the direction of rotation.
+
+    The angles are measured from the tip's position at a mark on the shaft.
+    """
     tip_radius: float = positive_field(unit="m")
-    """Distance of the tip from the axis."""
+    """Distance between tip and axis."""
     tangential: float | None = value_field(
         f"a finite number other than 0 {ZERO_OR_MAGNITUDE_TEXT}", lambda share: share != 0.0, None
     )
-    """Displacement of the tip in the direction of rotation over the one that is watched first (the
-    load's, or that of the first of [output.points]): sin of the stagger; < 0: against it. Default:
-    1; of a solid with [rotation] the circumferential motion of that node about the axis, which for
-    identify has to be along x, y or z."""
+    """Displacement of the tip in the direction of rotation, relative to the first watched one.
+
+    The first watched displacement is the load's, or the first point's in [output.points]. The ratio
+    is the sine of the stagger; < 0: against the rotation. Default: 1. For a solid with [rotation]:
+    the node's circumferential motion about the axis; for identify the axis must be along x, y or z.
+    """
     order: int | None = positive_int_field(None)
-    """Periods of the load in a revolution, without [rotation]."""
+    """Load periods in a revolution, without [rotation]."""
     revolutions: int = positive_int_field(100)
-    """Number of revolutions computed; of a run-up all together."""
+    """Number of computed revolutions; in a run-up the total."""
     noise: float = nonnegative_field(0.0, unit="s")
-    """Standard deviation of normal errors of the computed arrivals."""
+    """Standard deviation of normal errors in computed arrivals."""
     clock: float = nonnegative_field(0.0, unit="s")
-    """Resolution of the computed arrivals; 0: none."""
+    """Resolution of computed arrivals; 0: none."""
     seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Seed of the noise."""
     angle_deviation: float = nonnegative_field(0.0, unit="degrees")
-    """Standard deviation of the probes' angles, the same in every revolution."""
+    """Standard deviation of probe angles, equal in all revolutions."""
     orders: tuple[float, ...] | None = value_field(
         "a list of different whole numbers >= 1",
         lambda orders: (
@@ -1311,24 +1452,32 @@ class TipTiming(Table):
         ),
         None,
     )
-    """Engine orders that may be in the arrivals; default: the load's, or 1 to 24 where it is not
-    known. Of a computed run-up it is known."""
+    """Engine orders that may be in the arrivals.
+
+    Default: the load's order, or 1 to 24 if unknown. A computed run-up has a known order.
+    """
     stiffening: float | None = bounded_field("-0.9", "0.9", None)
-    """Of the resonances that a measured run-up passes: relative change of their natural frequencies
-    for one of the speed, d ln f / d ln n, on which their damping depends. Default: with [rotation]
-    that of each by the scene's Campbell diagram, else 0."""
+    """Relative change of natural frequencies over that of the speed, d ln f / d ln n.
+
+    It holds for resonances in a measured run-up, and affects their damping. Default with
+    [rotation]: each from the Campbell diagram; otherwise 0.
+    """
     frequencies: tuple[float, ...] | None = value_field(
         "two finite numbers > 0, the second one larger",
         lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],
         None,
     )
-    """Instead of engine orders, at a speed that is held: ends of a range in which a frequency is
-    sought that need be no multiple of the speed [Hz]."""
+    """Range for a frequency that need not be a multiple of the speed [Hz].
+
+    It replaces engine orders, at constant speed.
+    """
     fitted_harmonics: int = positive_int_field(2)
-    """Harmonics that are fitted; 2 or more show a breathing crack."""
+    """Number of fitted harmonics; 2 or more show a breathing crack."""
     subharmonic: int = positive_int_field(1)
-    """2: the vibration has twice the load's period; the harmonics are those of half the load's
-    frequency."""
+    """2: the vibration has twice the load's period.
+
+    Harmonics are then multiples of half the load frequency.
+    """
     fitted_revolutions: int = positive_int_field(1)
     """Revolutions of a run-up that are fitted together."""
 
@@ -1341,7 +1490,7 @@ class TipTiming(Table):
 
 @dataclass(frozen=True)
 class Output(Table):
-    """Printed and drawn quantities, and the points where the motion is watched.
+    """Printed and drawn quantities, and points whose motion is watched.
 
     [output]
     quantities = ["amplitude", "ratio_2_1"]
@@ -1354,7 +1503,7 @@ class Output(Table):
         lambda names: names and set(names) <= QUANTITIES.keys(),
         None,
     )
-    """Default: a few of them. Files have them all."""
+    """Quantities for print and pictures; files have all. Default: a few."""
     points: tuple[Point, ...] = value_field(
         "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
         f"finite numbers; {MAX_ALLOWED_POINTS} of them at most",
@@ -1364,5 +1513,7 @@ class Output(Table):
         ),
         (),
     )
-    """[m]; the nearest node of each is watched in x and y. Default: the dof with most of the load.
+    """Points [m]: the nearest node to each is watched in each direction.
+
+    Default: the dof with the largest load.
     """
