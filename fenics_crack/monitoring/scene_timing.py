@@ -28,13 +28,13 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.scene import RESULT_TABLES, Scene
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST, TOO_FAST
 
-TABLES_NOT_COMPARED = (*RESULT_TABLES, "reduction")
+TABLES_NOT_COMPARED = (*RESULT_TABLE_NAMES, "reduction")
 """Tables that may differ between a scene and a result: they choose results, or a run decides
 them."""
 MIN_TIP_SPEED = 1.0

@@ -69,7 +69,8 @@ class MeshFile(Axis):
     def as_toml(self) -> str:
         """Return the mesh file as a line in a file."""
         parameters_text = ", ".join(
-            f"{_value_as_toml(name)} = {_value_as_toml(value)}" for name, value in self.values
+            f"{_value_as_toml(parameter_name)} = {_value_as_toml(parameter)}"
+            for parameter_name, parameter in self.values
         )
         return f"{_value_as_toml(self.key)} = {{ {parameters_text} }}"
 
@@ -180,8 +181,8 @@ def _read_mesh_parameters(
 ) -> tuple[tuple[str, float], ...]:
     """Read the named numbers of a mesh file."""
     return tuple(
-        (_read_string(name), _read_float(number))
-        for name, number in _require_instance(Mapping, parameter_by_name).items()
+        (_read_string(parameter_name), _read_float(parameter))
+        for parameter_name, parameter in _require_instance(Mapping, parameter_by_name).items()
     )
 
 
@@ -252,13 +253,14 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
     range_table = values_or_range if isinstance(values_or_range, Mapping) else {}
     spacing = range_table.get("spacing", "linear")
     try:
-        start, stop, count = (
+        start, stop, n_values = (
             _read_float(range_table["start"]),
             _read_float(range_table["stop"]),
             _read_int(range_table["count"]),
         )
         is_valid_range = (
-            range_table.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MAX_CASES
+            range_table.keys() <= {"start", "stop", "count", "spacing"}
+            and 2 <= n_values <= MAX_CASES
         )
     except (KeyError, TypeError, OverflowError, InputError):
         is_valid_range = False
@@ -272,15 +274,15 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
             requirement += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
         raise InputError(key_suffix, values_or_range, requirement)
     if spacing == "linear":
-        return tuple(map(float, np.linspace(start, stop, count)))
+        return tuple(map(float, np.linspace(start, stop, n_values)))
     if start * stop <= 0.0:
         raise InputError(
             key_suffix, values_or_range, "of one sign from start to stop with that spacing"
         )
-    return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), count)))
+    return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), n_values)))
 
 
-_READER_BY_TYPE: dict[str, Callable[[object], Any]] = {
+_READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
     "bool": partial(_require_instance, bool),
     "float": _read_float,
     "int": _read_int,
@@ -310,21 +312,21 @@ _READER_BY_TYPE: dict[str, Callable[[object], Any]] = {
 """Functions that read a value, by the type of the field without "| None"."""
 
 
-_MAPPING_TYPES = (
+_MAPPING_TYPE_NAMES = (
     "tuple[Axis, ...]",
     "tuple[Face, ...]",
     "tuple[MeshFile, ...]",
     "tuple[Point, ...]",
 )
-_JSON_TYPE_BY_TYPE = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
+_JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
 """JSON types by Python types; all other types are arrays."""
-_JSON_TYPE_BY_TYPE |= dict.fromkeys(_MAPPING_TYPES, "object")
+_JSON_TYPE_BY_TYPE_NAME |= dict.fromkeys(_MAPPING_TYPE_NAMES, "object")
 """JSON's words for types; all others are arrays."""
 
 
 def _find_reader(key_field: Field[Any]) -> Callable[[object], Any]:
     """Return the function that reads a key's value, by the field's type."""
-    return _READER_BY_TYPE[str(key_field.type).removesuffix(" | None")]
+    return _READ_FUNCTION_BY_TYPE_NAME[str(key_field.type).removesuffix(" | None")]
 
 
 # --- what a key may hold --------------------------------------------------------------------------
@@ -406,7 +408,7 @@ def describe_components(letter: str, dimension: int) -> str:
 
 def _list_component_names(letter: str, dimension: int) -> str:
     """Return the component names as a text: "[fx, fy]"."""
-    return f"[{', '.join(letter + axis for axis in 'xyz'[:dimension])}]"
+    return f"[{', '.join(letter + axis_letter for axis_letter in 'xyz'[:dimension])}]"
 
 
 def harmonics_field() -> Any:
@@ -470,7 +472,8 @@ def _value_as_toml(value: object) -> str:
     """Return a value as TOML: JSON except for DEL and inline tables."""
     if isinstance(value, Harmonic):
         pairs_text = ", ".join(
-            f"{key} = {_value_as_toml(component)}" for key, component in vars(value).items()
+            f"{attribute_name} = {_value_as_toml(attribute_value)}"
+            for attribute_name, attribute_value in vars(value).items()
         )
         return f"{{ {pairs_text} }}"
     if isinstance(value, tuple):
@@ -484,9 +487,11 @@ def table_name_in_errors(table_name: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        key = error.key.partition(".")[2]
+        key_in_table = error.key.partition(".")[2]
         raise InputError(
-            f"{table_name}.{key}" if key else table_name, error.value, error.allowed
+            f"{table_name}.{key_in_table}" if key_in_table else table_name,
+            error.value,
+            error.allowed,
         ) from None
 
 
@@ -510,9 +515,9 @@ class Table:
         """
         zero_vector_by_key = {}
         for key, key_field in self.field_by_key().items():
-            letter, value = key_field.metadata.get("letter"), getattr(self, key)
-            if letter is not None and value is not None and len(value) != dimension:
-                self.require(not any(value), key, describe_components(letter, dimension))
+            component_letter, vector = key_field.metadata.get("letter"), getattr(self, key)
+            if component_letter is not None and vector is not None and len(vector) != dimension:
+                self.require(not any(vector), key, describe_components(component_letter, dimension))
                 zero_vector_by_key[key] = (0.0,) * dimension
         return self.with_values(**zero_vector_by_key)
 
@@ -541,8 +546,8 @@ class Table:
         """Convert a value to its stored form; raise InputError if not allowed."""
         key_field = cls.field_by_key()[key]
         try:
-            key_value = _find_reader(key_field)(value)
-            is_accepted = key_field.metadata["accepts"](key_value)
+            field_value = _find_reader(key_field)(value)
+            is_accepted = key_field.metadata["accepts"](field_value)
         except InputError as error:  # of one of its axes
             raise InputError(cls.full_key(key) + error.key, error.value, error.allowed) from None
         except (TypeError, OverflowError):
@@ -550,7 +555,7 @@ class Table:
         if not is_accepted:
             requirement = key_field.metadata["allowed"] + cls._suggest_value(key, value)
             raise InputError(cls.full_key(key), value, requirement)
-        return key_value
+        return field_value
 
     @classmethod
     def _suggest_value(cls, key: str, value: object) -> str:
@@ -558,8 +563,8 @@ class Table:
         key_field = cls.field_by_key()[key]
         suggestions: list[Any] = []
         if isinstance(value, str):
-            if advice := cls._ADVICE_BY_MISTAKE.get(f"{key} = {value}"):
-                return f"; {advice}"
+            if advice_text := cls._ADVICE_BY_MISTAKE.get(f"{key} = {value}"):
+                return f"; {advice_text}"
             suggestions = near(value, key_field.metadata.get("words", ()))
         for candidate in candidates(value, key_field.metadata["unit"]):
             with suppress(InputError, TypeError, OverflowError):
@@ -567,7 +572,7 @@ class Table:
                     _find_reader(key_field)(candidate)
                 ):
                     suggestions.append(candidate)
-        return f"; {meant([written(word) for word in suggestions])}".rstrip("; ")
+        return f"; {meant([written(suggestion) for suggestion in suggestions])}".rstrip("; ")
 
     @classmethod
     def field_by_key(cls) -> dict[str, Field[Any]]:
@@ -577,34 +582,36 @@ class Table:
     @classmethod
     def schema(cls) -> dict[str, Any]:
         """Return the table as a JSON schema."""
-        schema_by_key: dict[str, Any] = {}
+        key_schemas: dict[str, Any] = {}
         for key, key_field in cls.field_by_key().items():
             type_names = str(key_field.type).removesuffix(" | None").split(" | ")
-            json_types = [_JSON_TYPE_BY_TYPE.get(type_name, "array") for type_name in type_names]
+            json_types = [
+                _JSON_TYPE_BY_TYPE_NAME.get(type_name, "array") for type_name in type_names
+            ]
             if "tuple[int, ...]" in type_names:  # one number stands for a list of it
                 json_types.append("integer")
-            description = f"{key_field.metadata['allowed']} [{key_field.metadata['unit']}]"
-            schema_by_key[key] = {
+            description_text = f"{key_field.metadata['allowed']} [{key_field.metadata['unit']}]"
+            key_schemas[key] = {
                 "type": json_types,
-                "description": description.removesuffix(" []"),
+                "description": description_text.removesuffix(" []"),
             }
             if "words" in key_field.metadata:
-                schema_by_key[key]["enum"] = key_field.metadata["words"]
+                key_schemas[key]["enum"] = key_field.metadata["words"]
             if key_field.default not in (MISSING, None, ()):
-                schema_by_key[key]["default"] = key_field.default
+                key_schemas[key]["default"] = key_field.default
         required_keys = [
             key for key, key_field in cls.field_by_key().items() if key_field.default is MISSING
         ]
         table_schema: dict[str, Any] = {
             "type": "object",
-            "properties": schema_by_key,
+            "properties": key_schemas,
             "required": required_keys,
         }
         table_schema["additionalProperties"] = False
         return (
             table_schema
             if cls.SHORTHAND_KEY is None
-            else {"anyOf": [table_schema, schema_by_key[cls.SHORTHAND_KEY]]}
+            else {"anyOf": [table_schema, key_schemas[cls.SHORTHAND_KEY]]}
         )
 
     @classmethod
@@ -641,15 +648,19 @@ class Table:
 
     def as_toml(self) -> str:
         """Return the table as written in a file, without default and inferred values."""
-        lines, axes_lines = [f"[{self.full_key()}]"], []
+        toml_lines, axes_lines = [f"[{self.full_key()}]"], []
         derived_keys = self.derived_keys
         for key, key_field in self.field_by_key().items():
-            value = getattr(self, key)
-            if isinstance(value, tuple) and value and isinstance(value[0], Axis):
-                axes_lines += ["", f"[{self.full_key(key)}]", *(axis.as_toml() for axis in value)]
-            elif value != key_field.default and key not in derived_keys:
-                lines.append(f"{key} = {_value_as_toml(value)}")
-        return "\n".join([*lines, *axes_lines, ""])
+            key_values = getattr(self, key)
+            if isinstance(key_values, tuple) and key_values and isinstance(key_values[0], Axis):
+                axes_lines += [
+                    "",
+                    f"[{self.full_key(key)}]",
+                    *(axis.as_toml() for axis in key_values),
+                ]
+            elif key_values != key_field.default and key not in derived_keys:
+                toml_lines.append(f"{key} = {_value_as_toml(key_values)}")
+        return "\n".join([*toml_lines, *axes_lines, ""])
 
     def require(self, condition: bool, key: str, requirement: str) -> None:
         """Raise InputError for a key unless a condition holds."""
@@ -681,7 +692,7 @@ class Table:
         own_suggestions = [
             cls.suggested_key(known_key) for known_key in near(key, cls.field_by_key())
         ]
-        if suggestions := own_suggestions or full_keys_in_tables(key, table_classes):
+        if suggestions := own_suggestions or find_full_keys(key, table_classes):
             return suggestions
         table_class_by_key = {
             known_key: table_class
@@ -696,8 +707,8 @@ class Table:
     @classmethod
     def unknown_key_text(cls, key: str) -> str:
         """Return the error text for an unknown key: suggested keys and all known keys."""
-        advice = cls._ADVICE_BY_MISTAKE.get(key) or meant(cls.suggest_keys(key)).strip()
-        return f"left out; {advice} known keys: {', '.join(cls.field_by_key())}".replace(
+        advice_text = cls._ADVICE_BY_MISTAKE.get(key) or meant(cls.suggest_keys(key)).strip()
+        return f"left out; {advice_text} known keys: {', '.join(cls.field_by_key())}".replace(
             ";  ", "; "
         )
 
@@ -712,10 +723,10 @@ class Table:
             for twin_pair in cls.si_key_by_twin().items()
             for key, twin_key in (twin_pair, twin_pair[::-1])
         }
-        removed_twins = {
+        removal_by_twin = {
             twin_by_key[key]: None for key in changes if twin_by_key.get(key, key) not in changes
         }
-        return {**removed_twins, **changes}
+        return {**removal_by_twin, **changes}
 
     @classmethod
     def forbid_both_twins(cls, value_by_key: Mapping[str, object]) -> None:
@@ -746,7 +757,7 @@ class Table:
         return cls(**values)
 
 
-def full_keys_in_tables(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
+def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
     """Return a key's full names in all tables; list keys (default ``()``) come last."""
     classes_with_key = [
         table_class for table_class in table_classes if key in table_class.field_by_key()

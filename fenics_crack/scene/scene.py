@@ -38,16 +38,16 @@ from fenics_crack.scene.fields import (
     Point,
     Table,
     describe_components,
-    full_keys_in_tables,
+    find_full_keys,
     table_name_in_errors,
 )
 
-REPEATED_SOLUTION_TABLES = ("curve", "sweep", "growth", "identify")
+MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
 """Tables by which a command solves a scene many times."""
-RESULT_TABLES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
+RESULT_TABLE_NAMES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that only choose results and do not change the structure or its load."""
 
-PLATE_TABLES = (
+PLATE_TABLE_NAMES = (
     "geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation", "disk",
 )  # fmt: skip
 """Tables of a plate or solid; matrices in ``structure`` replace them."""
@@ -100,7 +100,7 @@ class Scene:
             table = getattr(self, table_name)
             if table_name in _LIST_TABLE_NAMES:
                 has_right_type = isinstance(table, tuple) and all(
-                    isinstance(element, table_class) for element in table
+                    isinstance(list_element, table_class) for list_element in table
                 )
             else:
                 may_be_missing = table is None and (
@@ -151,11 +151,13 @@ class Scene:
         for quantity_name in self.quantities or ():
             reason = _reason_without_observable(self, QUANTITIES[quantity_name])
             refuse_for_reason(reason, "output.quantities", quantity_name)
-        for table_name, axes_key in _AXES_TABLES_AND_KEYS:
+        for table_name, axes_key in _AXES_TABLE_KEY_PAIRS:
             if (axes_table := getattr(self, table_name)) is not None:
-                axes = _check_axes(self, f"{table_name}.{axes_key}", getattr(axes_table, axes_key))
+                checked_axes = _check_axes(
+                    self, f"{table_name}.{axes_key}", getattr(axes_table, axes_key)
+                )
                 object.__setattr__(
-                    self, table_name, dataclasses.replace(axes_table, **{axes_key: axes})
+                    self, table_name, dataclasses.replace(axes_table, **{axes_key: checked_axes})
                 )
         if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
             requirement = "left out without mesh.layout = 'file'"
@@ -192,11 +194,17 @@ class Scene:
             if table_name not in _TABLE_CLASS_BY_NAME:
                 raise InputError(table_name, raw_table, _unknown_table_text(table_name))
         tables_by_name = {
-            table_name: _make_tables(table_name, raw_table)
+            table_name: _make_table_or_tuple(table_name, raw_table)
             for table_name, raw_table in tables.items()
         }
         scene = with_file_paths(cls(**tables_by_name), lambda path: str(folder / path))
-        return scene.replace({key: changes[key] for key in changes if key in _KEYS_WITH_PATHS})
+        return scene.replace(
+            {
+                changed_key: changes[changed_key]
+                for changed_key in changes
+                if changed_key in _KEYS_WITH_PATHS
+            }
+        )
 
     @classmethod
     @checked_call
@@ -225,11 +233,11 @@ class Scene:
         """Make a scene from TOML text, which errors call ``name``."""
         with reading("scene", name, "a TOML file"):
             try:
-                tables = tomllib.loads(text)
+                table_by_name = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:
                 requirement = f"a TOML file ({error}){_suggest_line_fix(text, str(error))}"
                 raise InputError("scene", name, requirement) from error
-        return cls.from_mapping(tables, folder, changes)
+        return cls.from_mapping(table_by_name, folder, changes)
 
     @classmethod
     def schema(cls) -> dict[str, Any]:
@@ -298,7 +306,7 @@ class Scene:
         is_condensed = self.harmonic_balance.form == "condensed"
         requirement = f"'condensed' for this command, by the table [{name}]"
         self.harmonic_balance.require(
-            is_condensed or name not in REPEATED_SOLUTION_TABLES, "form", requirement
+            is_condensed or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement
         )
         return getattr(self, name)
 
@@ -309,9 +317,9 @@ class Scene:
 
     def _uses_key(self, full_key: str) -> bool:
         """Return True if a key in non-SI units is given, followed by a curve, or swept."""
-        table_name, key = full_key.split(".")
-        is_given = getattr(getattr(self, table_name), key, None) is not None
-        is_curve_parameter = self.curve is not None and self.curve.parameter == key
+        table_name, key_in_table = full_key.split(".")
+        is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
+        is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
         return is_given or is_curve_parameter or full_key in self.swept
 
     @property
@@ -342,19 +350,19 @@ class Scene:
     def point_names(self) -> dict[str, str]:
         """Labels by point and direction: "tip.ux", "tip.uy"."""
         return {
-            f"{point.key}.u{axis}": f"{axis} displacement of {point.key}"
+            f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
             for point in self.points
-            for axis in "xyz"[: self.dimension]
+            for axis_letter in "xyz"[: self.dimension]
         }
 
     def at_rest(self) -> Scene:
         """Return the scene without rotation, with the same load frequency."""
-        changes: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
+        value_by_changed_key: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
         if self.excitation.order is not None:
-            changes["excitation.omega"] = self.excitation.omega
+            value_by_changed_key["excitation.omega"] = self.excitation.omega
             if self.disk is not None:  # whose order gives the phases
-                changes["excitation.order"] = self.excitation.order
-        return self.replace(changes)
+                value_by_changed_key["excitation.order"] = self.excitation.order
+        return self.replace(value_by_changed_key)
 
     @property
     def swept(self) -> dict[str, tuple[Any, ...]]:
@@ -386,9 +394,9 @@ class Scene:
         """Point on the rotor axis [m] and unit direction, (3,) each."""
         if self.disk is None:
             assert self.rotation is not None
-            sides = self.geometry.sides
+            geometry_sides = self.geometry.sides
             return self.rotation.locate_axis(
-                0.5 * np.array(sides if len(sides) == 3 else np.zeros(3))
+                0.5 * np.array(geometry_sides if len(geometry_sides) == 3 else np.zeros(3))
             )
         is_plane, direction = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
         if self.mesh.layout == "file":
@@ -423,16 +431,16 @@ class Scene:
         counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency in Hz
         replaces the frequency in rad/s, and vice versa.
         """
-        tables_by_name = {
+        table_by_name = {
             scene_field.name: getattr(self, scene_field.name) for scene_field in fields(self)
         }
-        changed_tables = _with_changed_keys(
-            {table_name: table for table_name, table in tables_by_name.items() if table}, values
+        changed_table_by_name = _with_changed_keys(
+            {table_name: table for table_name, table in table_by_name.items() if table}, values
         )
         return Scene(
             **{
-                table_name: _make_tables(table_name, raw_table)
-                for table_name, raw_table in changed_tables.items()
+                table_name: _make_table_or_tuple(table_name, raw_table)
+                for table_name, raw_table in changed_table_by_name.items()
             }
         )
 
@@ -455,7 +463,7 @@ def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
     """Return True if matrices replace a table that a plate needs."""
     if scene.structure is None:
         return False
-    return table_name in PLATE_TABLES or (
+    return table_name in PLATE_TABLE_NAMES or (
         table_name == "damping" and scene.structure.damping is not None
     )
 
@@ -516,7 +524,11 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
 
 def quantities_on_request(scene: Scene) -> tuple[str, ...]:
     """Return the ``output.quantities`` at places that are computed only on request."""
-    return tuple(name for name in scene.quantities or () if QUANTITIES[name].of.on_request)
+    return tuple(
+        quantity_name
+        for quantity_name in scene.quantities or ()
+        if QUANTITIES[quantity_name].of.on_request
+    )
 
 
 _REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
@@ -532,22 +544,26 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
     keys_and_paths = [
         key_and_path
         for key_and_path in _path_by_key(scene).items()
-        if not key_and_path[0].startswith(RESULT_TABLES)
+        if not key_and_path[0].startswith(RESULT_TABLE_NAMES)
     ]
-    for key, values in scene.swept.items():
+    for key, swept_values in scene.swept.items():
         if key in _PATH_KEYS:
-            keys_and_paths += [(key, path) for path in values if isinstance(path, str)]
+            keys_and_paths += [(key, path) for path in swept_values if isinstance(path, str)]
     return keys_and_paths
 
 
 def _path_by_key(scene: Scene) -> dict[str, str]:
     """Return the paths of a scene's files by key, without sweep and meshes."""
-    split_keys = ((key, *key.split(".")) for key in _PATH_KEYS)
-    value_by_key = {
-        key: getattr(getattr(scene, table_name), key_in_table, None)
-        for key, table_name, key_in_table in split_keys
+    split_keys = ((full_key, *full_key.split(".")) for full_key in _PATH_KEYS)
+    value_by_path_key = {
+        full_key: getattr(getattr(scene, table_name), key_in_table, None)
+        for full_key, table_name, key_in_table in split_keys
     }
-    return {key: value for key, value in value_by_key.items() if isinstance(value, str)}
+    return {
+        full_key: key_value
+        for full_key, key_value in value_by_path_key.items()
+        if isinstance(key_value, str)
+    }
 
 
 def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
@@ -555,13 +571,18 @@ def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
     path_by_key = _path_by_key(scene)
     if not path_by_key:
         return scene
-    changes: dict[str, object] = {key: change_path(path) for key, path in path_by_key.items()}
+    changes: dict[str, object] = {
+        path_key: change_path(path) for path_key, path in path_by_key.items()
+    }
 
     def change_axis_paths(axis: Axis) -> Axis:
-        values = (change_path(value) if isinstance(value, str) else value for value in axis.values)
-        return Axis(axis.key, tuple(values)) if axis.key in _PATH_KEYS else axis
+        axis_values = (
+            change_path(axis_value) if isinstance(axis_value, str) else axis_value
+            for axis_value in axis.values
+        )
+        return Axis(axis.key, tuple(axis_values)) if axis.key in _PATH_KEYS else axis
 
-    for table_name, axes_key in _AXES_TABLES_AND_KEYS:
+    for table_name, axes_key in _AXES_TABLE_KEY_PAIRS:
         if (table := getattr(scene, table_name)) is not None:
             changes[f"{table_name}.{axes_key}"] = tuple(
                 map(change_axis_paths, getattr(table, axes_key))
@@ -589,8 +610,8 @@ def _describe_scene(scene: Scene) -> str:
         phrases.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
     if scene.contact is not None:
         phrases.append(scene.contact.law)
-    factor, _, unit = frequency_axis(scene.in_hertz)
-    return f"{', '.join(phrases)}, {factor * scene.excitation.omega:g} {unit}"
+    frequency_factor, _, frequency_unit = frequency_axis(scene.in_hertz)
+    return f"{', '.join(phrases)}, {frequency_factor * scene.excitation.omega:g} {frequency_unit}"
 
 
 def _suggest_line_fix(toml_text: str, error_text: str) -> str:
@@ -598,12 +619,16 @@ def _suggest_line_fix(toml_text: str, error_text: str) -> str:
 
     The value is a number in SI units or a quoted word. Empty without a suggestion.
     """
-    lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
-    if line_match is None or int(line_match[1]) > len(lines):
+    toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
+    if line_match is None or int(line_match[1]) > len(toml_lines):
         return ""
-    lines_to_error, line = lines[: int(line_match[1])], lines[int(line_match[1]) - 1]
-    table_headers = [line.strip("[ ]") for line in lines_to_error if line.startswith("[")]
-    key, _, value_text = (part.strip() for part in line.partition("#")[0].partition("="))
+    lines_to_error, toml_line = toml_lines[: int(line_match[1])], toml_lines[int(line_match[1]) - 1]
+    table_headers = [
+        toml_line.strip("[ ]") for toml_line in lines_to_error if toml_line.startswith("[")
+    ]
+    key, _, value_text = (
+        line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
+    )
     si_value = converted(value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key])))
     if si_value is None and not value_text.isidentifier():
         return ""
@@ -618,28 +643,28 @@ def known_keys() -> list[str]:
         for table_name, table_class in _TABLE_CLASS_BY_NAME.items()
     ]
     return [
-        f"{table_name}.{key}"
+        f"{table_name}.{key_in_table}"
         for table_name, table_class in named_table_classes
-        for key in table_class.field_by_key()
+        for key_in_table in table_class.field_by_key()
     ]
 
 
 def unit_of_key(full_key: str) -> str:
     """Return the unit for a full key, "cracks.1.length"; empty without a unit."""
-    table_name, _, key = _split_key(full_key)
+    table_name, _, key_in_table = _split_key(full_key)
     field_by_key = (
         _TABLE_CLASS_BY_NAME[table_name].field_by_key()
         if table_name in _TABLE_CLASS_BY_NAME
         else {}
     )
-    return str(field_by_key[key].metadata["unit"]) if key in field_by_key else ""
+    return str(field_by_key[key_in_table].metadata["unit"]) if key_in_table in field_by_key else ""
 
 
 # --- what tables must not contradict --------------------------------------------------------------
 
 
 def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
-    _forbid_tables(scene, PLATE_TABLES, "[structure]")
+    _forbid_tables(scene, PLATE_TABLE_NAMES, "[structure]")
     if structure.damping is not None:
         _forbid_tables(scene, ("damping",), "structure.damping")
     if structure.model is None:
@@ -704,8 +729,8 @@ def _check_dimension(scene: Scene) -> None:
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
-    for name, crack in scene.all_cracks.items() if dimension == 2 else ():
-        with table_name_in_errors(name):
+    for crack_name, crack in scene.all_cracks.items() if dimension == 2 else ():
+        with table_name_in_errors(crack_name):
             crack.leave_out(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
     _set_vector_dimension(scene)
     mesh = scene.mesh
@@ -736,15 +761,15 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
     if scene.curve is not None:
         requirement = "another one with [disk]: the load's frequency, for example"
         scene.curve.require(scene.curve.continuation_range[0] != "speed", "parameter", requirement)
-    for name, crack in scene.all_cracks.items():
-        with table_name_in_errors(name):
+    for crack_name, crack in scene.all_cracks.items():
+        with table_name_in_errors(crack_name):
             crack.leave_out(("first_omega", "first_frequency"), "[disk]")
     radius_keys = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
         disk.leave_out(radius_keys, "mesh.layout = 'file'")
         return
     disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
-    inner_radius, outer_radius = (disk.given(key) for key in radius_keys)
+    inner_radius, outer_radius = (disk.given(radius_key) for radius_key in radius_keys)
     disk.require(
         inner_radius < outer_radius,
         "inner_radius",
@@ -766,27 +791,27 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
 
 def _check_plate(scene: Scene) -> None:
     geometry = scene.geometry
-    _, height = (geometry.given(key) for key in ("width", "height"))
-    for key in ("width", "thickness")[: scene.dimension - 1]:
+    _, height = (geometry.given(side_key) for side_key in ("width", "height"))
+    for side_key in ("width", "thickness")[: scene.dimension - 1]:
         is_similar_size = (
             height / MAX_ALLOWED_SIDE_RATIO
-            <= getattr(geometry, key)
+            <= getattr(geometry, side_key)
             <= height * MAX_ALLOWED_SIDE_RATIO
         )
         requirement = f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g}"
-        geometry.require(is_similar_size, key, requirement)
+        geometry.require(is_similar_size, side_key, requirement)
     if not scene.has_other_loads:
         scene.excitation.given("point", "given: [x, y] on the plate")
     if scene.excitation.point is None and (force_key := scene.excitation.first_force_key):
         scene.excitation.require(False, force_key, "left out without excitation.point")
     load_by_name = {f"loads.{position}": load for position, load in enumerate(scene.loads, 1)}
-    for name, load in ({"excitation": scene.excitation} | load_by_name).items():
+    for load_name, load in ({"excitation": scene.excitation} | load_by_name).items():
         sides = geometry.sides
         is_on_side = [
             0.0 <= coordinate <= side
             for coordinate, side in zip(load.point or (), sides, strict=False)
         ]
-        with table_name_in_errors(name):
+        with table_name_in_errors(load_name):
             ranges_text = ", ".join(f"0..{side:g}" for side in sides)
             load.require(all(is_on_side), "point", f"on the {geometry.kind}: [{ranges_text}]")
     if scene.all_cracks:
@@ -806,8 +831,8 @@ def _check_part(scene: Scene) -> None:
         scene.mesh.given("lip_elements", "given where there is a crack")
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
-    for name, crack in scene.all_cracks.items():
-        with table_name_in_errors(name):
+    for crack_name, crack in scene.all_cracks.items():
+        with table_name_in_errors(crack_name):
             crack.given("point", "given with geometry.file: [x, y, z]")
             crack.check_plane()
 
@@ -815,8 +840,8 @@ def _check_part(scene: Scene) -> None:
 def _check_file(scene: Scene) -> None:
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.leave_out(keys_in_file, "mesh.layout = 'file'")
-    for name, crack in scene.all_cracks.items():
-        with table_name_in_errors(name):
+    for crack_name, crack in scene.all_cracks.items():
+        with table_name_in_errors(crack_name):
             crack.leave_out(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
 
 
@@ -831,8 +856,8 @@ _CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.P
 def _check_cracks(scene: Scene) -> None:
     """Raise InputError if a plate cannot have a crack at its position."""
     cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
-    for name, crack in cracks.items():
-        with table_name_in_errors(name):
+    for crack_name, crack in cracks.items():
+        with table_name_in_errors(crack_name):
             if crack.point is not None:
                 crack.check_plane()
                 continue
@@ -845,7 +870,7 @@ def _check_cracks(scene: Scene) -> None:
     if mesh.layout == "graded":
         mesh.given("lip_elements", "given where there is a crack")
     for first_name, second_name in combinations(
-        [name for name, crack in cracks.items() if crack.point is None], 2
+        [crack_name for crack_name, crack in cracks.items() if crack.point is None], 2
     ):
         _check_crack_distance(scene, first_name, second_name)
 
@@ -902,9 +927,9 @@ def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) 
     crack.given("length", "given with mesh.layout = 'grid'")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_count_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
-    for key, (extent, cell_count) in extent_and_count_by_key.items():
+    for extent_key, (extent, cell_count) in extent_and_count_by_key.items():
         crack_cells, cell_size_text = (
-            getattr(crack, key) / extent * cell_count,
+            getattr(crack, extent_key) / extent * cell_count,
             f"{extent / cell_count:g} m",
         )
         is_on_grid_line = (
@@ -914,7 +939,7 @@ def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) 
         requirement = (
             f"a whole number of grid cells of {cell_size_text}, at least one from each end"
         )
-        crack.require(is_on_grid_line, key, requirement)
+        crack.require(is_on_grid_line, extent_key, requirement)
     if crack.center is not None:
         tip_column = crack.span(width)[0] / width * n_columns
         requirement = f"such that both tips are on grid lines, {width / n_columns:g} m apart"
@@ -923,7 +948,9 @@ def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) 
 
 def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> None:
     """Raise InputError if two cracks are too close."""
-    first_crack, second_crack = (scene.all_cracks[name] for name in (first_name, second_name))
+    first_crack, second_crack = (
+        scene.all_cracks[crack_name] for crack_name in (first_name, second_name)
+    )
     width, height, *_ = scene.geometry.sides
     height_distance = abs(first_crack.given("height") - second_crack.given("height"))
     if height_distance >= MIN_ALLOWED_RELATIVE_DISTANCE * height:
@@ -961,11 +988,11 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
     """
     checked_axes, seen_keys = [], set()
     for axis in axes:
-        table_name, position, key = _split_key(axis.key)
+        table_name, position, key_in_table = _split_key(axis.key)
         table_exists = position is None or position <= len(getattr(scene, table_name))
         is_sweepable_key = (
             table_name in _SWEEPABLE_TABLE_NAMES
-            and key in _TABLE_CLASS_BY_NAME[table_name].field_by_key()
+            and key_in_table in _TABLE_CLASS_BY_NAME[table_name].field_by_key()
         )
         if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
             tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
@@ -975,20 +1002,21 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
             raise InputError(axes_key, axis.key, requirement)
         seen_keys.add(axis.key)
         for twin_pair in _TABLE_CLASS_BY_NAME[table_name].si_key_by_twin().items():
-            table_prefix = axis.key.removesuffix(f".{key}")
+            table_prefix = axis.key.removesuffix(f".{key_in_table}")
             if seen_keys.issuperset(
                 twin_keys := [f"{table_prefix}.{twin_key}" for twin_key in twin_pair]
             ):
                 other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
                 requirement = f"without {other_twin_key}: one of them"
                 raise InputError(axes_key, axis.key, requirement)
-        with table_name_in_errors(axis.key.removesuffix(f".{key}")):
-            values = tuple(
-                _TABLE_CLASS_BY_NAME[table_name].read_value(key, value) for value in axis.values
+        with table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
+            axis_values = tuple(
+                _TABLE_CLASS_BY_NAME[table_name].read_value(key_in_table, axis_value)
+                for axis_value in axis.values
             )
-        if len(set(values)) != len(values) or not values:
-            raise InputError(f'{axes_key}."{axis.key}"', values, "values, each given once")
-        checked_axes.append(Axis(axis.key, values))
+        if len(set(axis_values)) != len(axis_values) or not axis_values:
+            raise InputError(f'{axes_key}."{axis.key}"', axis_values, "values, each given once")
+        checked_axes.append(Axis(axis.key, axis_values))
     return tuple(checked_axes)
 
 
@@ -1012,21 +1040,27 @@ def _split_key(full_key: str) -> tuple[str, int | None, str]:
     return table_name, None, key_in_table
 
 
-def _make_tables(table_name: str, value: object) -> Any:
+def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
     """Make a table, or the tuple for a list of tables, from a file's value.
 
     Finished tables stay as they are.
     """
     table_class = _TABLE_CLASS_BY_NAME[table_name]
     if table_name not in _LIST_TABLE_NAMES:
-        return value if isinstance(value, table_class) else table_class.from_mapping(value)
-    if not isinstance(value, list | tuple):
-        raise InputError(table_name, value, f"a list of tables: [[{table_name}]]")
+        return (
+            raw_tables
+            if isinstance(raw_tables, table_class)
+            else table_class.from_mapping(raw_tables)
+        )
+    if not isinstance(raw_tables, list | tuple):
+        raise InputError(table_name, raw_tables, f"a list of tables: [[{table_name}]]")
     tables = []
-    for position, table in enumerate(value, 1):
+    for position, raw_table in enumerate(raw_tables, 1):
         with table_name_in_errors(f"{table_name}.{position}"):
             tables.append(
-                table if isinstance(table, table_class) else table_class.from_mapping(table)
+                raw_table
+                if isinstance(raw_table, table_class)
+                else table_class.from_mapping(raw_table)
             )
     return tuple(tables)
 
@@ -1036,13 +1070,13 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
 
     Raises InputError for an unknown key. The key is empty if the change removes the table.
     """
-    table_name, position, key = _split_key(full_key)
+    table_name, position, key_in_table = _split_key(full_key)
     table_class = _TABLE_CLASS_BY_NAME.get(table_name)
     if table_class is None:
         raise InputError(full_key, value, _unknown_table_text(full_key))
-    if not key and table_class.SHORTHAND_KEY is not None and isinstance(value, str):
+    if not key_in_table and table_class.SHORTHAND_KEY is not None and isinstance(value, str):
         return table_name, None, table_class.SHORTHAND_KEY
-    if not key:
+    if not key_in_table:
         if (
             value is not None
             or position is not None
@@ -1056,41 +1090,43 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
             f"{table_name}.1.{subkey}" for subkey in table_class.field_by_key()
         )
         raise InputError(full_key, value, f"left out; known keys: {known_keys_text}")
-    elif key not in table_class.field_by_key():
-        parent_key, _, subkey = key.partition(".")
+    elif key_in_table not in table_class.field_by_key():
+        parent_key, _, subkey = key_in_table.partition(".")
         if parent_key in table_class.field_by_key() and subkey:
             raise InputError(
                 full_key, value, f"changed as a whole: {table_name}.{parent_key}={{{subkey}=...}}"
             )
-        raise InputError(full_key, value, table_class.unknown_key_text(key))
-    return table_name, position, key
+        raise InputError(full_key, value, table_class.unknown_key_text(key_in_table))
+    return table_name, position, key_in_table
 
 
 def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
     """Return tables, or their mappings, with changed keys."""
     changed_tables = dict(tables)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
-    for full_key, value in changes.items():
-        table_name, position, key = _split_changed_key(str(full_key), value)
-        if key:
-            changes_by_table.setdefault((table_name, position or 0), {})[key] = value
+    for full_key, changed_value in changes.items():
+        table_name, position, key_in_table = _split_changed_key(str(full_key), changed_value)
+        if key_in_table:
+            changes_by_table.setdefault((table_name, position or 0), {})[key_in_table] = (
+                changed_value
+            )
         else:
             changed_tables.pop(table_name, None)
     for (table_name, position), table_changes in sorted(
         changes_by_table.items(), key=lambda changes_item: changes_item[0][1]
     ):
         if position:
-            changed_tables[table_name] = _change_table_list(
+            changed_tables[table_name] = _merge_list_changes(
                 table_name, changed_tables.get(table_name, ()), position, table_changes
             )
         else:
-            changed_tables[table_name] = _change_table(
+            changed_tables[table_name] = _merge_table_changes(
                 table_name, changed_tables.get(table_name), table_changes
             )
     return changed_tables
 
 
-def _change_table(table_name: str, table: Any, changes: dict[str, object]) -> Any:
+def _merge_table_changes(table_name: str, table: Any, changes: dict[str, object]) -> Any:
     """Return a mapping for a table, with changed values."""
     table_class = _TABLE_CLASS_BY_NAME[table_name]
     if isinstance(table, table_class):
@@ -1107,7 +1143,7 @@ def _change_table(table_name: str, table: Any, changes: dict[str, object]) -> An
     return {**table, **table_class.with_twins_removed(changes, table)}
 
 
-def _change_table_list(
+def _merge_list_changes(
     table_name: str, tables: Any, position: int, changes: dict[str, object]
 ) -> tuple[Any, ...]:
     if not isinstance(tables, list | tuple):
@@ -1120,28 +1156,28 @@ def _change_table_list(
     with table_name_in_errors(f"{table_name}.{position}"):
         return (
             *tables[: position - 1],
-            _change_table(table_name, current_table, changes),
+            _merge_table_changes(table_name, current_table, changes),
             *tables[position:],
         )
 
 
 def _suggest_keys(misspelt_name: str) -> list[str]:
     """Suggest keys and tables for a misspelt name."""
-    table_name, _, key = misspelt_name.partition(".")
+    table_name, _, key_in_table = misspelt_name.partition(".")
     if table_name in _TABLE_CLASS_BY_NAME:
-        return _TABLE_CLASS_BY_NAME[table_name].suggest_keys(key) if key else []
-    if key:
+        return _TABLE_CLASS_BY_NAME[table_name].suggest_keys(key_in_table) if key_in_table else []
+    if key_in_table:
         all_keys = {
-            table_class.suggested_key(key)
+            table_class.suggested_key(key_in_table)
             for table_class in _TABLE_CLASS_BY_NAME.values()
-            for key in table_class.field_by_key()
+            for key_in_table in table_class.field_by_key()
         }
         return near(misspelt_name, all_keys, 0.8) or sorted(
-            full_key for full_key in all_keys if full_key.endswith(f".{key}")
+            full_key for full_key in all_keys if full_key.endswith(f".{key_in_table}")
         )
-    return list(
-        dict.fromkeys(full_keys_in_tables(table_name, _TABLE_CLASS_BY_NAME.values()))
-    ) or near(table_name, _TABLE_CLASS_BY_NAME)
+    return list(dict.fromkeys(find_full_keys(table_name, _TABLE_CLASS_BY_NAME.values()))) or near(
+        table_name, _TABLE_CLASS_BY_NAME
+    )
 
 
 def suggest_full_keys(misspelt_name: str) -> list[str]:
@@ -1174,12 +1210,14 @@ _PATH_KEYS = tuple(
     if "path" in item.metadata
 )
 """Full keys that hold a path."""
-_AXES_TABLES_AND_KEYS = ("sweep", "over"), ("identify", "unknown")
+_AXES_TABLE_KEY_PAIRS = ("sweep", "over"), ("identify", "unknown")
 """Tables and keys that hold axes."""
 _KEYS_WITH_PATHS = (
     *_PATH_KEYS,
-    *(f"{name}.{key}" for name, key in _AXES_TABLES_AND_KEYS),
+    *(f"{name}.{key}" for name, key in _AXES_TABLE_KEY_PAIRS),
     "identify.meshes",
 )
 """Full keys that may hold paths, in axes too."""
-_SWEEPABLE_TABLE_NAMES = tuple(name for name in _TABLE_CLASS_BY_NAME if name not in RESULT_TABLES)
+_SWEEPABLE_TABLE_NAMES = tuple(
+    name for name in _TABLE_CLASS_BY_NAME if name not in RESULT_TABLE_NAMES
+)

@@ -183,7 +183,9 @@ class Crack(Table):
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
         self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
-        given_keys = [key for key in ("length", "depth") if getattr(self, key) is not None]
+        given_keys = [
+            given_key for given_key in ("length", "depth") if getattr(self, given_key) is not None
+        ]
         if self.front == "through":
             self.leave_out(("radii", "depth"), "front = 'through'")
         elif self.radii is not None:
@@ -222,11 +224,11 @@ class Crack(Table):
 
     def span(self, width: float) -> tuple[float, float]:
         """Return x at the left and right end [m], in a plate with the given width [m]."""
-        length = self.given("length")
+        crack_length = self.given("length")
         if self.edge is None:
-            center = self.given("center")
-            return center - 0.5 * length, center + 0.5 * length
-        return (0.0, length) if self.edge == "left" else (width - length, width)
+            crack_center = self.given("center")
+            return crack_center - 0.5 * crack_length, crack_center + 0.5 * crack_length
+        return (0.0, crack_length) if self.edge == "left" else (width - crack_length, width)
 
 
 @dataclass(frozen=True)
@@ -415,8 +417,8 @@ def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...
     for harmonic in harmonics:
         for row_index, vector in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
             harmonic_vectors[row_index] = tuple(
-                component + addition
-                for component, addition in zip_longest(
+                present_component + added_component
+                for present_component, added_component in zip_longest(
                     harmonic_vectors[row_index], vector, fillvalue=0.0
                 )
             )
@@ -483,7 +485,7 @@ class Load(Table, Periodic):
 
     @staticmethod
     def _component_keys(load_kind: str) -> tuple[str, ...]:
-        return tuple(f"{load_kind}_{suffix}" for suffix in ("mean", "cos", "sin"))
+        return tuple(f"{load_kind}_{part_name}" for part_name in ("mean", "cos", "sin"))
 
     def harmonic_components(self, load_kind: str) -> list[Vector]:
         """Return mean, then cosine and sine for each order, for a kind of load.
@@ -498,20 +500,30 @@ class Load(Table, Periodic):
         list of tuple
             Vectors; tuples with one number for a pressure. Empty tuples for missing parts.
         """
-        component_values = [getattr(self, key) for key in self._component_keys(load_kind)]
-        harmonic_vectors = [
-            value if isinstance(value, tuple) else () if value is None else (value,)
-            for value in component_values
+        component_values = [
+            getattr(self, component_key) for component_key in self._component_keys(load_kind)
         ]
-        mean, cosine, sine = harmonic_vectors
+        harmonic_vectors = [
+            component_value
+            if isinstance(component_value, tuple)
+            else ()
+            if component_value is None
+            else (component_value,)
+            for component_value in component_values
+        ]
+        mean_vector, cosine_vector, sine_vector = harmonic_vectors
         phase = math.radians(self.phase)
         cos_phase, sin_phase = math.cos(phase), math.sin(phase)
-        cosine_sine_pairs = list(zip_longest(cosine, sine, fillvalue=0.0))
+        cosine_sine_pairs = list(zip_longest(cosine_vector, sine_vector, fillvalue=0.0))
         first_order_vectors = [
-            tuple(cos_phase * x - sin_phase * y for x, y in cosine_sine_pairs),
-            tuple(sin_phase * x + cos_phase * y for x, y in cosine_sine_pairs),
+            tuple(cos_phase * cosine - sin_phase * sine for cosine, sine in cosine_sine_pairs),
+            tuple(sin_phase * cosine + cos_phase * sine for cosine, sine in cosine_sine_pairs),
         ]
-        harmonic_vectors = [mean, *first_order_vectors, *((),) * (2 * self.highest_order - 2)]
+        harmonic_vectors = [
+            mean_vector,
+            *first_order_vectors,
+            *((),) * (2 * self.highest_order - 2),
+        ]
         is_scalar = load_kind == "pressure"
         add_harmonics(
             harmonic_vectors,
@@ -881,8 +893,10 @@ class Mesh(Table):
 
     def with_dimension(self, dimension: int) -> Mesh:
         """Return the mesh with the default order for a plane (1) or space (2)."""
-        order = self.order or dimension - 1
-        return self.with_values(order=order, _inferred_keys={"order"} if order == 1 else set())
+        polynomial_order = self.order or dimension - 1
+        return self.with_values(
+            order=polynomial_order, _inferred_keys={"order"} if polynomial_order == 1 else set()
+        )
 
 
 @dataclass(frozen=True)
@@ -1148,8 +1162,10 @@ class Growth(Table):
         if self.drive != "spectrum":
             self.leave_out(("frequencies", "cycles"), f"drive = {self.drive!r}")
             return
-        for key in ("frequencies", "cycles"):
-            self.given(key, "given with drive = 'spectrum': frequencies and cycles of the load")
+        for spectrum_key in ("frequencies", "cycles"):
+            self.given(
+                spectrum_key, "given with drive = 'spectrum': frequencies and cycles of the load"
+            )
         has_equal_lengths = len(self.cycles or ()) == len(self.frequencies or ())
         self.require(has_equal_lengths, "cycles", "as many numbers as there are frequencies")
 
@@ -1333,24 +1349,24 @@ class Identify(Table):
     def _check_meshes(self) -> None:
         """Raise InputError unless each combination of enough numbers has one mesh."""
         length_keys = [
-            key
-            for key, key_field in Crack.field_by_key().items()
+            crack_key
+            for crack_key, key_field in Crack.field_by_key().items()
             if key_field.metadata["unit"] == "m"
         ]
         allowed_names = {*map(Crack.full_key, length_keys)} - {axis.key for axis in self.unknown}
         for mesh in self.meshes:
             error_key = f'identify.meshes."{mesh.key}"'
-            parameter_names = [name for name, _ in mesh.values]
+            parameter_names = [parameter_name for parameter_name, _ in mesh.values]
             if not parameter_names or set(parameter_names) != {
-                name for name, _ in self.meshes[0].values
+                parameter_name for parameter_name, _ in self.meshes[0].values
             }:
                 raise InputError(
                     error_key, parameter_names, "the same numbers as of the others, one or more"
                 )
-            for name in parameter_names:
-                if not (name in allowed_names or name.isidentifier()):
+            for parameter_name in parameter_names:
+                if not (parameter_name in allowed_names or parameter_name.isidentifier()):
                     requirement = f"a word, or one of {', '.join(sorted(allowed_names))}"
-                    raise InputError(error_key, name, requirement)
+                    raise InputError(error_key, parameter_name, requirement)
         axes = self.mesh_axes
         for axis in axes:
             if len(axis.values) < MIN_ALLOWED_UNKNOWN_VALUES:
@@ -1364,7 +1380,7 @@ class Identify(Table):
             if (n_meshes := n_meshes_by_values[combination]) != 1:
                 axes_and_values = zip(axes, combination, strict=True)
                 combination_text = ", ".join(
-                    f"{axis.key} = {value:g}" for axis, value in axes_and_values
+                    f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
                 )
                 requirement = "one mesh for every combination of its numbers"
                 raise InputError(
@@ -1376,19 +1392,27 @@ class Identify(Table):
     @property
     def mesh_axes(self) -> tuple[Axis, ...]:
         """Axes with the names and sorted values of the meshes' numbers."""
-        names = [name for name, _ in self.meshes[0].values] if self.meshes else []
-        values_by_name = {name: {dict(mesh.values)[name] for mesh in self.meshes} for name in names}
+        parameter_names = (
+            [parameter_name for parameter_name, _ in self.meshes[0].values] if self.meshes else []
+        )
+        values_by_name = {
+            parameter_name: {dict(mesh.values)[parameter_name] for mesh in self.meshes}
+            for parameter_name in parameter_names
+        }
         return tuple(
-            Axis(name, tuple(sorted(parameter_values)))
-            for name, parameter_values in values_by_name.items()
+            Axis(parameter_name, tuple(sorted(parameter_values)))
+            for parameter_name, parameter_values in values_by_name.items()
         )
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
         """Mesh files ordered by their numbers, the last name fastest."""
-        names = [axis.key for axis in self.mesh_axes]
+        parameter_names = [axis.key for axis in self.mesh_axes]
         ordered_meshes = sorted(
-            self.meshes, key=lambda mesh: [dict(mesh.values)[name] for name in names]
+            self.meshes,
+            key=lambda mesh: [
+                dict(mesh.values)[parameter_name] for parameter_name in parameter_names
+            ],
         )
         return tuple(mesh.key for mesh in ordered_meshes)
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fenics_crack.basics.tables import quantity
-from fenics_crack.scene.scene import RESULT_TABLES, Scene, unit_of_key
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, unit_of_key
 
 LABEL_BY_KEY = {
     "excitation.omega": "load frequency",
@@ -60,7 +60,8 @@ def value_in_words(key: str, value: Any) -> str:
 def describe_differences(scenes: Sequence[Scene]) -> list[str]:
     """Describe how each scene differs from the others: "excitation.force_sin = 20 N".
 
-    Tables that only choose results (:data:`RESULT_TABLES`) are skipped unless nothing else differs.
+    Tables that only choose results (:data:`RESULT_TABLE_NAMES`) are skipped unless nothing else
+    differs.
 
     Returns
     -------
@@ -68,22 +69,27 @@ def describe_differences(scenes: Sequence[Scene]) -> list[str]:
         One text for each scene; empty texts if all scenes are equal.
     """
     file_values_by_scene = [file_value_by_key(scene) for scene in scenes]
-    keys = list(dict.fromkeys(key for value_by_key in file_values_by_scene for key in value_by_key))
-    scene_values = [
-        {key: value_by_key.get(key, _default_value(scene, key)) for key in keys}
+    all_keys = list(
+        dict.fromkeys(key for value_by_key in file_values_by_scene for key in value_by_key)
+    )
+    compared_values_by_scene = [
+        {key: value_by_key.get(key, _default_value(scene, key)) for key in all_keys}
         for scene, value_by_key in zip(scenes, file_values_by_scene, strict=True)
     ]
     differing_keys = [
         key
-        for key in keys
-        if any(value_by_key[key] != scene_values[0][key] for value_by_key in scene_values)
+        for key in all_keys
+        if any(
+            value_by_key[key] != compared_values_by_scene[0][key]
+            for value_by_key in compared_values_by_scene
+        )
     ]
     reported_keys = [
-        key for key in differing_keys if key.split(".")[0] not in RESULT_TABLES
+        key for key in differing_keys if key.split(".")[0] not in RESULT_TABLE_NAMES
     ] or differing_keys
     return [
         ", ".join(f"{key} = {value_in_words(key, value_by_key[key])}" for key in reported_keys)
-        for value_by_key in scene_values
+        for value_by_key in compared_values_by_scene
     ]
 
 

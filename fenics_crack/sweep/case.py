@@ -39,9 +39,9 @@ from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
-    HARMONIC_PART_UNITS,
-    POINT_QUANTITY_UNITS,
     UNDECIDED_PREFIX,
+    UNIT_BY_HARMONIC_PART,
+    UNIT_BY_POINT_QUANTITY,
     load_column_name,
 )
 from fenics_crack.sweep.plan import Chunk
@@ -63,7 +63,7 @@ class CaseRequest:
         True if the stability of each case is assessed.
     with_reduction_error : bool
         True if the reduction error of each case is estimated.
-    frequencies_only : tuple of bool
+    frequencies_only_by_position : tuple of bool
         For each position on the last axis, True if only natural frequencies are computed.
     """
 
@@ -72,7 +72,7 @@ class CaseRequest:
     at_resonance: bool = False
     with_verdicts: bool = True
     with_reduction_error: bool = True
-    frequencies_only: tuple[bool, ...] = (False,)
+    frequencies_only_by_position: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class SweepGeometry:
         A solid has a mean of 1 N in z, too.
     crack_length : float [m]
         Length of the first crack; nan if unknown.
-    natural_frequencies : BilinearFrequencies
+    bilinear_frequencies : BilinearFrequencies
         Natural frequencies with the crack open and bonded.
     watched_row_by_name : dict of str to (n_dofs,)
         Rows that give displacements [m]: named points by "tip.ux", the load's point by "".
@@ -103,21 +103,21 @@ class SweepGeometry:
     study: Study
     has_unit_loads: bool
     crack_length: float
-    natural_frequencies: BilinearFrequencies
+    bilinear_frequencies: BilinearFrequencies
     watched_row_by_name: dict[str, np.ndarray]
     unreduced_study: Study
     mode_counts: tuple[int, ...] = ()
 
     @cached_property
-    def with_more_modes(self) -> SweepGeometry | None:
+    def geometry_with_more_modes(self) -> SweepGeometry | None:
         """Geometry with the next number of modes; None if there is no larger number."""
         if len(self.mode_counts) < 2:
             return None
-        study = reduced_to(self.unreduced_study, self.mode_counts[1])
+        study_with_more_modes = reduced_to(self.unreduced_study, self.mode_counts[1])
         return replace(
             self,
-            study=study,
-            watched_row_by_name=_find_watched_rows(study),
+            study=study_with_more_modes,
+            watched_row_by_name=_find_watched_rows(study_with_more_modes),
             mode_counts=self.mode_counts[1:],
         )
 
@@ -128,13 +128,15 @@ class SweepGeometry:
 
     def structure_of_case(self, scene: Scene) -> Structure:
         """Return the structure with the load and clearance of a case."""
-        load: float | np.ndarray = 1.0
+        load_factors: float | np.ndarray = 1.0
         if self.has_unit_loads:
-            load = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
-            force_vectors = np.array([getattr(scene.excitation, name) for name in FORCE_KEYS])
-            load[:, -scene.dimension :] = force_vectors[:, ::-1]
+            load_factors = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
+            force_vectors = np.array(
+                [getattr(scene.excitation, force_key) for force_key in FORCE_KEYS]
+            )
+            load_factors[:, -scene.dimension :] = force_vectors[:, ::-1]
         clearance = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
-        return self.structure.varied(load=load, clearance=clearance)
+        return self.structure.varied(load=load_factors, clearance=clearance)
 
 
 def build_geometry(
@@ -145,15 +147,20 @@ def build_geometry(
     ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
     mesh, for another rotor speed.
     """
-    scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
+    scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.all_cracks})
     if request.has_unit_loads:
         dimension = scene.dimension
-        unit_loads = zip(
+        unit_force_by_key = zip(
             FORCE_KEYS,
             np.eye(len(FORCE_KEYS), dimension, dimension - len(FORCE_KEYS))[:, ::-1],
             strict=True,
         )
-        scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in unit_loads})
+        scene = scene.replace(
+            {
+                f"excitation.{key_name}": tuple(unit_force)
+                for key_name, unit_force in unit_force_by_key
+            }
+        )
     unreduced_study = prepare(
         scene, comm, whole=True, like=None if last_geometry is None else last_geometry.study
     )
@@ -166,9 +173,9 @@ def build_geometry(
     )
     structure = many_mode_study.structure
     if not is_small(structure):
-        method = "off" if scene.reduction is None else scene.reduction.method
+        reduction_method = "off" if scene.reduction is None else scene.reduction.method
         requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
-        raise InputError("reduction.method", method, requirement)
+        raise InputError("reduction.method", reduction_method, requirement)
     rows_requested(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.all_cracks.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
@@ -192,7 +199,7 @@ def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[Sw
     geometry: SweepGeometry | None = first_geometry
     while geometry is not None:
         yield geometry
-        geometry = geometry.with_more_modes
+        geometry = geometry.geometry_with_more_modes
     if first_geometry.mode_counts:
         yield build_geometry(scene, MPI.COMM_SELF, replace(request, with_reduction_error=False))
 
@@ -215,14 +222,14 @@ def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.
     """
     whole_structure = structure.whole
     if whole_structure.watched is not None:
-        weights = gather_rows(whole_structure.comm, whole_structure.watched)
+        dof_weights = gather_rows(whole_structure.comm, whole_structure.watched)
     elif scene.structure is not None:
-        weights = np.zeros(whole_structure.n_dofs)
-        weights[whole_structure.find_most_loaded_dof()] = 1.0
+        dof_weights = np.zeros(whole_structure.n_dofs)
+        dof_weights[whole_structure.find_most_loaded_dof()] = 1.0
     else:
         return {}
-    dofs = np.flatnonzero(weights)
-    return {"": weights[dofs] @ rows_of(structure, dofs.tolist())}
+    dofs = np.flatnonzero(dof_weights)
+    return {"": dof_weights[dofs] @ rows_of(structure, dofs.tolist())}
 
 
 # --- a case ---------------------------------------------------------------------------------------
@@ -259,7 +266,7 @@ def solve_chunk(
         Values of the cases that were tried.
     """
     solver, chunk_values = CaseSolver(geometry), []
-    for case_number, case in zip(chunk.case_numbers.tolist(), chunk.cases, strict=True):
+    for case_number, case in zip(chunk.case_numbers.tolist(), chunk.scenes_or_reasons, strict=True):
         if not may_continue():
             break
         if isinstance(case, str):
@@ -269,9 +276,11 @@ def solve_chunk(
         start_time = time.perf_counter()
         harmonics = case.harmonic_balance.harmonics
         case_values: CaseValues = {"crack_length": geometry.crack_length, "harmonics": harmonics}
-        case_values |= _frequency_values(case.excitation.omega, geometry.natural_frequencies)
-        case_values |= _natural_frequency_values(geometry.natural_frequencies)
-        if request.frequencies_only[case_number % len(request.frequencies_only)]:
+        case_values |= _frequency_values(case.excitation.omega, geometry.bilinear_frequencies)
+        case_values |= _natural_frequency_values(geometry.bilinear_frequencies)
+        if request.frequencies_only_by_position[
+            case_number % len(request.frequencies_only_by_position)
+        ]:
             chunk_values.append(
                 case_values
                 | {"status": FREQUENCIES_ONLY_STATUS, "seconds": time.perf_counter() - start_time}
@@ -280,13 +289,16 @@ def solve_chunk(
         try:
             solution = solver.solve_as_requested(case, request)
             tolerance = case.harmonic_balance.tolerance
-            while tolerance and lacks_modes(solution, tolerance) and geometry.with_more_modes:
-                geometry = geometry.with_more_modes  # for the cases behind it, too
+            while (
+                tolerance and lacks_modes(solution, tolerance) and geometry.geometry_with_more_modes
+            ):
+                geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
                 solver = CaseSolver(geometry)
                 solution = solver.solve_as_requested(case, request)
             case_values |= _observe_values(solution, case, geometry)
             case_values |= (
-                _frequency_values(solution.omega, geometry.natural_frequencies) | solution.to_dict()
+                _frequency_values(solution.omega, geometry.bilinear_frequencies)
+                | solution.to_dict()
             )
             if not request.with_reduction_error:
                 case_values.pop("reduction_error")
@@ -314,7 +326,7 @@ class CaseSolver:
 
     def solve_as_requested(self, case: Scene, request: CaseRequest) -> PeriodicSolution:
         """Solve a case at a given frequency or at resonance; raises as :meth:`solve`."""
-        return self.at_resonance(case) if request.at_resonance else self.solve(case)
+        return self.solve_at_resonance(case) if request.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the given frequency; raises an error in :data:`REFUSALS` on failure."""
@@ -341,7 +353,7 @@ class CaseSolver:
             self._structure = self._geometry.structure_of_case(case)
             self._law = law_of(case, self._structure)
 
-    def at_resonance(self, case: Scene) -> PeriodicSolution:
+    def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the resonance nearest to its frequency; raises as :meth:`solve`.
 
         The resonance is the peak of the response curve if several modes respond together. The same
@@ -357,7 +369,7 @@ class CaseSolver:
         )
         resonance = None
         if is_unilateral(law) and not problem.friction:
-            nearest_mode = self._geometry.natural_frequencies.nearest(omega)
+            nearest_mode = self._geometry.bilinear_frequencies.nearest(omega)
             bilinear_frequency = float(nearest_mode["omega_bilinear"])
             resonance = resonance_at(problem, bilinear_frequency, tolerance=balance_table.tolerance)
         if resonance is None or resonance.several:
@@ -378,7 +390,7 @@ class CaseSolver:
         solution : PeriodicSolution
             Solution at the nearest curve point.
         """
-        natural_frequencies = self._geometry.natural_frequencies
+        natural_frequencies = self._geometry.bilinear_frequencies
         nearest_mode = natural_frequencies.nearest(problem.omega)
         mode_damping_ratios = damping_ratios(
             self._geometry.structure.whole, natural_frequencies.omega_open
@@ -389,12 +401,12 @@ class CaseSolver:
             raise InputError("damping", damping_ratio, requirement)
         start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_mode["omega_open"])
         stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_mode["omega_tied"])
-        curve = continue_frequency(
+        response_curve = continue_frequency(
             problem.structure, start_omega, stop_omega, problem.contact,
             harmonics=problem.harmonics, samples=problem.samples, stability=False,
         )  # fmt: skip
-        peak = curve.top()
-        return peak.value, curve.solution(peak.index)
+        peak = response_curve.top()
+        return peak.value, response_curve.solution(peak.index)
 
     def assess_stability(self, solution: PeriodicSolution) -> CaseValues:
         """Return "verdict", "multiplier" (largest modulus) and "remark" by name.
@@ -454,17 +466,17 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
     observed_displacements, case_values = solution.observe_rows(
         row_matrix, rows_requested(geometry.study)
     )
-    for name, displacement in zip(row_by_name, observed_displacements, strict=True):
+    for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
         value_by_quantity = {
-            quantity: getattr(displacement.indicators, quantity)
-            for quantity in POINT_QUANTITY_UNITS
+            quantity: getattr(observed_displacement.indicators, quantity)
+            for quantity in UNIT_BY_POINT_QUANTITY
         }
         value_by_quantity |= zip(
-            HARMONIC_PART_UNITS, displacement.coefficients[1:].tolist(), strict=False
+            UNIT_BY_HARMONIC_PART, observed_displacement.coefficients[1:].tolist(), strict=False
         )
         case_values |= {
-            f"{name}.{quantity}" if name else load_column_name(quantity): value
-            for quantity, value in value_by_quantity.items()
+            f"{point_name}.{quantity}" if point_name else load_column_name(quantity): quantity_value
+            for quantity, quantity_value in value_by_quantity.items()
         }
     return case_values
 

@@ -38,7 +38,7 @@ from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
-from fenics_crack.scene.scene import RESULT_TABLES, Scene, quantities_on_request
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, quantities_on_request
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
 
@@ -66,7 +66,7 @@ def load_column_name(quantity: str) -> str:
 
 MODE_NUMBERS = range(1, FEW_MODES + 1)
 """Numbers of the modes whose natural frequencies each case keeps."""
-NATURAL_FREQUENCY_COLUMNS = {
+LABEL_AND_UNIT_BY_FREQUENCY = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
         ("open", "natural frequency {}, crack open"),
@@ -76,29 +76,29 @@ NATURAL_FREQUENCY_COLUMNS = {
     for mode in MODE_NUMBERS
 }
 """Label and unit of natural frequencies, by column name."""
-POINT_QUANTITY_UNITS = {
+UNIT_BY_POINT_QUANTITY = {
     name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"
 }
 """Units of the quantities at each point and direction, by quantity.
 
 ``ratio_half_1`` is left out, since no case has a longer period.
 """
-KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
+KEPT_HARMONIC_ORDERS = (1, 2, 3, 4, 5, 6)
 """Orders of the harmonics whose cosine and sine parts are kept."""
-HARMONIC_PART_UNITS = {
-    f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine", "sine")
+UNIT_BY_HARMONIC_PART = {
+    f"{part}_{order}": "m" for order in KEPT_HARMONIC_ORDERS for part in ("cosine", "sine")
 }
 """Units of cosine and sine parts, by column name.
 
 ``harmonic_1`` to ``harmonic_3`` are the amplitudes for these parts.
 """
-CASE_COLUMN_FORMATS: dict[str, tuple[str, str]] = {
+UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
         load_column_name(name): (unit, "f8")
-        for name, unit in (POINT_QUANTITY_UNITS | HARMONIC_PART_UNITS).items()
+        for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     },
     **{name: (UNITS[name], "f8") for name in names_of(Place.FACES, Place.MODES, without=FRICTION)},
-    **{name: (unit, "f8") for name, (_, unit) in NATURAL_FREQUENCY_COLUMNS.items()},
+    **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
     **{f"{by}_error": ("1", "f8") for by in ("residual", "truncation", "sampling", "reduction")},
@@ -112,35 +112,41 @@ CASE_COLUMN_FORMATS: dict[str, tuple[str, str]] = {
     "status": ("", "S400"),  # and its remark on the verdict; cut where it is longer
 }
 """Unit and type of each column, without states, named points and quantities on request."""
-UNUSED_TABLE_REMOVALS = dict.fromkeys(
-    name for name in RESULT_TABLES if name not in ("sweep", "output", "growth")
+CHANGES_REMOVING_UNUSED_TABLES = dict.fromkeys(
+    name for name in RESULT_TABLE_NAMES if name not in ("sweep", "output", "growth")
 )
 """Changes that remove the tables without effect on any case."""
-WAVE_UNITS = {"gap": "m", "force": "N"}
+UNIT_BY_WAVE = {"gap": "m", "force": "N"}
 """Units of the coefficients that converged cases keep."""
-WAVES_CHECKSUM_COLUMN, CASE_CHECKSUM_COLUMN = "waves_checksum", "checksum"
+WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME = "waves_checksum", "checksum"
 """Columns with the CRC-32 of a case's waves, and of all columns and the state (never 0)."""
-REQUIRED_COLUMNS = {"state", WAVES_CHECKSUM_COLUMN, CASE_CHECKSUM_COLUMN, "harmonics"}
+REQUIRED_COLUMN_NAMES = {
+    "state",
+    WAVES_CHECKSUM_COLUMN_NAME,
+    CASE_CHECKSUM_COLUMN_NAME,
+    "harmonics",
+}
 """Columns required in each file; files from earlier versions may lack further columns."""
-BLANK_VALUE_BY_KIND: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
+BLANK_VALUE_BY_TYPE_KIND: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Values that mean "no value", by the kind of the NumPy type."""
 
 
-def column_formats_of(scene: Scene) -> dict[str, tuple[str, str]]:
+def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return unit and type of all columns for a scene's sweep, by name.
 
     Named points have columns such as "tip.ux.ratio_2_1".
     """
-    requested_names = names_of(where=FRICTION) * scene.has_friction + quantities_on_request(scene)
-    point_formats = {
-        f"{point}.{name}": (unit, "f8")
-        for point in scene.point_names
-        for name, unit in (POINT_QUANTITY_UNITS | HARMONIC_PART_UNITS).items()
+    friction_quantities = names_of(where=FRICTION) * scene.has_friction
+    requested_quantities = friction_quantities + quantities_on_request(scene)
+    unit_and_type_by_point_column = {
+        f"{point_name}.{column_name}": (unit, "f8")
+        for point_name in scene.point_names
+        for column_name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     }
     return (
-        CASE_COLUMN_FORMATS
-        | {name: (UNITS[name], "f8") for name in requested_names}
-        | point_formats
+        UNIT_AND_TYPE_BY_COLUMN
+        | {column_name: (UNITS[column_name], "f8") for column_name in requested_quantities}
+        | unit_and_type_by_point_column
     )
 
 
@@ -153,7 +159,7 @@ class SweepFile:
         File.
     scene : Scene
         Scene with its sweep.
-    max_harmonics, max_gap_rows : int
+    harmonics_upper_bound, gap_rows_upper_bound : int
         Upper bounds for all cases; without gap rows no waves are kept.
     omitted_options : sequence of str
         Options that the cases lack.
@@ -178,21 +184,23 @@ class SweepFile:
         self,
         path: Path,
         scene: Scene,
-        max_harmonics: int,
-        max_gap_rows: int,
+        harmonics_upper_bound: int,
+        gap_rows_upper_bound: int,
         omitted_options: Sequence[str] = (),
     ) -> None:
-        self._path, self._column_formats = path, column_formats_of(scene)
+        self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
         with reported(path, "path", "a file that can be written, by one sweep at a time"):
             new_header = (
                 None
                 if os.path.lexists(path)
-                else _make_file(path, scene, max_harmonics, max_gap_rows, omitted_options)
+                else _make_file(
+                    path, scene, harmonics_upper_bound, gap_rows_upper_bound, omitted_options
+                )
             )
             bytes_of(path, None, links=False)  # nothing is written elsewhere
-            self._descriptor = os.open(path, os.O_RDWR)
+            self._file_descriptor = os.open(path, os.O_RDWR)
             try:
-                lock_error = _lock_file(self._descriptor)
+                lock_error = _lock_file(self._file_descriptor)
                 self.sweep_header = new_header or _read_matching_header(path, scene)
                 self.case_states = _read_intact_states(self.sweep_header, scene)
                 if np.any(self.case_states == State.PENDING):  # else nothing is written
@@ -200,7 +208,7 @@ class SweepFile:
                         raise lock_error
                     _check_omitted(self.sweep_header, omitted_options)
             except BaseException:
-                os.close(self._descriptor)
+                os.close(self._file_descriptor)
                 raise
         self.is_new = new_header is not None
 
@@ -222,68 +230,76 @@ class SweepFile:
         pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == State.PENDING)
         if len(pending_positions):
             self.write(
-                case_numbers[pending_positions], [cases[position] for position in pending_positions]
+                case_numbers[pending_positions],
+                [cases[pending_position] for pending_position in pending_positions],
             )
 
     def write(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write cases by number (n,): all values first, then the states."""
-        if not self._is_in_place():
+        if not self._is_at_path():
             requirement = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement)
         case_states = np.array(
             [State.CONVERGED if "gap" in case else State.FAILED for case in cases]
         )
         waves_by_name = {
-            name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVE_UNITS
+            wave_name: [case.get(wave_name, np.zeros((0, 0))) for case in cases]
+            for wave_name in UNIT_BY_WAVE
         }
         column_by_name = {}
-        for name in self._column_formats:
-            column_type = self.sweep_header.columns[name].dtype
-            column_values = [
+        for column_name in self._unit_and_type_by_column:
+            column_type = self.sweep_header.columns[column_name].dtype
+            encoded_column = [
                 _encode_value(
-                    case.get(name, BLANK_VALUE_BY_KIND[column_type.kind]), column_type.itemsize
+                    case.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
+                    column_type.itemsize,
                 )
                 for case in cases
             ]
-            column_by_name[name] = np.array(column_values, column_type)
+            column_by_name[column_name] = np.array(encoded_column, column_type)
         wave_checksums = [
             _compute_waves_checksum(*gap_and_force)
             for gap_and_force in zip(*waves_by_name.values(), strict=True)
         ]
-        column_by_name[WAVES_CHECKSUM_COLUMN] = np.array(wave_checksums, "u4")
-        column_by_name[CASE_CHECKSUM_COLUMN] = _compute_case_checksums(column_by_name, case_states)
+        column_by_name[WAVES_CHECKSUM_COLUMN_NAME] = np.array(wave_checksums, "u4")
+        column_by_name[CASE_CHECKSUM_COLUMN_NAME] = _compute_case_checksums(
+            column_by_name, case_states
+        )
         with reported(self._path, "path"):
             self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
-            for name, waves in waves_by_name.items():
-                if name in self.sweep_header.columns:
-                    padded_waves = _pad_waves(waves, self.sweep_header.columns[name].shape[-1])
-                    self._write_column(name, case_numbers, padded_waves)
-            for name, values in column_by_name.items():  # the checksum last, which confirms a case
-                self._write_column(name, case_numbers, values)
+            for wave_name, waves in waves_by_name.items():
+                if wave_name in self.sweep_header.columns:
+                    n_columns = self.sweep_header.columns[wave_name].shape[-1]
+                    self._write_column(wave_name, case_numbers, _pad_waves(waves, n_columns))
+            # The checksum, which confirms a case, is the last column.
+            for column_name, column_values in column_by_name.items():
+                self._write_column(column_name, case_numbers, column_values)
             self._write_column("state", case_numbers, case_states)
         self.case_states.flat[case_numbers] = case_states
 
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it too; raise InputError on failure."""
         with reported(self._path, "path"):
-            if remove and self._is_in_place():
+            if remove and self._is_at_path():
                 self._path.unlink()
-            os.close(self._descriptor)
+            os.close(self._file_descriptor)
 
-    def _write_column(self, name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
+    def _write_column(self, column_name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
         """Write values of cases into a column or a wave, from each case's offset on."""
-        column = self.sweep_header.columns[name]
-        bytes_per_case = column.size // self.case_states.size
-        byte_rows = np.ascontiguousarray(values, column.dtype).view("u1").reshape(len(values), -1)
+        stored_column = self.sweep_header.columns[column_name]
+        bytes_per_case = stored_column.size // self.case_states.size
+        byte_rows = (
+            np.ascontiguousarray(values, stored_column.dtype).view("u1").reshape(len(values), -1)
+        )
         # Bytes of rows: NumPy drops trailing zeros from a single text.
         for case_number, case_bytes in zip(case_numbers, byte_rows, strict=True):
-            offset = column.offset + int(case_number) * bytes_per_case
-            put(self._descriptor, case_bytes.tobytes(), offset)
+            offset = stored_column.offset + int(case_number) * bytes_per_case
+            put(self._file_descriptor, case_bytes.tobytes(), offset)
 
-    def _is_in_place(self) -> bool:
+    def _is_at_path(self) -> bool:
         """Return True if the path still leads to the open file."""
         try:
-            return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path))
+            return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
         except OSError:
             return False
 
@@ -313,17 +329,23 @@ def _encode_value(value: Any, max_bytes: int) -> Any:
 
 
 def _make_file(
-    path: Path, scene: Scene, max_harmonics: int, max_gap_rows: int, omitted_options: Sequence[str]
+    path: Path,
+    scene: Scene,
+    harmonics_upper_bound: int,
+    gap_rows_upper_bound: int,
+    omitted_options: Sequence[str],
 ) -> store.Stored | None:
     """Make a new file and return its header; None if another program made one first."""
-    shape = scene.given("sweep").shape
-    dataset_formats = {
-        name: (unit, type_name, shape)
-        for name, (unit, type_name) in _stored_column_formats(scene).items()
+    axes_shape = scene.given("sweep").shape
+    unit_type_shape_by_dataset = {
+        dataset_name: (unit, type_name, axes_shape)
+        for dataset_name, (unit, type_name) in _unit_and_type_by_dataset(scene).items()
     }
-    if max_gap_rows:
-        wave_shape = (*shape, 2 * max_harmonics + 1, max_gap_rows)
-        dataset_formats |= {name: (unit, "f8", wave_shape) for name, unit in WAVE_UNITS.items()}
+    if gap_rows_upper_bound:
+        wave_shape = (*axes_shape, 2 * harmonics_upper_bound + 1, gap_rows_upper_bound)
+        unit_type_shape_by_dataset |= {
+            dataset_name: (unit, "f8", wave_shape) for dataset_name, unit in UNIT_BY_WAVE.items()
+        }
     with contextlib.suppress(FileExistsError):
         with (
             whole_file(path, new=True) as hidden_path,
@@ -332,74 +354,83 @@ def _make_file(
         ):
             dataset_bytes = (
                 math.prod(dataset_shape) * np.dtype(type_name).itemsize
-                for _, type_name, dataset_shape in dataset_formats.values()
+                for _, type_name, dataset_shape in unit_type_shape_by_dataset.values()
             )
             # OSError here if file sizes are limited; HDF5 would meet the limit later.
             new_file.truncate(sum(dataset_bytes))
-            sweep_header = _write_image(image, path, scene, dataset_formats, omitted_options)
+            sweep_header = _write_image(
+                image, path, scene, unit_type_shape_by_dataset, omitted_options
+            )
             _copy_written_parts(image.fileno(), new_file.fileno())
         return sweep_header
     return None
 
 
 def _write_image(
-    image: BinaryIO,
+    memory_file: BinaryIO,
     path: Path,
     scene: Scene,
-    dataset_formats: Mapping[str, tuple[str, str, tuple[int, ...]]],
+    unit_type_shape_by_dataset: Mapping[str, tuple[str, str, tuple[int, ...]]],
     omitted_options: Sequence[str],
 ) -> store.Stored:
     """Write a new file's datasets to memory, and return the header.
 
-    ``dataset_formats`` holds unit, type and shape by name.
+    ``unit_type_shape_by_dataset`` holds tuples by name.
     """
     import h5py  # what only reads has its reader
 
-    with h5py.File(image, "w", libver="earliest") as file:
-        store.write_header(file, KIND, scene)
-        file.attrs["omitted"] = " ".join(omitted_options)
+    with h5py.File(memory_file, "w", libver="earliest") as hdf5_file:
+        store.write_header(hdf5_file, KIND, scene)
+        hdf5_file.attrs["omitted"] = " ".join(omitted_options)
         # Kept as written, since reading them takes longer.
-        attribute_by_path, columns = store.texts(file), {}
-        for name, (unit, type_name, dataset_shape) in dataset_formats.items():
+        attribute_by_path, column_by_name = store.texts(hdf5_file), {}
+        for dataset_name, (unit, type_name, dataset_shape) in unit_type_shape_by_dataset.items():
             creation_properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             creation_properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
             # A new file has zeros: State.PENDING.
             creation_properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
-            column = file.create_dataset(name, dataset_shape, type_name, dcpl=creation_properties)
-            description = _describe_column(name)
-            attribute_texts = {"unit": unit} | ({"about": description} if description else {})
-            for attribute_name, text in attribute_texts.items():
-                column.attrs[attribute_name] = attribute_by_path[f"{name}/{attribute_name}"] = text
-            columns[name] = store.column_of(column)
-        attribute_by_path["digest"] = store.digest(attribute_by_path, store.places(columns))
-        file.attrs["digest"] = attribute_by_path["digest"]
-        return store.Stored(path, attribute_by_path, {}, columns)
+            column = hdf5_file.create_dataset(
+                dataset_name, dataset_shape, type_name, dcpl=creation_properties
+            )
+            description_text = _describe_column(dataset_name)
+            attribute_text_by_name = {"unit": unit} | (
+                {"about": description_text} if description_text else {}
+            )
+            for attribute_name, attribute_text in attribute_text_by_name.items():
+                column.attrs[attribute_name] = attribute_text
+                attribute_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
+            column_by_name[dataset_name] = store.column_of(column)
+        attribute_by_path["digest"] = store.digest(attribute_by_path, store.places(column_by_name))
+        hdf5_file.attrs["digest"] = attribute_by_path["digest"]
+        return store.Stored(path, attribute_by_path, {}, column_by_name)
 
 
-def _copy_written_parts(image_descriptor: int, target_descriptor: int) -> None:
+def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
     """Copy the size and written parts of an open file to another; raises OSError."""
-    image_size, part_end = os.fstat(image_descriptor).st_size, 0
-    os.truncate(target_descriptor, image_size)
-    while part_end < image_size:
+    file_size, part_end = os.fstat(memory_descriptor).st_size, 0
+    os.truncate(target_descriptor, file_size)
+    while part_end < file_size:
         try:
-            part_start = os.lseek(image_descriptor, part_end, os.SEEK_DATA)
+            part_start = os.lseek(memory_descriptor, part_end, os.SEEK_DATA)
         except OSError:  # zeros alone
             return
-        part_end = os.lseek(image_descriptor, part_start, os.SEEK_HOLE)
+        part_end = os.lseek(memory_descriptor, part_start, os.SEEK_HOLE)
         put(
             target_descriptor,
-            os.pread(image_descriptor, part_end - part_start, part_start),
+            os.pread(memory_descriptor, part_end - part_start, part_start),
             part_start,
         )
 
 
-def _describe_column(name: str) -> str:
+def _describe_column(column_name: str) -> str:
     """Return a description of a column or wave; empty if unknown."""
-    if name in WAVE_UNITS:
-        return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
-    quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
-    words_by_quantity = {name: row.words for name, row in QUANTITIES.items()}
-    return words_by_quantity.get(quantity) or NATURAL_FREQUENCY_COLUMNS.get(quantity, ("",))[0]
+    if column_name in UNIT_BY_WAVE:
+        return f"axes of the sweep; {about(f'{column_name}_coefficients', {})['about']}"
+    quantity = "amplitude" if column_name == "response" else column_name.rpartition(".")[2]
+    words_by_quantity = {
+        column_name: observable.words for column_name, observable in QUANTITIES.items()
+    }
+    return words_by_quantity.get(quantity) or LABEL_AND_UNIT_BY_FREQUENCY.get(quantity, ("",))[0]
 
 
 def _compute_waves_checksum(gap: np.ndarray, force: np.ndarray) -> int:
@@ -413,10 +444,10 @@ def _compute_case_checksums(
     """Return checksums of cases (n,) from their columns and states."""
     # Rows of bytes take memory: make few at once.
     checksums, n_block_cases = np.zeros(len(case_states), dtype="u4"), 4096
-    for start in range(0, len(case_states), n_block_cases):
-        block = slice(start, start + n_block_cases)
+    for block_start in range(0, len(case_states), n_block_cases):
+        block_slice = slice(block_start, block_start + n_block_cases)
         block_columns = [
-            column[block] for column in (*column_by_name.values(), case_states.astype("u1"))
+            column[block_slice] for column in (*column_by_name.values(), case_states.astype("u1"))
         ]
         byte_rows = np.hstack(
             [
@@ -424,7 +455,7 @@ def _compute_case_checksums(
                 for block_column in block_columns
             ]
         )
-        checksums[block] = [zlib.crc32(case_bytes) or 1 for case_bytes in byte_rows]
+        checksums[block_slice] = [zlib.crc32(case_bytes) or 1 for case_bytes in byte_rows]
     return checksums
 
 
@@ -435,8 +466,8 @@ def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
     stored_scene = sweep_header.scene()
     requested_scene = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
     if stored_scene is None or stored_scene.replace(
-        UNUSED_TABLE_REMOVALS
-    ) != requested_scene.replace(UNUSED_TABLE_REMOVALS):
+        CHANGES_REMOVING_UNUSED_TABLES
+    ) != requested_scene.replace(CHANGES_REMOVING_UNUSED_TABLES):
         difference_text = (
             describe_differences([stored_scene, requested_scene])[0]
             if stored_scene is not None
@@ -450,7 +481,7 @@ def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
             f"a new name: it was begun by version {version}, this is {VERSION}"
         )
     sweep_header.check_files(stored_scene)
-    if not _stored_column_formats(scene).keys() <= sweep_header.columns.keys():
+    if not _unit_and_type_by_dataset(scene).keys() <= sweep_header.columns.keys():
         raise sweep_header.refused("a whole sweep")
     scene_of_sweep(sweep_header)
     return sweep_header
@@ -463,8 +494,8 @@ def _check_omitted(sweep_header: store.Stored, omitted_options: Sequence[str]) -
     """
     stored_options = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
     changed_options = [
-        f"{name}={name not in stored_options}"
-        for name in sorted({*stored_options} ^ {*omitted_options})
+        f"{option_name}={option_name not in stored_options}"
+        for option_name in sorted({*stored_options} ^ {*omitted_options})
     ]
     if changed_options:
         path_text = f"{sweep_header.path}, begun with {', '.join(changed_options)}"
@@ -475,10 +506,12 @@ def _check_omitted(sweep_header: store.Stored, omitted_options: Sequence[str]) -
 # --- reading --------------------------------------------------------------------------------------
 
 
-def _stored_column_formats(scene: Scene) -> dict[str, tuple[str, str]]:
+def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return unit and type of all columns in a file, by name."""
-    checksums = dict.fromkeys((WAVES_CHECKSUM_COLUMN, CASE_CHECKSUM_COLUMN), ("", "u4"))
-    return {"state": ("", "u1")} | column_formats_of(scene) | checksums
+    checksum_formats = dict.fromkeys(
+        (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")
+    )
+    return {"state": ("", "u1")} | unit_and_type_by_column(scene) | checksum_formats
 
 
 def scene_of_sweep(sweep_header: store.Stored) -> Scene:
@@ -487,16 +520,18 @@ def scene_of_sweep(sweep_header: store.Stored) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refused("a sweep with its scene")
-    n_bytes, column_formats = 0, _stored_column_formats(scene)
-    for name in sorted(column_formats.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMNS)):
-        column = sweep_header.columns.get(name)
-        if column is None:
-            requirement = f"a sweep with a column {name!r}: this one is of an older version"
+    n_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
+    for column_name in sorted(
+        unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
+    ):
+        stored_column = sweep_header.columns.get(column_name)
+        if stored_column is None:
+            requirement = f"a sweep with a column {column_name!r}: this one is of an older version"
             raise sweep_header.refused(f"{requirement}; solve it anew in another folder")
-        column_type = np.dtype(column_formats[name][1])
-        if column.shape != scene.given("sweep").shape or column.dtype != column_type:
+        column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
+        if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
             raise sweep_header.refused("a whole sweep")
-        n_bytes += column.size
+        n_bytes += stored_column.size
     if n_bytes > MOST_BYTES:
         raise sweep_header.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
     return scene
@@ -526,8 +561,15 @@ def _read_cases(
 def _read_flat_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     """Read all stored columns, (n_cases,) each, by name."""
     try:  # the state first: what is written later counts as pending
-        names = [name for name in _stored_column_formats(scene) if name in sweep_header.columns]
-        return {name: sweep_header.columns[name].of(sweep_header.path).ravel() for name in names}
+        column_names = [
+            column_name
+            for column_name in _unit_and_type_by_dataset(scene)
+            if column_name in sweep_header.columns
+        ]
+        return {
+            column_name: sweep_header.columns[column_name].of(sweep_header.path).ravel()
+            for column_name in column_names
+        }
     except (OSError, ValueError):
         raise sweep_header.refused("a whole sweep") from None
 
@@ -545,16 +587,21 @@ def _confirm_states(
         True for cases with a state that no checksum confirms.
     """
     stored_states = column_by_name.pop("state")
-    stored_checksums = column_by_name.pop(CASE_CHECKSUM_COLUMN)
-    written_cases = np.flatnonzero(stored_checksums)
+    stored_checksums = column_by_name.pop(CASE_CHECKSUM_COLUMN_NAME)
+    written_case_numbers = np.flatnonzero(stored_checksums)
     case_states = np.full(len(stored_states), State.PENDING, stored_states.dtype)
-    written_columns = {name: values[written_cases] for name, values in column_by_name.items()}
+    written_column_by_name = {
+        column_name: column_values[written_case_numbers]
+        for column_name, column_values in column_by_name.items()
+    }
     for candidate_state in (State.CONVERGED, State.FAILED):
         is_confirmed = (
-            _compute_case_checksums(written_columns, np.full(len(written_cases), candidate_state))
-            == stored_checksums[written_cases]
+            _compute_case_checksums(
+                written_column_by_name, np.full(len(written_case_numbers), candidate_state)
+            )
+            == stored_checksums[written_case_numbers]
         )
-        case_states[written_cases[is_confirmed]] = candidate_state
+        case_states[written_case_numbers[is_confirmed]] = candidate_state
     is_damaged = (case_states == State.PENDING) & (stored_states != State.PENDING)
     return {"state": case_states} | column_by_name, is_damaged
 
@@ -576,26 +623,35 @@ def read_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarr
     Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
     """
     flat_column_by_name, is_damaged = _read_cases(sweep_header, scene)
-    shape, column_by_name = scene.given("sweep").shape, {}
+    axes_shape, column_by_name = scene.given("sweep").shape, {}
     if is_damaged.any():
-        first_damaged_index = tuple(map(int, np.unravel_index(int(np.argmax(is_damaged)), shape)))
+        first_damaged_index = tuple(
+            map(int, np.unravel_index(int(np.argmax(is_damaged)), axes_shape))
+        )
         damage_text = (
             f"{is_damaged.sum()} of its cases are damaged, the first at {first_damaged_index}"
         )
         raise sweep_header.refused(
             f"a whole sweep: {damage_text}; the command sweep computes them again"
         )
-    for name, (_, type_name) in ({"state": ("", "u1")} | column_formats_of(scene)).items():
-        values = flat_column_by_name.get(
-            name, np.full(math.prod(shape), BLANK_VALUE_BY_KIND.get(type_name[0], 0), type_name)
+    for column_name, (_, type_name) in (
+        {"state": ("", "u1")} | unit_and_type_by_column(scene)
+    ).items():
+        column_values = flat_column_by_name.get(
+            column_name,
+            np.full(
+                math.prod(axes_shape), BLANK_VALUE_BY_TYPE_KIND.get(type_name[0], 0), type_name
+            ),
         )
-        if name != "state":
-            values[flat_column_by_name["state"] == State.PENDING] = BLANK_VALUE_BY_KIND[
-                values.dtype.kind
+        if column_name != "state":
+            column_values[flat_column_by_name["state"] == State.PENDING] = BLANK_VALUE_BY_TYPE_KIND[
+                column_values.dtype.kind
             ]
-        is_text = values.dtype.kind == "S"
-        column_by_name[name] = np.char.decode(values, "utf-8", "replace") if is_text else values
-        column_by_name[name] = column_by_name[name].reshape(shape)
+        is_text = column_values.dtype.kind == "S"
+        column_by_name[column_name] = (
+            np.char.decode(column_values, "utf-8", "replace") if is_text else column_values
+        )
+        column_by_name[column_name] = column_by_name[column_name].reshape(axes_shape)
     return column_by_name
 
 
@@ -619,16 +675,26 @@ def _read_intact_waves(
     sweep_header: store.Stored, index: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Read the same coefficients; None if they are damaged."""
-    columns, path, waves = sweep_header.columns, sweep_header.path, []
+    stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:
-        case_number = int(np.ravel_multi_index(index, columns["state"].shape))
-        n_rows = 2 * int(columns["harmonics"].of(path, case_number, 1)[0]) + 1
-        stored_checksum = columns[WAVES_CHECKSUM_COLUMN].of(path, case_number, 1)[0]
-        for name in WAVE_UNITS:
-            max_rows, n_columns = columns[name].shape[-2:] if name in columns else (n_rows, 0)
+        case_number = int(np.ravel_multi_index(index, stored_column_by_name["state"].shape))
+        n_rows = 2 * int(stored_column_by_name["harmonics"].of(file_path, case_number, 1)[0]) + 1
+        stored_checksum = stored_column_by_name[WAVES_CHECKSUM_COLUMN_NAME].of(
+            file_path, case_number, 1
+        )[0]
+        for wave_name in UNIT_BY_WAVE:
+            max_rows, n_columns = (
+                stored_column_by_name[wave_name].shape[-2:]
+                if wave_name in stored_column_by_name
+                else (n_rows, 0)
+            )
             wave_start = case_number * max_rows * n_columns
             n_values = n_rows * n_columns
-            wave = columns[name].of(path, wave_start, n_values) if n_values else np.zeros(0)
+            wave = (
+                stored_column_by_name[wave_name].of(file_path, wave_start, n_values)
+                if n_values
+                else np.zeros(0)
+            )
             waves.append(wave.reshape(n_rows, n_columns))
     except (OSError, ValueError, KeyError):
         return None

@@ -101,8 +101,17 @@ class Worker:
 
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
         """Build a job's geometry, unless already built or all cases are refused."""
-        cases = (case for chunk in chunks for case in chunk.cases)
-        scene = next((case for case in cases if isinstance(case, Scene)), None)
+        scenes_and_reasons = (
+            scene_or_reason for chunk in chunks for scene_or_reason in chunk.scenes_or_reasons
+        )
+        scene = next(
+            (
+                scene_or_reason
+                for scene_or_reason in scenes_and_reasons
+                if isinstance(scene_or_reason, Scene)
+            ),
+            None,
+        )
         if scene is None or geometry_number == self._geometry_number:
             return
         last_geometry = self._geometry_or_error if scene.speed else None
@@ -138,9 +147,10 @@ class Worker:
             and not (is_too_large and self._request.ends_at_large_structure)
         ):
             reasons = [
-                case if isinstance(case, str) else str(geometry_or_error) for case in chunk.cases
+                scene_or_reason if isinstance(scene_or_reason, str) else str(geometry_or_error)
+                for scene_or_reason in chunk.scenes_or_reasons
             ]
-            return chunk.case_numbers, [{"status": status} for status in reasons]
+            return chunk.case_numbers, [{"status": reason} for reason in reasons]
         return chunk.case_numbers, geometry_or_error
 
 
@@ -157,10 +167,10 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
         send_requests[:] = [request for request in send_requests if not request.Test()]
         return not comm.iprobe(source=0, tag=Tag.END)
 
-    status = MPI.Status()
-    while status.tag != Tag.END:
-        job = _receive_message(comm, status)
-        if status.tag == Tag.JOB:
+    message_status = MPI.Status()
+    while message_status.tag != Tag.END:
+        job = _receive_message(comm, message_status)
+        if message_status.tag == Tag.JOB:
             send_requests += [
                 comm.isend(outcome, 0) for outcome in worker.run_job(job, may_continue)
             ]
@@ -168,17 +178,20 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     MPI.Request.waitall(send_requests)
 
 
-def _receive_message(comm: MPI.Comm, status: MPI.Status) -> Any:
+def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
     """Wait for the next message and return it.
 
     MPI's own wait keeps a processor busy; this one does not.
     """
-    wait_until(lambda: comm.iprobe(status=status))
-    buffer = bytearray(status.Get_count(MPI.BYTE))
-    request, test_result = comm.irecv(buffer, status.source, status.tag), list[Any]()
+    wait_until(lambda: comm.iprobe(status=message_status))
+    message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
+    receive_request, test_result = (
+        comm.irecv(message_buffer, message_status.source, message_status.tag),
+        list[Any](),
+    )
 
     def has_arrived() -> bool:
-        test_result[:] = request.test()
+        test_result[:] = receive_request.test()
         return bool(test_result[0])
 
     wait_until(has_arrived)
@@ -193,19 +206,19 @@ class Manager:
         self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
         chunks_by_geometry = {
             geometry_number: [
-                chunk
-                for chunk in chunks
-                if np.any(sweep_file.case_states.flat[chunk] == State.PENDING)
+                case_numbers
+                for case_numbers in chunks
+                if np.any(sweep_file.case_states.flat[case_numbers] == State.PENDING)
             ]
             for geometry_number, chunks in enumerate(plan.chunks_by_geometry)
         }
         # The longest jobs first: the last ones are what ranks wait for.
-        geometry_order = sorted(
-            chunks_by_geometry, key=plan.geometry_costs.__getitem__, reverse=True
+        ordered_geometry_numbers = sorted(
+            chunks_by_geometry, key=plan.pair_bounds_and_lengths.__getitem__, reverse=True
         )
-        self._chunks_by_geometry = {
+        self._remaining_chunks_by_geometry = {
             geometry_number: chunks_by_geometry[geometry_number]
-            for geometry_number in geometry_order
+            for geometry_number in ordered_geometry_numbers
             if chunks_by_geometry[geometry_number]
         }
         self._geometry_by_rank: dict[int, int] = {}
@@ -246,7 +259,7 @@ class Manager:
         def may_continue() -> bool:
             while self._n_jobs_sent and comm.iprobe():
                 if stop_request.asked(MPI.COMM_SELF):
-                    self._chunks_by_geometry.clear()  # no job is handed out any more
+                    self._remaining_chunks_by_geometry.clear()  # no job is handed out any more
                 self._receive_outcome(comm)
             return self._error is None and not stop_request.asked(MPI.COMM_SELF)
 
@@ -268,7 +281,7 @@ class Manager:
             )
             if not is_second_interrupt:  # else what is written is all
                 self._end_with_error(error)
-        self._chunks_by_geometry.clear()
+        self._remaining_chunks_by_geometry.clear()
         for rank in other_ranks:
             comm.send(None, rank, tag=Tag.END)
         while self._n_jobs_sent:
@@ -291,13 +304,13 @@ class Manager:
 
     def _receive_outcome(self, comm: MPI.Comm) -> None:
         """Receive a rank's message: record an outcome, or answer a finished job."""
-        status = MPI.Status()
-        numbers_and_outcome = _receive_message(comm, status)
+        message_status = MPI.Status()
+        numbers_and_outcome = _receive_message(comm, message_status)
         if numbers_and_outcome is not None:
             self._record_outcome(*numbers_and_outcome)
             return
         self._n_jobs_sent -= 1
-        self._send_job(comm, status.source)
+        self._send_job(comm, message_status.source)
 
     def _next_job(self, rank: int) -> Job | None:
         """Choose the next job for a rank; None if no chunk remains.
@@ -306,27 +319,28 @@ class Manager:
         chunks. A geometry is a single job with one rank, or while more geometries than ranks are
         unassigned. Otherwise jobs shrink so that ranks finish together.
         """
-        if not self._chunks_by_geometry:
+        if not self._remaining_chunks_by_geometry:
             return None
-        unassigned_geometries = [
+        unassigned_geometry_numbers = [
             geometry_number
-            for geometry_number in self._chunks_by_geometry
+            for geometry_number in self._remaining_chunks_by_geometry
             if geometry_number not in self._geometry_by_rank.values()
         ]
         geometry_number = self._geometry_by_rank.get(rank, -1)
-        if geometry_number not in self._chunks_by_geometry:
-            longest_geometry = max(
-                self._chunks_by_geometry, key=lambda number: len(self._chunks_by_geometry[number])
+        if geometry_number not in self._remaining_chunks_by_geometry:
+            longest_geometry_number = max(
+                self._remaining_chunks_by_geometry,
+                key=lambda number: len(self._remaining_chunks_by_geometry[number]),
             )
-            geometry_number = [*unassigned_geometries, longest_geometry][0]
+            geometry_number = [*unassigned_geometry_numbers, longest_geometry_number][0]
         self._geometry_by_rank[rank] = geometry_number
-        chunks = self._chunks_by_geometry[geometry_number]
-        is_one_job = self._n_ranks == 1 or len(unassigned_geometries) > self._n_ranks
-        n_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
-        self._chunks_by_geometry[geometry_number] = chunks[n_chunks:]
-        if not self._chunks_by_geometry[geometry_number]:
-            del self._chunks_by_geometry[geometry_number]
-        return Job(geometry_number, tuple(chunks[:n_chunks]))
+        chunks = self._remaining_chunks_by_geometry[geometry_number]
+        is_one_job = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
+        n_job_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
+        self._remaining_chunks_by_geometry[geometry_number] = chunks[n_job_chunks:]
+        if not self._remaining_chunks_by_geometry[geometry_number]:
+            del self._remaining_chunks_by_geometry[geometry_number]
+        return Job(geometry_number, tuple(chunks[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
         """Write a chunk's cases; an error ends the sweep."""
@@ -353,4 +367,4 @@ class Manager:
     def _end_with_error(self, error: BaseException) -> None:
         """Discard all remaining jobs and keep the first error."""
         self._error = self._error or error
-        self._chunks_by_geometry.clear()
+        self._remaining_chunks_by_geometry.clear()

@@ -39,12 +39,12 @@ class Chunk(NamedTuple):
     ----------
     case_numbers : (n,) int
         Numbers of the cases, last axis fastest.
-    cases : tuple of Scene or str
+    scenes_or_reasons : tuple of Scene or str
         Scene of each case, or the reason why the case is refused.
     """
 
     case_numbers: np.ndarray
-    cases: tuple[Scene | str, ...]
+    scenes_or_reasons: tuple[Scene | str, ...]
 
 
 class Plan:
@@ -60,7 +60,7 @@ class Plan:
         True if geometries are built with unit loads, since the sweep changes the force.
     chunks_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
-    max_harmonics : int
+    harmonics_upper_bound : int
         Upper bound for the harmonics in all cases.
 
     Raises
@@ -71,8 +71,8 @@ class Plan:
 
     def __init__(self, scene: Scene) -> None:
         sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
-        self._base_scene = scene.replace({"sweep": None})
-        self._rows_per_pair = 2 if scene.has_friction else 1
+        self._scene_without_sweep = scene.replace({"sweep": None})
+        self._gap_rows_per_pair = 2 if scene.has_friction else 1
         self.shape: tuple[int, ...] = sweep_table.shape
         self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
         free_keys = _find_free_keys(scene, self._swept_values_by_key)
@@ -83,13 +83,13 @@ class Plan:
         self.chunks_by_geometry = self._split_into_chunks(free_keys)
         """Case numbers (n,) of each chunk, by geometry."""
         balance_table = scene.harmonic_balance
-        self.max_harmonics = max(
+        self.harmonics_upper_bound = max(
             self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
         )
         """Upper bound for the harmonics of all cases."""
         has_tolerance = balance_table.tolerance is not None
         if has_tolerance or "harmonic_balance.tolerance" in self._swept_values_by_key:
-            self.max_harmonics = max(self.max_harmonics, MOST_HARMONICS)
+            self.harmonics_upper_bound = max(self.harmonics_upper_bound, MOST_HARMONICS)
         if not any(
             isinstance(self._case_by_number(case_number), Scene)
             for case_number in range(math.prod(self.shape))
@@ -103,12 +103,12 @@ class Plan:
         Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
         axis without effect on the geometry.
         """
-        keys = list(self._swept_values_by_key)
-        free_axes = [axis for axis, key in enumerate(keys) if key in free_keys]
-        frequency_axes = [axis for axis in free_axes if keys[axis] in FREQUENCY_KEYS]
+        swept_keys = list(self._swept_values_by_key)
+        free_axes = [axis for axis, swept_key in enumerate(swept_keys) if swept_key in free_keys]
+        frequency_axes = [axis for axis in free_axes if swept_keys[axis] in FREQUENCY_KEYS]
         chunk_axes = (frequency_axes or free_axes)[-1:]
         inner_axes = [axis for axis in free_axes if axis not in chunk_axes]
-        geometry_axes = [axis for axis in range(len(keys)) if axis not in free_axes]
+        geometry_axes = [axis for axis in range(len(swept_keys)) if axis not in free_axes]
         chunk_axis_length = self.shape[chunk_axes[0]] if chunk_axes else 1
         case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
         case_numbers = case_numbers.transpose([*geometry_axes, *inner_axes, *chunk_axes])
@@ -117,43 +117,50 @@ class Plan:
         )
         n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
         return [
-            [chunk for row in geometry_rows for chunk in np.array_split(row, n_chunks)]
+            [chunk for chunk_row in geometry_rows for chunk in np.array_split(chunk_row, n_chunks)]
             for geometry_rows in numbers_by_geometry
         ]
 
     @property
-    def max_gap_rows(self) -> int:
+    def gap_rows_upper_bound(self) -> int:
         """Upper bound for the gap rows in all geometries; friction doubles them."""
-        return self._rows_per_pair * max(n_pairs for n_pairs, _ in self.geometry_costs)
+        return self._gap_rows_per_pair * max(n_pairs for n_pairs, _ in self.pair_bounds_and_lengths)
 
     @cached_property
-    def geometry_costs(self) -> list[tuple[int, float]]:
+    def pair_bounds_and_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs and length of the first crack [m], by geometry.
 
         Solids are meshed for the bound and mesh files read. Both are 0 if all cases are refused.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
-        costs: list[tuple[int, float]] = []
+        bounds_and_lengths: list[tuple[int, float]] = []
         for chunks in self.chunks_by_geometry:
-            cases = map(self._case_by_number, itertools.chain(*chunks))
-            case = next((case for case in cases if not isinstance(case, str)), None)
-            if case is None:
-                costs.append((0, 0.0))
+            scenes_and_reasons = map(self._case_by_number, itertools.chain(*chunks))
+            scene = next(
+                (scene for scene in scenes_and_reasons if not isinstance(scene, str)), None
+            )
+            if scene is None:
+                bounds_and_lengths.append((0, 0.0))
                 continue
-            pair_selection = case.contact and case.contact.pairs
-            cracks = tuple(replace(crack, clearance=0.0) for crack in case.all_cracks.values())
-            mesh_key = case.structure, case.mesh, pair_selection, cracks, case.geometry
+            pair_selection = scene.contact and scene.contact.pairs
+            cracks = tuple(replace(crack, clearance=0.0) for crack in scene.all_cracks.values())
+            mesh_key = scene.structure, scene.mesh, pair_selection, cracks, scene.geometry
             if mesh_key not in pair_bound_by_mesh:
-                pair_bound_by_mesh[mesh_key] = _bound_contact_pairs(case)
-            costs.append((pair_bound_by_mesh[mesh_key], cracks[0].length or 0.0 if cracks else 0.0))
-        return costs
+                pair_bound_by_mesh[mesh_key] = _bound_contact_pairs(scene)
+            bounds_and_lengths.append(
+                (pair_bound_by_mesh[mesh_key], cracks[0].length or 0.0 if cracks else 0.0)
+            )
+        return bounds_and_lengths
 
     def case_at(self, index: Sequence[int]) -> Scene | str:
         """Return the scene at an index, or the reason why it is refused."""
         axes_and_positions = zip(self._swept_values_by_key.items(), index, strict=True)
-        changes = {key: values[position] for (key, values), position in axes_and_positions}
+        changes = {
+            swept_key: axis_values[position]
+            for (swept_key, axis_values), position in axes_and_positions
+        }
         try:
-            return self._base_scene.replace(changes)
+            return self._scene_without_sweep.replace(changes)
         except InputError as error:
             return str(error)
 
@@ -196,12 +203,12 @@ def _find_free_keys(scene: Scene, swept_keys: Collection[str]) -> set[str]:
     Forces are not among them if a geometry contains other loads, harmonics or rotation.
     """
     free_keys = GEOMETRY_INDEPENDENT_KEYS | {
-        key for key in swept_keys if re.fullmatch(r"crack.*\.clearance", key)
+        swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)
     }
     has_harmonics = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
     has_fixed_load = scene.has_other_loads or scene.rotation is not None or has_harmonics
     if has_fixed_load or any(
-        key.startswith(("base.", "loads.", "rotation.")) for key in swept_keys
+        swept_key.startswith(("base.", "loads.", "rotation.")) for swept_key in swept_keys
     ):
         free_keys -= FULL_FORCE_KEYS
     return free_keys

@@ -60,11 +60,11 @@ from fenics_crack.sweep.file import (
     UNDECIDED_PREFIX,
     State,
     SweepFile,
-    column_formats_of,
     load_column_name,
     read_columns,
     read_waves,
     scene_of_sweep,
+    unit_and_type_by_column,
 )
 from fenics_crack.sweep.jobs import Manager, Worker, serve_jobs
 from fenics_crack.sweep.plan import Plan
@@ -147,7 +147,7 @@ def run_sweep(
         omitted_options += [f"vibration_{position}" for position in sorted(natural)]
         file_path = Path(path or passing_folder() / "sweep.h5")
         sweep_file = SweepFile(
-            file_path, scene, plan.max_harmonics, plan.max_gap_rows, omitted_options
+            file_path, scene, plan.harmonics_upper_bound, plan.gap_rows_upper_bound, omitted_options
         )
         managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
         return CaseRequest(
@@ -156,7 +156,9 @@ def run_sweep(
             at_resonance=sweep_table.at_resonance,
             with_verdicts=verdicts,
             with_reduction_error=judged,
-            frequencies_only=tuple(position in natural for position in range(last_axis_length)),
+            frequencies_only_by_position=tuple(
+                position in natural for position in range(last_axis_length)
+            ),
         )
 
     request = on_root(comm, start)
@@ -272,7 +274,7 @@ class SweepResult(Tabular):
 
         The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`.
         """
-        return np.nan_to_num([self[f"{part}_error"] for part in ERROR_PARTS])
+        return np.nan_to_num([self[f"{error_part}_error"] for error_part in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
@@ -379,21 +381,23 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
-        gap, force = read_waves(self.path, case_index)
-        problem = Problem(structure, omega, law, len(gap) // 2)
-        wave = problem.wave_of(np.zeros((len(gap), 0)), gap, force)  # u follows from the forces
-        solution_fields = vars(wave) | {
+        gap_rows, force_rows = read_waves(self.path, case_index)
+        problem = Problem(structure, omega, law, len(gap_rows) // 2)
+        # Without displacements: they follow from the forces.
+        wave = problem.wave_of(np.zeros((len(gap_rows), 0)), gap_rows, force_rows)
+        value_by_field = vars(wave) | {
             "status": str(self["status"][case_index]),
             "iterations": int(self["iterations"][case_index]),
             "error_penetration": float(self["penetration_share"][case_index]),
             "error_displacement": 0.0,
         }
-        solution_fields |= {
-            f"error_{name}": float(self[f"{name}_error"][case_index]) for name in ERROR_PARTS
+        value_by_field |= {
+            f"error_{error_part}": float(self[f"{error_part}_error"][case_index])
+            for error_part in ERROR_PARTS
         }
         if problem.is_projected:
-            solution_fields["weight"] = default_weight(problem.compliance())
-        return solution_from(solution_fields, structure, law)
+            value_by_field["weight"] = default_weight(problem.compliance())
+        return solution_from(value_by_field, structure, law)
 
     def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """Return the index of a converged case; raise InputError for other cases."""
@@ -417,22 +421,22 @@ class SweepResult(Tabular):
         The scene's ``[output] quantities`` chooses them; otherwise there are a few.
         """
         label_by_point, label_and_unit_by_column = self.scene.point_names, {}
-        for name in self.scene.quantities or names_of(where=DRAWN):
-            words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
-            if QUANTITIES[name].of is not Place.POINT:
-                label_and_unit_by_column[name] = words, unit
+        for quantity_name in self.scene.quantities or names_of(where=DRAWN):
+            label, unit = QUANTITIES[quantity_name].words, QUANTITIES[quantity_name].unit
+            if QUANTITIES[quantity_name].of is not Place.POINT:
+                label_and_unit_by_column[quantity_name] = label, unit
             elif label_by_point:
                 label_and_unit_by_column |= {
-                    f"{point}.{name}": (f"{words}, {point_label}", unit)
+                    f"{point}.{quantity_name}": (f"{label}, {point_label}", unit)
                     for point, point_label in label_by_point.items()
                 }
             else:
-                column_name = load_column_name(name)
-                label_and_unit_by_column[column_name] = f"{words} at the load's point", unit
+                column_name = load_column_name(quantity_name)
+                label_and_unit_by_column[column_name] = f"{label} at the load's point", unit
         return {
-            name: label_and_unit
-            for name, label_and_unit in label_and_unit_by_column.items()
-            if name in self.columns
+            quantity_name: label_and_unit
+            for quantity_name, label_and_unit in label_and_unit_by_column.items()
+            if quantity_name in self.columns
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -443,8 +447,10 @@ class SweepResult(Tabular):
             for axis, axis_column in zip(self.axes, axis_columns, strict=True)
         }
         values_by_column["state"] = STATE_NAMES[self["state"]].ravel().tolist()
-        column_names = (name for name in self.columns if name != "state")
-        return values_by_column | {name: self[name].ravel().tolist() for name in column_names}
+        column_names = (column_name for column_name in self.columns if column_name != "state")
+        return values_by_column | {
+            column_name: self[column_name].ravel().tolist() for column_name in column_names
+        }
 
     def to_xarray(self) -> Any:
         """Return the columns of :meth:`to_dict` as an ``xarray.Dataset`` with units.
@@ -456,27 +462,31 @@ class SweepResult(Tabular):
         ImportError
             xarray is not installed: the package does without it.
         """
-        dataset_class, unit_by_name = optional("xarray", "to_xarray").Dataset, self._units()
-        coordinates = {
-            axis.key: [value if np.isscalar(value) else str(value) for value in axis.values]
+        dataset_class, unit_by_column = optional("xarray", "to_xarray").Dataset, self._units()
+        values_by_key = {
+            axis.key: [
+                axis_value if np.isscalar(axis_value) else str(axis_value)
+                for axis_value in axis.values
+            ]
             for axis in self.axes
         }
-        variables = {
-            name: (
-                [*coordinates],
-                np.reshape(values, self.shape),
-                {"units": unit_by_name.get(name, "")},
+        variable_by_name = {
+            column_name: (
+                [*values_by_key],
+                np.reshape(column_values, self.shape),
+                {"units": unit_by_column.get(column_name, "")},
             )
-            for name, values in self.to_dict().items()
-            if name not in coordinates
+            for column_name, column_values in self.to_dict().items()
+            if column_name not in values_by_key
         }
-        return dataset_class(variables, coordinates)
+        return dataset_class(variable_by_name, values_by_key)
 
     def _units(self) -> dict[str, str]:
         """Return the units of swept keys and columns, by name."""
         unit_by_key = {axis.key: unit_of_key(axis.key) for axis in self.axes}
         return unit_by_key | {
-            name: unit for name, (unit, _) in column_formats_of(self.scene).items()
+            column_name: unit
+            for column_name, (unit, _) in unit_and_type_by_column(self.scene).items()
         }
 
     def said(self) -> Said:
@@ -484,9 +494,13 @@ class SweepResult(Tabular):
         is_converged, clauses = self.converged, []
         total_errors = self.errors.sum(axis=0)[is_converged]
         cases_text = counted(is_converged.size, "case")
-        if np.any(np.isfinite(responses := np.where(is_converged, self["response"], np.nan))):
-            peak_index = np.unravel_index(int(np.nanargmax(responses)), responses.shape)
-            response_text = quantity(float(responses[peak_index]), "m")
+        if np.any(
+            np.isfinite(converged_responses := np.where(is_converged, self["response"], np.nan))
+        ):
+            peak_index = np.unravel_index(
+                int(np.nanargmax(converged_responses)), converged_responses.shape
+            )
+            response_text = quantity(float(converged_responses[peak_index]), "m")
             clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
             clauses[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
         max_error = total_errors.max(initial=0.0)
@@ -521,7 +535,14 @@ class SweepResult(Tabular):
         )
         axes_text = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join(
-            [axes_text, *(f"{count} {state}" for state, count in states_and_counts if count)]
+            [
+                axes_text,
+                *(
+                    f"{n_cases} {state_name}"
+                    for state_name, n_cases in states_and_counts
+                    if n_cases
+                ),
+            ]
         )
 
 
@@ -542,9 +563,9 @@ def describe_by_reason(
         pattern = re.sub(r"[-+]?\d[\d.e+-]*", "#", reason)
         cases_by_pattern.setdefault(pattern, []).append((index, reason))
     case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
-    for cases in case_groups[:n_shown]:
-        index, reason = cases[0]
-        count_text = f"{counted(len(cases), 'case')} {outcome_text}, the first at"
+    for group_cases in case_groups[:n_shown]:
+        index, reason = group_cases[0]
+        count_text = f"{counted(len(group_cases), 'case')} {outcome_text}, the first at"
         yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
     if further_groups := case_groups[n_shown:]:
         n_further_cases = sum(map(len, further_groups))

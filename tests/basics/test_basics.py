@@ -47,7 +47,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.fem import compat
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.scene.words import describe_differences, value_in_words
-from fenics_crack.sweep.file import CASE_COLUMN_FORMATS
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN
 
 # --- stages and messages --------------------------------------------------------------------------
 
@@ -157,7 +157,7 @@ def made_sweep(scene: fc.Scene) -> fc.SweepResult:
     numbers = np.arange(6.0).reshape(2, 3)
     columns: dict[str, np.ndarray] = {
         name: numbers.astype(str if kind.startswith("S") else kind)
-        for name, (_, kind) in CASE_COLUMN_FORMATS.items()
+        for name, (_, kind) in UNIT_AND_TYPE_BY_COLUMN.items()
     }
     columns["state"] = np.array([[1, 1, 2], [1, 1, 0]])
     swept = replace(scene, sweep=Sweep.from_mapping({"over": over}))

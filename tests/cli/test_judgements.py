@@ -30,7 +30,7 @@ from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import describe_differences, key_in_words, value_in_words
 from fenics_crack.sweep import result
-from fenics_crack.sweep.file import CASE_COLUMN_FORMATS, State
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, State
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -131,7 +131,7 @@ def swept(scene: fc.Scene, path: Path) -> SweepResult:
     scene = scene.replace({"sweep.over": axes})
     generator = np.random.default_rng(0)
     columns: dict[str, np.ndarray] = {
-        name: generator.random((31, 6)) for name in CASE_COLUMN_FORMATS
+        name: generator.random((31, 6)) for name in UNIT_AND_TYPE_BY_COLUMN
     }
     columns["state"] = np.full((31, 6), State.CONVERGED)
     columns["verdict"] = generator.choice(["stable", "unstable", "undecided"], (31, 6))

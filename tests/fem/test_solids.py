@@ -350,8 +350,8 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
         assert found == [True, True, False]
         with pytest.raises(InputError, match="a combination can be used"):
             Plan(swept.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
-    assert plan.max_gap_rows == max(bound for bound, _ in plan.geometry_costs) > 0
-    assert plan.geometry_costs[2] == (0, 0.0)
+    assert plan.gap_rows_upper_bound == max(bound for bound, _ in plan.pair_bounds_and_lengths) > 0
+    assert plan.pair_bounds_and_lengths[2] == (0, 0.0)
 
 
 @pytest.mark.nightly

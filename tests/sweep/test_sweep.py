@@ -32,7 +32,7 @@ from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
-from fenics_crack.sweep.file import CASE_COLUMN_FORMATS, SweepFile
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, SweepFile
 
 Over = Mapping[str, Any]
 SOFT = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
@@ -71,7 +71,7 @@ def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSol
 def assert_same(one: SweepResult, other: SweepResult) -> None:
     """All columns but the time agree to the bit, and so do the gaps."""
     assert one.shape == other.shape and one.complete and other.complete
-    for name in ("state", *(name for name in CASE_COLUMN_FORMATS if name != "seconds")):
+    for name in ("state", *(name for name in UNIT_AND_TYPE_BY_COLUMN if name != "seconds")):
         np.testing.assert_array_equal(other[name], one[name], err_msg=name)
     for index in map(tuple, np.argwhere(one.converged)):
         np.testing.assert_array_equal(other.gap(index), one.gap(index))
@@ -391,12 +391,12 @@ def test_a_file_from_before_an_observable(
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, SOFT | points)
     number, path = {"harmonics": 5, "response": 1e-3, "tip.ux.mean": 2e-3}, tmp_path / "old.h5"
     later = {"response", "opening", "tip.ux.harmonic_1", "omega_open"}
-    now = sweep_file.column_formats_of
+    now = sweep_file.unit_and_type_by_column
 
     def before(scene: fc.Scene) -> dict[str, tuple[str, str]]:
         return {name: what for name, what in now(scene).items() if name not in later}
 
-    monkeypatch.setattr(sweep_file, "column_formats_of", before)
+    monkeypatch.setattr(sweep_file, "unit_and_type_by_column", before)
     file = SweepFile(path, scene, 5, 1)
     waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
     file.record(np.arange(1), [number | waves])
@@ -410,7 +410,7 @@ def test_a_file_from_before_an_observable(
         run_sweep(scene, path)
 
 
-EACH = len(CASE_COLUMN_FORMATS) + 3
+EACH = len(UNIT_AND_TYPE_BY_COLUMN) + 3
 """What is written of each chunk: columns, waves, states."""
 
 
@@ -480,7 +480,7 @@ def test_file_holds_numbers_and_words_only(fast: SweepResult) -> None:
             "force",
             "checksum",
             "waves_checksum",
-            *CASE_COLUMN_FORMATS,
+            *UNIT_AND_TYPE_BY_COLUMN,
         }
         for item in file.values():
             assert item.dtype.kind in "fiuS" and item.chunks is item.compression is None

@@ -48,7 +48,7 @@ from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import KEPT_ORDERS, MODE_NUMBERS, State
+from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, MODE_NUMBERS, State
 from fenics_crack.sweep.result import SweepResult
 
 
@@ -374,7 +374,7 @@ class Feature:
             lips = row.quantity.removeprefix("frequency_")
             states = RESONANCE_STATES if lips == "resonance" else (lips,)
             return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
-        orders = row.orders or KEPT_ORDERS
+        orders = row.orders or KEPT_HARMONIC_ORDERS
         return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
 
     @property
