@@ -502,7 +502,7 @@ class Table:
     """Name of the first table, "loads.1", if all tables of the class stand in a list."""
     SHORTHAND_KEY: ClassVar[str | None] = None
     """Key whose word may stand for the whole table: ``reduction = "off"``."""
-    _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
+    _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
     """Advice by unknown key, "name", or by refused value, "edge = top"."""
 
     def with_dimension(self, dimension: int) -> Any:
@@ -563,7 +563,7 @@ class Table:
         key_field = cls.field_by_key()[key]
         suggestions: list[Any] = []
         if isinstance(value, str):
-            if advice_text := cls._ADVICE_BY_MISTAKE.get(f"{key} = {value}"):
+            if advice_text := cls._ADVICE_TEXT_BY_MISTAKE.get(f"{key} = {value}"):
                 return f"; {advice_text}"
             suggestions = near(value, key_field.metadata.get("words", ()))
         for candidate in candidates(value, key_field.metadata["unit"]):
@@ -582,7 +582,7 @@ class Table:
     @classmethod
     def schema(cls) -> dict[str, Any]:
         """Return the table as a JSON schema."""
-        key_schemas: dict[str, Any] = {}
+        schema_by_key: dict[str, Any] = {}
         for key, key_field in cls.field_by_key().items():
             type_names = str(key_field.type).removesuffix(" | None").split(" | ")
             json_types = [
@@ -591,27 +591,27 @@ class Table:
             if "tuple[int, ...]" in type_names:  # one number stands for a list of it
                 json_types.append("integer")
             description_text = f"{key_field.metadata['allowed']} [{key_field.metadata['unit']}]"
-            key_schemas[key] = {
+            schema_by_key[key] = {
                 "type": json_types,
                 "description": description_text.removesuffix(" []"),
             }
             if "words" in key_field.metadata:
-                key_schemas[key]["enum"] = key_field.metadata["words"]
+                schema_by_key[key]["enum"] = key_field.metadata["words"]
             if key_field.default not in (MISSING, None, ()):
-                key_schemas[key]["default"] = key_field.default
+                schema_by_key[key]["default"] = key_field.default
         required_keys = [
             key for key, key_field in cls.field_by_key().items() if key_field.default is MISSING
         ]
         table_schema: dict[str, Any] = {
             "type": "object",
-            "properties": key_schemas,
+            "properties": schema_by_key,
             "required": required_keys,
         }
         table_schema["additionalProperties"] = False
         return (
             table_schema
             if cls.SHORTHAND_KEY is None
-            else {"anyOf": [table_schema, key_schemas[cls.SHORTHAND_KEY]]}
+            else {"anyOf": [table_schema, schema_by_key[cls.SHORTHAND_KEY]]}
         )
 
     @classmethod
@@ -651,15 +651,19 @@ class Table:
         toml_lines, axes_lines = [f"[{self.full_key()}]"], []
         derived_keys = self.derived_keys
         for key, key_field in self.field_by_key().items():
-            key_values = getattr(self, key)
-            if isinstance(key_values, tuple) and key_values and isinstance(key_values[0], Axis):
+            current_value = getattr(self, key)
+            if (
+                isinstance(current_value, tuple)
+                and current_value
+                and isinstance(current_value[0], Axis)
+            ):
                 axes_lines += [
                     "",
                     f"[{self.full_key(key)}]",
-                    *(axis.as_toml() for axis in key_values),
+                    *(axis.as_toml() for axis in current_value),
                 ]
-            elif key_values != key_field.default and key not in derived_keys:
-                toml_lines.append(f"{key} = {_value_as_toml(key_values)}")
+            elif current_value != key_field.default and key not in derived_keys:
+                toml_lines.append(f"{key} = {_value_as_toml(current_value)}")
         return "\n".join([*toml_lines, *axes_lines, ""])
 
     def require(self, condition: bool, key: str, requirement: str) -> None:
@@ -673,7 +677,7 @@ class Table:
         self.require(getattr(self, key) is not None, key, requirement)
         return getattr(self, key)
 
-    def leave_out(self, keys: Iterable[str], circumstance: str) -> None:
+    def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key is neither None nor the default."""
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
@@ -707,7 +711,7 @@ class Table:
     @classmethod
     def unknown_key_text(cls, key: str) -> str:
         """Return the error text for an unknown key: suggested keys and all known keys."""
-        advice_text = cls._ADVICE_BY_MISTAKE.get(key) or meant(cls.suggest_keys(key)).strip()
+        advice_text = cls._ADVICE_TEXT_BY_MISTAKE.get(key) or meant(cls.suggest_keys(key)).strip()
         return f"left out; {advice_text} known keys: {', '.join(cls.field_by_key())}".replace(
             ";  ", "; "
         )

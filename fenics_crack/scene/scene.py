@@ -137,7 +137,7 @@ class Scene:
             self.curve.require(self.speed == 0.0, "parameter", requirement)
         if self.integration is not None and self.rotation is not None:
             circumstance = "[rotation]: the mean load is partly centrifugal"
-            self.integration.leave_out(("deflection", "free"), circumstance)
+            self.integration.forbid_keys(("deflection", "free"), circumstance)
         if self.structure is not None:
             _check_matrices(self, self.structure)
         else:
@@ -162,7 +162,7 @@ class Scene:
         if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
             requirement = "left out without mesh.layout = 'file'"
             self.identify.require(not self.identify.meshes, "meshes", requirement)
-            self.identify.leave_out(("uncracked",), "a mesh that is not a file")
+            self.identify.forbid_keys(("uncracked",), "a mesh that is not a file")
 
     def __repr__(self) -> str:
         return f"Scene({_describe_scene(self)})"
@@ -170,9 +170,9 @@ class Scene:
     @property
     def all_cracks(self) -> dict[str, kinds.Crack]:
         """Cracks by name: "crack", "cracks.1", "cracks.2"."""
-        crack_by_name = {} if self.crack is None else {"crack": self.crack}
-        return crack_by_name | {
-            f"cracks.{position}": crack for position, crack in enumerate(self.cracks, 1)
+        first_crack_by_name = {} if self.crack is None else {"crack": self.crack}
+        return first_crack_by_name | {
+            f"cracks.{crack_number}": crack for crack_number, crack in enumerate(self.cracks, 1)
         }
 
     @classmethod
@@ -252,14 +252,14 @@ class Scene:
             table_name: table_class.schema()
             for table_name, table_class in _TABLE_CLASS_BY_NAME.items()
         }
-        schema_by_list = {
+        list_schema_by_table = {
             table_name: {"type": "array", "items": schema_by_table[table_name]}
             for table_name in _LIST_TABLE_NAMES
         }
         return {
             "$schema": "http://json-schema.org/draft-07/schema#",
             "type": "object",
-            "properties": schema_by_table | schema_by_list,
+            "properties": schema_by_table | list_schema_by_table,
             "additionalProperties": False,
         }
 
@@ -555,14 +555,14 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
 def _path_by_key(scene: Scene) -> dict[str, str]:
     """Return the paths of a scene's files by key, without sweep and meshes."""
     split_keys = ((full_key, *full_key.split(".")) for full_key in _PATH_KEYS)
-    value_by_path_key = {
+    path_or_none_by_key = {
         full_key: getattr(getattr(scene, table_name), key_in_table, None)
         for full_key, table_name, key_in_table in split_keys
     }
     return {
-        full_key: key_value
-        for full_key, key_value in value_by_path_key.items()
-        if isinstance(key_value, str)
+        full_key: path_or_none
+        for full_key, path_or_none in path_or_none_by_key.items()
+        if isinstance(path_or_none, str)
     }
 
 
@@ -674,10 +674,10 @@ def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
         scene.excitation.require(has_no_force, force_key or "point", requirement)
         matrix_files = structure.mass, structure.stiffness, structure.damping or ""
         if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrix_files):
-            structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
+            structure.forbid_keys(("dofs",), "matrices that have no model, and are not CalculiX's")
     if structure.gap is None and (structure.model is None or scene.contact is None):
         pair_keys = ("clearance", "areas", "tangential")
-        structure.leave_out(pair_keys, "no pairs: no gap, nor a model with [contact]")
+        structure.forbid_keys(pair_keys, "no pairs: no gap, nor a model with [contact]")
     _set_vector_dimension(scene)
     if scene.excitation.point is None:
         force_files = (structure.force_sin, structure.force_cos, structure.force_mean)
@@ -691,7 +691,7 @@ def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
         requirement = "'all' with [structure]"
         scene.contact.require(scene.contact.pairs == "all", "pairs", requirement)
         if structure.areas is None and (structure.model is None or structure.gap is not None):
-            scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+            scene.contact.forbid_keys(("stiffness_per_area",), "[structure], which has no areas")
         if structure.model is None and structure.gap is None:
             requirement = "left out without structure.gap or model: there are no pairs"
             raise InputError("contact", "a table", requirement)
@@ -711,8 +711,8 @@ def _set_vector_dimension(scene: Scene) -> None:
         tables = getattr(scene, table_name)
         if table_name in _LIST_TABLE_NAMES:
             converted_tables: Any = []
-            for position, table in enumerate(tables, 1):
-                with table_name_in_errors(f"{table_name}.{position}"):
+            for list_position, table in enumerate(tables, 1):
+                with table_name_in_errors(f"{table_name}.{list_position}"):
                     converted_tables.append(table.with_dimension(dimension))
             object.__setattr__(scene, table_name, tuple(converted_tables))
         elif tables is not None:
@@ -728,25 +728,25 @@ def _check_dimension(scene: Scene) -> None:
     """Raise InputError if a table does not fit a plate, or a solid."""
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
-        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
+        scene.rotation.forbid_keys(("axis", "center"), "a plate: its axis is parallel to x")
     for crack_name, crack in scene.all_cracks.items() if dimension == 2 else ():
         with table_name_in_errors(crack_name):
-            crack.leave_out(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
+            crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
     _set_vector_dimension(scene)
     mesh = scene.mesh
     if scene.contact is not None and scene.contact.pairs == "mouth":
-        mesh.leave_out(("patches",), "contact.pairs = 'mouth', which keeps one")
+        mesh.forbid_keys(("patches",), "contact.pairs = 'mouth', which keeps one")
     if dimension == 3:
         requirement = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", requirement)
         requirement = "'graded' or 'file' with geometry.kind = 'solid'"
         mesh.require(mesh.layout != "grid", "layout", requirement)
-        mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
+        mesh.forbid_keys(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
         if scene.contact is not None and scene.contact.friction and scene.disk is not None:
             requirement = "0, or left out, with [disk] and geometry.kind = 'solid': not there yet"
             scene.contact.require(False, "friction", requirement)
     if geometry.file is None:
-        mesh.leave_out(("per_turn",), "no geometry.file: it has no curved faces")
+        mesh.forbid_keys(("per_turn",), "no geometry.file: it has no curved faces")
     if dimension == 2 or (mesh.layout != "file" and geometry.file is None):
         geometry.given("thickness", "given: a finite number > 0")
 
@@ -763,12 +763,12 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
         scene.curve.require(scene.curve.continuation_range[0] != "speed", "parameter", requirement)
     for crack_name, crack in scene.all_cracks.items():
         with table_name_in_errors(crack_name):
-            crack.leave_out(("first_omega", "first_frequency"), "[disk]")
+            crack.forbid_keys(("first_omega", "first_frequency"), "[disk]")
     radius_keys = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
-        disk.leave_out(radius_keys, "mesh.layout = 'file'")
+        disk.forbid_keys(radius_keys, "mesh.layout = 'file'")
         return
-    disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
+    disk.forbid_keys(("center", "axis"), "a blade on a rim that is made here")
     inner_radius, outer_radius = (disk.given(radius_key) for radius_key in radius_keys)
     disk.require(
         inner_radius < outer_radius,
@@ -804,7 +804,7 @@ def _check_plate(scene: Scene) -> None:
         scene.excitation.given("point", "given: [x, y] on the plate")
     if scene.excitation.point is None and (force_key := scene.excitation.first_force_key):
         scene.excitation.require(False, force_key, "left out without excitation.point")
-    load_by_name = {f"loads.{position}": load for position, load in enumerate(scene.loads, 1)}
+    load_by_name = {f"loads.{load_number}": load for load_number, load in enumerate(scene.loads, 1)}
     for load_name, load in ({"excitation": scene.excitation} | load_by_name).items():
         sides = geometry.sides
         is_on_side = [
@@ -834,15 +834,15 @@ def _check_part(scene: Scene) -> None:
     for crack_name, crack in scene.all_cracks.items():
         with table_name_in_errors(crack_name):
             crack.given("point", "given with geometry.file: [x, y, z]")
-            crack.check_plane()
+            crack.check_plane_keys()
 
 
 def _check_file(scene: Scene) -> None:
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
-    scene.geometry.leave_out(keys_in_file, "mesh.layout = 'file'")
+    scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
     for crack_name, crack in scene.all_cracks.items():
         with table_name_in_errors(crack_name):
-            crack.leave_out(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
+            crack.forbid_keys(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
 
 
 # --- where the cracks of a plate may be -----------------------------------------------------------
@@ -859,9 +859,9 @@ def _check_cracks(scene: Scene) -> None:
     for crack_name, crack in cracks.items():
         with table_name_in_errors(crack_name):
             if crack.point is not None:
-                crack.check_plane()
+                crack.check_plane_keys()
                 continue
-            crack.leave_out(kinds.PLANE_CRACK_KEYS, "no crack.point")
+            crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "no crack.point")
             crack.require(crack.front != "through", "front", "another one without crack.point")
             _check_crack(crack, geometry, list(cracks))
             _check_front(crack, geometry)
@@ -883,7 +883,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
     )
     is_inside_plate = crack.center is not None
     if is_inside_plate:
-        crack.leave_out(("edge",), "crack.center")
+        crack.forbid_keys(("edge",), "crack.center")
     else:
         crack.given(
             "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
@@ -893,7 +893,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
     crack.require(_is_inside(crack.height or 0.0, height), "height", requirement)
     if len(crack_names) > 1:
         circumstance = "several cracks: it finds the length of the only one"
-        crack.leave_out(("first_frequency", "first_omega"), circumstance)
+        crack.forbid_keys(("first_frequency", "first_omega"), circumstance)
     requirement = "given, or left out where crack.first_omega determines it, or first_frequency"
     crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement)
     requirement = f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g}, "
@@ -912,9 +912,9 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
 
 def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
     if geometry.dimension == 2:
-        crack.leave_out(("depth", "front"), "geometry.kind = 'plate'")
+        crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:
-        crack.leave_out(("front",), "a crack through the thickness: there is no crack.depth")
+        crack.forbid_keys(("front",), "a crack through the thickness: there is no crack.depth")
     else:
         thickness = geometry.sides[2]
         thickness_text = f"geometry.thickness = {thickness:g}"
@@ -926,15 +926,15 @@ def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
 def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
     crack.given("length", "given with mesh.layout = 'grid'")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
-    extent_and_count_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
-    for extent_key, (extent, cell_count) in extent_and_count_by_key.items():
-        crack_cells, cell_size_text = (
-            getattr(crack, extent_key) / extent * cell_count,
-            f"{extent / cell_count:g} m",
+    extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
+    for extent_key, (extent, n_cells) in extent_and_cells_by_key.items():
+        n_crack_cells, cell_size_text = (
+            getattr(crack, extent_key) / extent * n_cells,
+            f"{extent / n_cells:g} m",
         )
         is_on_grid_line = (
-            0 < round(crack_cells) < cell_count
-            and abs(crack_cells - round(crack_cells)) < 1e-9 * cell_count
+            0 < round(n_crack_cells) < n_cells
+            and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells
         )
         requirement = (
             f"a whole number of grid cells of {cell_size_text}, at least one from each end"
@@ -988,8 +988,8 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
     """
     checked_axes, seen_keys = [], set()
     for axis in axes:
-        table_name, position, key_in_table = _split_key(axis.key)
-        table_exists = position is None or position <= len(getattr(scene, table_name))
+        table_name, list_position, key_in_table = _split_key(axis.key)
+        table_exists = list_position is None or list_position <= len(getattr(scene, table_name))
         is_sweepable_key = (
             table_name in _SWEEPABLE_TABLE_NAMES
             and key_in_table in _TABLE_CLASS_BY_NAME[table_name].field_by_key()
@@ -1055,8 +1055,8 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
     if not isinstance(raw_tables, list | tuple):
         raise InputError(table_name, raw_tables, f"a list of tables: [[{table_name}]]")
     tables = []
-    for position, raw_table in enumerate(raw_tables, 1):
-        with table_name_in_errors(f"{table_name}.{position}"):
+    for list_position, raw_table in enumerate(raw_tables, 1):
+        with table_name_in_errors(f"{table_name}.{list_position}"):
             tables.append(
                 raw_table
                 if isinstance(raw_table, table_class)
@@ -1070,7 +1070,7 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
 
     Raises InputError for an unknown key. The key is empty if the change removes the table.
     """
-    table_name, position, key_in_table = _split_key(full_key)
+    table_name, list_position, key_in_table = _split_key(full_key)
     table_class = _TABLE_CLASS_BY_NAME.get(table_name)
     if table_class is None:
         raise InputError(full_key, value, _unknown_table_text(full_key))
@@ -1079,13 +1079,13 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
     if not key_in_table:
         if (
             value is not None
-            or position is not None
+            or list_position is not None
             or table_name not in (*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES)
         ):
             removable_names = ", ".join((*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES))
             requirement = f"changed key by key; only {removable_names} can be removed, by none"
             raise InputError(full_key, value, requirement)
-    elif (position is None) == (table_name in _LIST_TABLE_NAMES):
+    elif (list_position is None) == (table_name in _LIST_TABLE_NAMES):
         known_keys_text = ", ".join(
             f"{table_name}.1.{subkey}" for subkey in table_class.field_by_key()
         )
@@ -1097,7 +1097,7 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
                 full_key, value, f"changed as a whole: {table_name}.{parent_key}={{{subkey}=...}}"
             )
         raise InputError(full_key, value, table_class.unknown_key_text(key_in_table))
-    return table_name, position, key_in_table
+    return table_name, list_position, key_in_table
 
 
 def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
@@ -1105,19 +1105,19 @@ def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object])
     changed_tables = dict(tables)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
     for full_key, changed_value in changes.items():
-        table_name, position, key_in_table = _split_changed_key(str(full_key), changed_value)
+        table_name, list_position, key_in_table = _split_changed_key(str(full_key), changed_value)
         if key_in_table:
-            changes_by_table.setdefault((table_name, position or 0), {})[key_in_table] = (
+            changes_by_table.setdefault((table_name, list_position or 0), {})[key_in_table] = (
                 changed_value
             )
         else:
             changed_tables.pop(table_name, None)
-    for (table_name, position), table_changes in sorted(
+    for (table_name, list_position), table_changes in sorted(
         changes_by_table.items(), key=lambda changes_item: changes_item[0][1]
     ):
-        if position:
+        if list_position:
             changed_tables[table_name] = _merge_list_changes(
-                table_name, changed_tables.get(table_name, ()), position, table_changes
+                table_name, changed_tables.get(table_name, ()), list_position, table_changes
             )
         else:
             changed_tables[table_name] = _merge_table_changes(
@@ -1144,20 +1144,20 @@ def _merge_table_changes(table_name: str, table: Any, changes: dict[str, object]
 
 
 def _merge_list_changes(
-    table_name: str, tables: Any, position: int, changes: dict[str, object]
+    table_name: str, tables: Any, list_position: int, changes: dict[str, object]
 ) -> tuple[Any, ...]:
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables: [[{table_name}]]")
-    if position > len(tables) + 1:
-        first_changed_key = f"{table_name}.{position}.{next(iter(changes))}"
+    if list_position > len(tables) + 1:
+        first_changed_key = f"{table_name}.{list_position}.{next(iter(changes))}"
         requirement = f"one of the {len(tables)} [[{table_name}]], or of the next one"
         raise InputError(first_changed_key, next(iter(changes.values())), requirement)
-    current_table = tables[position - 1] if position <= len(tables) else None
-    with table_name_in_errors(f"{table_name}.{position}"):
+    current_table = tables[list_position - 1] if list_position <= len(tables) else None
+    with table_name_in_errors(f"{table_name}.{list_position}"):
         return (
-            *tables[: position - 1],
+            *tables[: list_position - 1],
             _merge_table_changes(table_name, current_table, changes),
-            *tables[position:],
+            *tables[list_position:],
         )
 
 

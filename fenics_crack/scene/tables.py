@@ -87,16 +87,16 @@ class Geometry(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.file is None:
-            self.leave_out(("unit", "faces"), "no geometry.file")
+            self.forbid_keys(("unit", "faces"), "no geometry.file")
             return
         self.require(self.kind == "solid", "kind", "'solid' with geometry.file")
-        self.leave_out(("width", "height", "thickness"), "geometry.file")
+        self.forbid_keys(("width", "height", "thickness"), "geometry.file")
         has_clamp = any(face.key == "clamp" and face.values for face in self.faces)
         self.require(has_clamp, "faces", "names with lists of points, one of them clamp")
         if self.file.lower().endswith(".brep"):
             self.given("unit", "given: 'mm', 'm' or 'inch', as a .brep file has none")
         else:
-            self.leave_out(("unit",), "a STEP file, which has one")
+            self.forbid_keys(("unit",), "a STEP file, which has one")
 
     @property
     def dimension(self) -> int:
@@ -131,7 +131,7 @@ class Crack(Table):
     part inside the solid of an ellipse around ``point``, or of the half-plane ending at ``point``.
     """
 
-    _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = dict.fromkeys(
+    _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("edge = top", "edge = bottom"),
         "cracks run across the plate; one that does not comes in a mesh (mesh.layout = 'file')",
     )
@@ -177,9 +177,9 @@ class Crack(Table):
     clearance: float = number_field(0.0, unit="m")
     """g0 >= 0: opening to be closed before the crack faces touch; < 0: preload."""
 
-    def check_plane(self) -> None:
+    def check_plane_keys(self) -> None:
         """Raise InputError unless the keys define a crack around a point in a solid."""
-        self.leave_out(BOX_CRACK_KEYS, "crack.point")
+        self.forbid_keys(BOX_CRACK_KEYS, "crack.point")
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
         self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
@@ -187,9 +187,9 @@ class Crack(Table):
             given_key for given_key in ("length", "depth") if getattr(self, given_key) is not None
         ]
         if self.front == "through":
-            self.leave_out(("radii", "depth"), "front = 'through'")
+            self.forbid_keys(("radii", "depth"), "front = 'through'")
         elif self.radii is not None:
-            self.leave_out(given_keys, "crack.radii")
+            self.forbid_keys(given_keys, "crack.radii")
         else:
             requirement = "given: [a, b]; or front = 'through', or crack.length and depth"
             self.require(len(given_keys) == 2, "radii", requirement)
@@ -235,7 +235,7 @@ class Crack(Table):
 class Material(Table):
     """Isotropic linear elastic material."""
 
-    _ADVICE_BY_MISTAKE: ClassVar[Mapping[str, str]] = {
+    _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {
         "name": "no material is known by its name: steel has young = 2.1e11, poisson = 0.3 and "
         "density = 7850.0;",
         "E": "did you mean material.young?",
@@ -303,16 +303,16 @@ class Damping(Table):
         ]
         requirement = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
         self.require(bool(given_groups_and_keys), "ratio", f"{requirement} or frequencies")
-        (chosen_group, key), *_ = given_groups_and_keys
+        (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
-            if key_group is not chosen_group:
-                self.leave_out(key_group, f"{key} = {getattr(self, key)}")
+            if key_group is not chosen_key_group:
+                self.forbid_keys(key_group, f"{key} = {getattr(self, key)}")
         if self.ratio is None:
             self.require(self.modes == "all", "modes", f"left out with {key}: all are damped")
         elif isinstance(self.ratio, tuple):
             has_right_length = self.modes in ("all", len(self.ratio))
             self.require(has_right_length, "ratio", f"a list of damping.modes = {self.modes}")
-        if "ratios" in chosen_group:
+        if "ratios" in chosen_key_group:
             ratios = self.given("ratios", f"given with omegas = {self.omegas}")
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
             check_two_ratios(self.full_key("ratios"), ratios, omegas)
@@ -375,14 +375,14 @@ class Excitation(Table, Periodic):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.wave is None:
-            self.leave_out(("wave_harmonics",), "no excitation.wave")
+            self.forbid_keys(("wave_harmonics",), "no excitation.wave")
         if self.order is None:
             self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
 
     def at_speed(self, speed: float) -> Excitation:
         """Return the excitation with omega from the order and a rotor speed [rad/s]."""
         if "_inferred_keys" not in vars(self):
-            self.leave_out(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
+            self.forbid_keys(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
         return self.with_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
 
     @classmethod
@@ -465,11 +465,11 @@ class Load(Table, Periodic):
         )
         allowed_keys, forbidden_keys = force_keys, pressure_keys + traction_keys
         if self.point is not None:
-            self.leave_out(("edge",), "point")
+            self.forbid_keys(("edge",), "point")
         else:
             self.given("edge", "given, or point: where the load acts")
             allowed_keys, forbidden_keys = forbidden_keys, allowed_keys
-        self.leave_out(forbidden_keys, "edge" if self.point is None else "point")
+        self.forbid_keys(forbidden_keys, "edge" if self.point is None else "point")
         has_load = any(getattr(self, key) is not None for key in allowed_keys) or bool(
             self.harmonics
         )
@@ -481,7 +481,7 @@ class Load(Table, Periodic):
             has_load, allowed_keys[-1], f"given, or another of {', '.join(allowed_keys[:-1])}"
         )
         if all(getattr(self, key) is None for key in allowed_keys if not key.endswith("_mean")):
-            self.leave_out(("phase",), "a mean load alone")
+            self.forbid_keys(("phase",), "a mean load alone")
 
     @staticmethod
     def _component_keys(load_kind: str) -> tuple[str, ...]:
@@ -524,10 +524,12 @@ class Load(Table, Periodic):
             *first_order_vectors,
             *((),) * (2 * self.highest_order - 2),
         ]
-        is_scalar = load_kind == "pressure"
+        is_pressure = load_kind == "pressure"
         add_harmonics(
             harmonic_vectors,
-            tuple(harmonic for harmonic in self.harmonics if (len(harmonic.cos) == 1) == is_scalar),
+            tuple(
+                harmonic for harmonic in self.harmonics if (len(harmonic.cos) == 1) == is_pressure
+            ),
         )
         return harmonic_vectors
 
@@ -614,13 +616,13 @@ class Rotation(Table):
         super().__post_init__()
         self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
         if self.center is not None:
-            self.leave_out(("hub_radius",), "center")
+            self.forbid_keys(("hub_radius",), "center")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     def check_axis_position(self, disk: Disk | None) -> None:
         """Raise InputError unless the position of the axis is known."""
         if disk is not None:
-            self.leave_out(("hub_radius", "axis", "center"), "[disk], which has an axis")
+            self.forbid_keys(("hub_radius", "axis", "center"), "[disk], which has an axis")
         elif self.center is None:
             self.given("hub_radius", "given: a finite number >= 0")
 
@@ -690,7 +692,7 @@ class Disk(Table):
         if self.mistuning is not None:
             requirement = f"one number for each of the {self.sectors} sectors"
             self.require(len(self.mistuning) == self.sectors, "mistuning", requirement)
-            self.leave_out(("deviation", "seed"), "disk.mistuning")
+            self.forbid_keys(("deviation", "seed"), "disk.mistuning")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     @property
@@ -737,7 +739,7 @@ class Contact(Table):
         super().__post_init__()
         law_text = f"law = {self.law!r}"
         if self.law == "unilateral":
-            self.leave_out(("stiffness", "stiffness_per_area"), law_text)
+            self.forbid_keys(("stiffness", "stiffness_per_area"), law_text)
         else:
             has_one_stiffness = (self.stiffness is None) != (self.stiffness_per_area is None)
             self.require(
@@ -748,9 +750,9 @@ class Contact(Table):
         if self.law == "smoothed":
             self.given("sharpness", f"given with {law_text}")
         else:
-            self.leave_out(("sharpness",), law_text)
+            self.forbid_keys(("sharpness",), law_text)
         if not self.friction:
-            self.leave_out(("tangential_stiffness_per_area",), "contact.friction = 0")
+            self.forbid_keys(("tangential_stiffness_per_area",), "contact.friction = 0")
         elif not self.is_unilateral:
             self.require(False, "friction", f"0, or left out, with {law_text}")
 
@@ -795,14 +797,14 @@ class HarmonicBalance(Table):
         if self.harmonics is not None or self.samples is not None or not self.error:
             del default_by_key["tolerance"]
         if self.form == "block":
-            self.leave_out(("tolerance",), "form = 'block'")
+            self.forbid_keys(("tolerance",), "form = 'block'")
             default_by_key.pop("tolerance", None)
         inferred_keys = {key for key in default_by_key if getattr(self, key) is None}
         vars(self).update(
             {key: default_by_key[key] for key in inferred_keys}, _inferred_keys=inferred_keys
         )
         if self.tolerance is not None:
-            self.leave_out(("samples",), "a tolerance")
+            self.forbid_keys(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
         min_samples = 4 * self.harmonics + 1
         has_allowed_samples = self.samples is None or min_samples <= self.samples <= MAX_SAMPLES
@@ -884,12 +886,12 @@ class Mesh(Table):
         }
         layout_keys = keys_by_layout.pop(self.layout)
         for other_keys in keys_by_layout.values():
-            self.leave_out(other_keys, f"layout = {self.layout!r}")
+            self.forbid_keys(other_keys, f"layout = {self.layout!r}")
         for key in layout_keys:
             if key not in ("lip_elements", "coarser"):  # an uncracked plate has no crack faces
                 self.given(key, f"given with layout = {self.layout!r}")
         if self.layout == "file":
-            self.leave_out(("cells",), "layout = 'file', whose mesh has its own")
+            self.forbid_keys(("cells",), "layout = 'file', whose mesh has its own")
 
     def with_dimension(self, dimension: int) -> Mesh:
         """Return the mesh with the default order for a plane (1) or space (2)."""
@@ -1072,7 +1074,7 @@ class Integration(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.initial is not None:
-            self.leave_out(("deflection",), "initial")
+            self.forbid_keys(("deflection",), "initial")
 
 
 @dataclass(frozen=True)
@@ -1160,7 +1162,7 @@ class Growth(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.drive != "spectrum":
-            self.leave_out(("frequencies", "cycles"), f"drive = {self.drive!r}")
+            self.forbid_keys(("frequencies", "cycles"), f"drive = {self.drive!r}")
             return
         for spectrum_key in ("frequencies", "cycles"):
             self.given(
@@ -1509,7 +1511,7 @@ class TipTiming(Table):
         super().__post_init__()
         if self.frequencies is not None:
             self.require(self.subharmonic == 1, "subharmonic", "1 with tip_timing.frequencies")
-            self.leave_out(("orders",), "tip_timing.frequencies")
+            self.forbid_keys(("orders",), "tip_timing.frequencies")
 
 
 @dataclass(frozen=True)

@@ -113,7 +113,7 @@ def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> d
     for key, value in nested_tables.items():
         subtable = value
         if isinstance(value, list) and value and isinstance(value[0], dict):
-            subtable = {str(position): table for position, table in enumerate(value, 1)}
+            subtable = {str(list_position): table for list_position, table in enumerate(value, 1)}
         if isinstance(subtable, dict):
             value_by_key |= _flatten_tables(subtable, f"{key_prefix}{key}.")
         else:

@@ -265,24 +265,27 @@ def solve_chunk(
     list of dict
         Values of the cases that were tried.
     """
-    solver, chunk_values = CaseSolver(geometry), []
+    solver, chunk_case_values = CaseSolver(geometry), []
     for case_number, case in zip(chunk.case_numbers.tolist(), chunk.scenes_or_reasons, strict=True):
         if not may_continue():
             break
         if isinstance(case, str):
-            chunk_values.append({"status": case})
+            chunk_case_values.append({"status": case})
             solver = CaseSolver(geometry)
             continue
         start_time = time.perf_counter()
-        harmonics = case.harmonic_balance.harmonics
-        case_values: CaseValues = {"crack_length": geometry.crack_length, "harmonics": harmonics}
-        case_values |= _frequency_values(case.excitation.omega, geometry.bilinear_frequencies)
-        case_values |= _natural_frequency_values(geometry.bilinear_frequencies)
+        n_harmonics = case.harmonic_balance.harmonics
+        value_by_column: CaseValues = {
+            "crack_length": geometry.crack_length,
+            "harmonics": n_harmonics,
+        }
+        value_by_column |= _frequency_values(case.excitation.omega, geometry.bilinear_frequencies)
+        value_by_column |= _natural_frequency_values(geometry.bilinear_frequencies)
         if request.frequencies_only_by_position[
             case_number % len(request.frequencies_only_by_position)
         ]:
-            chunk_values.append(
-                case_values
+            chunk_case_values.append(
+                value_by_column
                 | {"status": FREQUENCIES_ONLY_STATUS, "seconds": time.perf_counter() - start_time}
             )
             continue
@@ -295,22 +298,22 @@ def solve_chunk(
                 geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
                 solver = CaseSolver(geometry)
                 solution = solver.solve_as_requested(case, request)
-            case_values |= _observe_values(solution, case, geometry)
-            case_values |= (
+            value_by_column |= _observe_values(solution, case, geometry)
+            value_by_column |= (
                 _frequency_values(solution.omega, geometry.bilinear_frequencies)
                 | solution.to_dict()
             )
             if not request.with_reduction_error:
-                case_values.pop("reduction_error")
+                value_by_column.pop("reduction_error")
             if request.with_verdicts and case.harmonic_balance.error:
-                case_values |= solver.assess_stability(solution)
-                case_values["status"] += case_values.pop("remark", "")
-            case_values |= {"gap": solution.gap_rows, "force": solution.force_rows}
+                value_by_column |= solver.assess_stability(solution)
+                value_by_column["status"] += value_by_column.pop("remark", "")
+            value_by_column |= {"gap": solution.gap_rows, "force": solution.force_rows}
         except REFUSALS as error:
             solver = CaseSolver(geometry)
-            case_values["status"] = str(error)
-        chunk_values.append(case_values | {"seconds": time.perf_counter() - start_time})
-    return chunk_values
+            value_by_column["status"] = str(error)
+        chunk_case_values.append(value_by_column | {"seconds": time.perf_counter() - start_time})
+    return chunk_case_values
 
 
 class CaseSolver:
@@ -331,7 +334,7 @@ class CaseSolver:
     def solve(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the given frequency; raises an error in :data:`REFUSALS` on failure."""
         omega, balance_table = case.excitation.omega, case.harmonic_balance
-        self._set_structure(case)
+        self._set_structure_and_law(case)
         structure, law = self._structure, self._law
         if law is not None:
             law = slide_along_lines(structure, omega, law)
@@ -345,7 +348,7 @@ class CaseSolver:
         )
         return self._last_solution
 
-    def _set_structure(self, case: Scene) -> None:
+    def _set_structure_and_law(self, case: Scene) -> None:
         """Set structure and law for a case, unless only its frequency differs."""
         comparable_case = case.replace({"excitation.omega": 1.0, "curve": None})
         if self._last_case != comparable_case:
@@ -360,7 +363,7 @@ class CaseSolver:
         holds with friction or a smooth law, which have no phase resonance.
         """
         balance_table = case.harmonic_balance
-        self._set_structure(case)
+        self._set_structure_and_law(case)
         omega = case.excitation.omega
         assert self._law is not None
         law = slide_along_lines(self._structure, omega, self._law)
@@ -463,7 +466,7 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
     """
     row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
-    observed_displacements, case_values = solution.observe_rows(
+    observed_displacements, value_by_column = solution.observe_rows(
         row_matrix, rows_requested(geometry.study)
     )
     for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
@@ -474,11 +477,11 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
         value_by_quantity |= zip(
             UNIT_BY_HARMONIC_PART, observed_displacement.coefficients[1:].tolist(), strict=False
         )
-        case_values |= {
+        value_by_column |= {
             f"{point_name}.{quantity}" if point_name else load_column_name(quantity): quantity_value
             for quantity, quantity_value in value_by_quantity.items()
         }
-    return case_values
+    return value_by_column
 
 
 def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
@@ -488,8 +491,8 @@ def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[s
     at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
     """
     force_norms = np.linalg.norm(force_parts(case), axis=1)
-    has_harmonic = np.any(force_norms[1:])
-    row_index = len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if has_harmonic else 0
-    if not force_norms[row_index]:
-        return {}
-    return {"": solution.structure.force[row_index] / force_norms[row_index]}
+    row_index = (
+        len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if np.any(force_norms[1:]) else 0
+    )
+    norm = force_norms[row_index]
+    return {"": solution.structure.force[row_index] / norm} if norm else {}

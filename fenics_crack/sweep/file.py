@@ -66,7 +66,7 @@ def load_column_name(quantity: str) -> str:
 
 MODE_NUMBERS = range(1, FEW_MODES + 1)
 """Numbers of the modes whose natural frequencies each case keeps."""
-LABEL_AND_UNIT_BY_FREQUENCY = {
+FREQUENCY_COLUMN_LABELS_AND_UNITS = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
         ("open", "natural frequency {}, crack open"),
@@ -98,7 +98,7 @@ UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
         for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     },
     **{name: (UNITS[name], "f8") for name in names_of(Place.FACES, Place.MODES, without=FRICTION)},
-    **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY.items()},
+    **{name: (unit, "f8") for name, (_, unit) in FREQUENCY_COLUMN_LABELS_AND_UNITS.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
     **{f"{by}_error": ("1", "f8") for by in ("residual", "truncation", "sampling", "reduction")},
@@ -136,8 +136,10 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
 
     Named points have columns such as "tip.ux.ratio_2_1".
     """
-    friction_quantities = names_of(where=FRICTION) * scene.has_friction
-    requested_quantities = friction_quantities + quantities_on_request(scene)
+    requested_quantities = (
+        *(names_of(where=FRICTION) if scene.has_friction else ()),
+        *quantities_on_request(scene),
+    )
     unit_and_type_by_point_column = {
         f"{point_name}.{column_name}": (unit, "f8")
         for point_name in scene.point_names
@@ -269,8 +271,11 @@ class SweepFile:
             self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
             for wave_name, waves in waves_by_name.items():
                 if wave_name in self.sweep_header.columns:
-                    n_columns = self.sweep_header.columns[wave_name].shape[-1]
-                    self._write_column(wave_name, case_numbers, _pad_waves(waves, n_columns))
+                    self._write_column(
+                        wave_name,
+                        case_numbers,
+                        _pad_waves(waves, self.sweep_header.columns[wave_name].shape[-1]),
+                    )
             # The checksum, which confirms a case, is the last column.
             for column_name, column_values in column_by_name.items():
                 self._write_column(column_name, case_numbers, column_values)
@@ -293,8 +298,11 @@ class SweepFile:
         )
         # Bytes of rows: NumPy drops trailing zeros from a single text.
         for case_number, case_bytes in zip(case_numbers, byte_rows, strict=True):
-            offset = stored_column.offset + int(case_number) * bytes_per_case
-            put(self._file_descriptor, case_bytes.tobytes(), offset)
+            put(
+                self._file_descriptor,
+                case_bytes.tobytes(),
+                stored_column.offset + int(case_number) * bytes_per_case,
+            )
 
     def _is_at_path(self) -> bool:
         """Return True if the path still leads to the open file."""
@@ -430,7 +438,9 @@ def _describe_column(column_name: str) -> str:
     words_by_quantity = {
         column_name: observable.words for column_name, observable in QUANTITIES.items()
     }
-    return words_by_quantity.get(quantity) or LABEL_AND_UNIT_BY_FREQUENCY.get(quantity, ("",))[0]
+    return (
+        words_by_quantity.get(quantity) or FREQUENCY_COLUMN_LABELS_AND_UNITS.get(quantity, ("",))[0]
+    )
 
 
 def _compute_waves_checksum(gap: np.ndarray, force: np.ndarray) -> int:
@@ -586,8 +596,7 @@ def _confirm_states(
     is_damaged : (n_cases,) bool
         True for cases with a state that no checksum confirms.
     """
-    stored_states = column_by_name.pop("state")
-    stored_checksums = column_by_name.pop(CASE_CHECKSUM_COLUMN_NAME)
+    stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
     case_states = np.full(len(stored_states), State.PENDING, stored_states.dtype)
     written_column_by_name = {

@@ -114,9 +114,11 @@ class Worker:
         )
         if scene is None or geometry_number == self._geometry_number:
             return
-        last_geometry = self._geometry_or_error if scene.speed else None
-        if not isinstance(last_geometry, SweepGeometry):
-            last_geometry = None
+        last_geometry = (
+            self._geometry_or_error
+            if scene.speed and isinstance(self._geometry_or_error, SweepGeometry)
+            else None
+        )
         try:
             self._geometry_or_error = build_geometry(
                 scene, MPI.COMM_SELF, self._request, last_geometry
@@ -134,8 +136,10 @@ class Worker:
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
             try:
-                chunk_values = solve_chunk(geometry_or_error, chunk, self._request, may_continue)
-                return chunk.case_numbers[: len(chunk_values)], chunk_values
+                chunk_case_values = solve_chunk(
+                    geometry_or_error, chunk, self._request, may_continue
+                )
+                return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
             except Exception:
                 return chunk.case_numbers, _make_unforeseen_error()
         is_too_large = (
@@ -328,11 +332,10 @@ class Manager:
         ]
         geometry_number = self._geometry_by_rank.get(rank, -1)
         if geometry_number not in self._remaining_chunks_by_geometry:
-            longest_geometry_number = max(
-                self._remaining_chunks_by_geometry,
+            geometry_number = max(
+                unassigned_geometry_numbers[:1] or self._remaining_chunks_by_geometry,
                 key=lambda number: len(self._remaining_chunks_by_geometry[number]),
             )
-            geometry_number = [*unassigned_geometry_numbers, longest_geometry_number][0]
         self._geometry_by_rank[rank] = geometry_number
         chunks = self._remaining_chunks_by_geometry[geometry_number]
         is_one_job = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
@@ -354,11 +357,11 @@ class Manager:
             return
         self._n_recorded_chunks += 1
         cases_without_solution = (
-            case_values for case_values in outcome if "gap" not in case_values
+            value_by_column for value_by_column in outcome if "gap" not in value_by_column
         )
         self._n_failed_cases += sum(
-            case_values["status"] != FREQUENCIES_ONLY_STATUS
-            for case_values in cases_without_solution
+            value_by_column["status"] != FREQUENCIES_ONLY_STATUS
+            for value_by_column in cases_without_solution
         )
         if self._n_failed_cases:
             self._progress_bar.set_postfix_str(f"{self._n_failed_cases} failed", refresh=False)

@@ -87,8 +87,10 @@ class Plan:
             self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
         )
         """Upper bound for the harmonics of all cases."""
-        has_tolerance = balance_table.tolerance is not None
-        if has_tolerance or "harmonic_balance.tolerance" in self._swept_values_by_key:
+        if (
+            balance_table.tolerance is not None
+            or "harmonic_balance.tolerance" in self._swept_values_by_key
+        ):
             self.harmonics_upper_bound = max(self.harmonics_upper_bound, MOST_HARMONICS)
         if not any(
             isinstance(self._case_by_number(case_number), Scene)
@@ -112,13 +114,17 @@ class Plan:
         chunk_axis_length = self.shape[chunk_axes[0]] if chunk_axes else 1
         case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
         case_numbers = case_numbers.transpose([*geometry_axes, *inner_axes, *chunk_axes])
-        numbers_by_geometry = case_numbers.reshape(
+        case_numbers_by_geometry = case_numbers.reshape(
             math.prod(self.shape[axis] for axis in geometry_axes), -1, chunk_axis_length
         )
         n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
         return [
-            [chunk for chunk_row in geometry_rows for chunk in np.array_split(chunk_row, n_chunks)]
-            for geometry_rows in numbers_by_geometry
+            [
+                chunk
+                for case_number_row in geometry_case_numbers
+                for chunk in np.array_split(case_number_row, n_chunks)
+            ]
+            for geometry_case_numbers in case_numbers_by_geometry
         ]
 
     @property
@@ -146,7 +152,7 @@ class Plan:
             cracks = tuple(replace(crack, clearance=0.0) for crack in scene.all_cracks.values())
             mesh_key = scene.structure, scene.mesh, pair_selection, cracks, scene.geometry
             if mesh_key not in pair_bound_by_mesh:
-                pair_bound_by_mesh[mesh_key] = _bound_contact_pairs(scene)
+                pair_bound_by_mesh[mesh_key] = _find_pair_upper_bound(scene)
             bounds_and_lengths.append(
                 (pair_bound_by_mesh[mesh_key], cracks[0].length or 0.0 if cracks else 0.0)
             )
@@ -172,7 +178,7 @@ class Plan:
         return Chunk(case_numbers, tuple(map(self._case_by_number, case_numbers)))
 
 
-def _bound_contact_pairs(scene: Scene) -> int:
+def _find_pair_upper_bound(scene: Scene) -> int:
     """Return an upper bound for the number of contact pairs in a scene.
 
     A solid is meshed, a mesh file is read; other plates need neither.

@@ -431,8 +431,10 @@ class SweepResult(Tabular):
                     for point, point_label in label_by_point.items()
                 }
             else:
-                column_name = load_column_name(quantity_name)
-                label_and_unit_by_column[column_name] = f"{label} at the load's point", unit
+                label_and_unit_by_column[load_column_name(quantity_name)] = (
+                    f"{label} at the load's point",
+                    unit,
+                )
         return {
             quantity_name: label_and_unit
             for quantity_name, label_and_unit in label_and_unit_by_column.items()
@@ -560,8 +562,9 @@ def describe_by_reason(
     """Describe cases with reasons, grouped; reasons that differ only in numbers are equal."""
     cases_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for index, reason in reasons:
-        pattern = re.sub(r"[-+]?\d[\d.e+-]*", "#", reason)
-        cases_by_pattern.setdefault(pattern, []).append((index, reason))
+        cases_by_pattern.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append(
+            (index, reason)
+        )
     case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
     for group_cases in case_groups[:n_shown]:
         index, reason = group_cases[0]
@@ -569,8 +572,10 @@ def describe_by_reason(
         yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
     if further_groups := case_groups[n_shown:]:
         n_further_cases = sum(map(len, further_groups))
-        count_text = f"{counted(n_further_cases, 'case')} {outcome_text}"
-        yield f"{count_text} for other reasons: column status of the table"
+        yield (
+            f"{counted(n_further_cases, 'case')} {outcome_text} for other reasons: "
+            "column status of the table"
+        )
 
 
 def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
