@@ -142,7 +142,7 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
             key_names = ", ".join(f"tip_timing.{record_key}" for record_key in RECORD_KEYS)
             requirement = f"left out with a record in place of a scene, or {key_names}"
             raise InputError(key, value, requirement)
-        table_values[name] = TipTiming.read_value(name, value)
+        table_values[name] = TipTiming.convert_value(name, value)
     with console.stage("arrival times"):
         probes = np.radians(table_values["probes"]) if "probes" in table_values else None
         blades = read_record(

@@ -52,18 +52,23 @@ class Axis:
 
 
 class Point(Axis):
-    """Named point: ``key`` is the name, ``values`` are x, y and, in a solid, z [m]."""
+    """Named point.
+
+    ``key`` is the name, ``values`` are x, y and, in a solid, z [m].
+    """
 
 
 class Face(Axis):
-    """Named face of a part: ``key`` is the name, ``values`` are points (x, y, z) [m] on it."""
+    """Named face of a part.
+
+    ``key`` is the name, ``values`` are points (x, y, z) on the face [m].
+    """
 
 
 class MeshFile(Axis):
-    """Mesh file with the parameters of its mesh: ``key`` is the path, ``values`` are names and
-    numbers.
+    """Mesh file with the parameters of the mesh.
 
-    Example of ``values``: ``(("crack.length", 0.005),)``.
+    ``key`` is the path, ``values`` are names and numbers: ``(("crack.length", 0.005),)``.
     """
 
     def as_toml(self) -> str:
@@ -113,7 +118,7 @@ def _read_float(value: object) -> float:
 
 
 def _read_int(value: object) -> int:
-    """Read a whole number below 2^31."""
+    """Read a whole number with a magnitude below 2^31."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
     number = int(value)
@@ -247,7 +252,10 @@ def _require_distinct(values: Any) -> Any:
 
 
 def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
-    """Read the values of an axis: a list, or a range with start, stop, count and spacing."""
+    """Read the values of an axis, from a list or a range.
+
+    A range has start, stop, count and spacing.
+    """
     if isinstance(values_or_range, list | tuple) and values_or_range:
         return tuple(values_or_range)
     range_table = values_or_range if isinstance(values_or_range, Mapping) else {}
@@ -264,7 +272,7 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         )
     except (KeyError, TypeError, OverflowError, InputError):
         is_valid_range = False
-    key_suffix = f'."{name}"'  # behind the name of the key: Table.read_value
+    key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
     if not is_valid_range or spacing not in ("linear", "logarithmic"):
         requirement = (
             "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted,"
@@ -483,7 +491,7 @@ def _value_as_toml(value: object) -> str:
 
 @contextmanager
 def table_name_in_errors(table_name: str) -> Iterator[None]:
-    """Replace the table's name in errors by its name in the file: "cracks.1" for a Crack."""
+    """Use a table's name in the file for errors: "cracks.1" for a Crack."""
     try:
         yield
     except InputError as error:
@@ -531,7 +539,7 @@ class Table:
         for key, key_field in self.field_by_key().items():
             value = getattr(self, key)
             if value is not None or key_field.default is not None:
-                object.__setattr__(self, key, self.read_value(key, value))
+                object.__setattr__(self, key, self.convert_value(key, value))
         for twin_key, si_key in self.si_key_by_twin().items():
             if (twin_value := getattr(self, twin_key)) is not None:
                 si_value = scale_numbers(
@@ -542,7 +550,7 @@ class Table:
                 object.__setattr__(self, si_key, si_value)
 
     @classmethod
-    def read_value(cls, key: str, value: object) -> Any:
+    def convert_value(cls, key: str, value: object) -> Any:
         """Convert a value to its stored form; raise InputError if not allowed."""
         key_field = cls.field_by_key()[key]
         try:
@@ -643,7 +651,10 @@ class Table:
 
     @classmethod
     def suggested_key(cls, key: str) -> str:
-        """Return a key as errors suggest it; in a list of tables the first table's key."""
+        """Return a key as errors suggest it.
+
+        For a list of tables it is the first table's key.
+        """
         return f"{cls.FIRST_TABLE_NAME}.{key}" if cls.FIRST_TABLE_NAME else cls.full_key(key)
 
     def as_toml(self) -> str:

@@ -316,7 +316,7 @@ class Scene:
         return 0.0 if self.rotation is None else self.rotation.speed
 
     def _uses_key(self, full_key: str) -> bool:
-        """Return True if a key in non-SI units is given, followed by a curve, or swept."""
+        """Return True if a key is given, followed by a curve, or swept."""
         table_name, key_in_table = full_key.split(".")
         is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
         is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
@@ -546,9 +546,9 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
         for key_and_path in _path_by_key(scene).items()
         if not key_and_path[0].startswith(RESULT_TABLE_NAMES)
     ]
-    for key, swept_values in scene.swept.items():
+    for key, axis_values in scene.swept.items():
         if key in _PATH_KEYS:
-            keys_and_paths += [(key, path) for path in swept_values if isinstance(path, str)]
+            keys_and_paths += [(key, path) for path in axis_values if isinstance(path, str)]
     return keys_and_paths
 
 
@@ -664,6 +664,7 @@ def unit_of_key(full_key: str) -> str:
 
 
 def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
+    """Raise InputError if tables contradict matrices from files."""
     _forbid_tables(scene, PLATE_TABLE_NAMES, "[structure]")
     if structure.damping is not None:
         _forbid_tables(scene, ("damping",), "structure.damping")
@@ -752,7 +753,7 @@ def _check_dimension(scene: Scene) -> None:
 
 
 def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
-    """Raise InputError if a bladed disk does not support a table, or its rim is wrong."""
+    """Raise InputError if a bladed disk excludes a table, or the rim is wrong."""
     _forbid_tables(scene, ("base", "growth", "identify", "reduction"), "[disk]")
     scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
     if scene.speed == 0.0:
@@ -790,6 +791,7 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
 
 
 def _check_plate(scene: Scene) -> None:
+    """Raise InputError if a plate's sides or points of load are wrong."""
     geometry = scene.geometry
     _, height = (geometry.given(side_key) for side_key in ("width", "height"))
     for side_key in ("width", "thickness")[: scene.dimension - 1]:
@@ -838,6 +840,7 @@ def _check_part(scene: Scene) -> None:
 
 
 def _check_file(scene: Scene) -> None:
+    """Raise InputError if keys repeat what the mesh file defines."""
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
     for crack_name, crack in scene.all_cracks.items():
@@ -876,6 +879,7 @@ def _check_cracks(scene: Scene) -> None:
 
 
 def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list[str]) -> None:
+    """Raise InputError if a crack's keys are inconsistent, or outside the plate."""
     width, height, *_ = geometry.sides
     geometry_kind, margin_text = (
         geometry.kind,
@@ -911,6 +915,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
 
 
 def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
+    """Raise InputError if depth and front of a crack do not fit the geometry."""
     if geometry.dimension == 2:
         crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:
@@ -924,6 +929,7 @@ def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
 
 
 def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
+    """Raise InputError unless crack and tips are on lines of the grid."""
     crack.given("length", "given with mesh.layout = 'grid'")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
@@ -1011,7 +1017,7 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
                 raise InputError(axes_key, axis.key, requirement)
         with table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
             axis_values = tuple(
-                _TABLE_CLASS_BY_NAME[table_name].read_value(key_in_table, axis_value)
+                _TABLE_CLASS_BY_NAME[table_name].convert_value(key_in_table, axis_value)
                 for axis_value in axis.values
             )
         if len(set(axis_values)) != len(axis_values) or not axis_values:
@@ -1104,11 +1110,11 @@ def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object])
     """Return tables, or their mappings, with changed keys."""
     changed_tables = dict(tables)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
-    for full_key, changed_value in changes.items():
-        table_name, list_position, key_in_table = _split_changed_key(str(full_key), changed_value)
+    for full_key, raw_value in changes.items():
+        table_name, list_position, key_in_table = _split_changed_key(str(full_key), raw_value)
         if key_in_table:
             changes_by_table.setdefault((table_name, list_position or 0), {})[key_in_table] = (
-                changed_value
+                raw_value
             )
         else:
             changed_tables.pop(table_name, None)
@@ -1146,6 +1152,7 @@ def _merge_table_changes(table_name: str, table: Any, changes: dict[str, object]
 def _merge_list_changes(
     table_name: str, tables: Any, list_position: int, changes: dict[str, object]
 ) -> tuple[Any, ...]:
+    """Return a list of tables with changes to one, or with a next table."""
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables: [[{table_name}]]")
     if list_position > len(tables) + 1:

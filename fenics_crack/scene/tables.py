@@ -485,6 +485,7 @@ class Load(Table, Periodic):
 
     @staticmethod
     def _component_keys(load_kind: str) -> tuple[str, ...]:
+        """Return the keys for mean, cosine and sine of a kind of load."""
         return tuple(f"{load_kind}_{part_name}" for part_name in ("mean", "cos", "sin"))
 
     def harmonic_components(self, load_kind: str) -> list[Vector]:
@@ -579,11 +580,11 @@ class Base(Table, Periodic):
 
 @dataclass(frozen=True)
 class Rotation(Table):
-    """Rotation of the plate as a blade; the rotor axis lies in its plane, parallel to the clamp.
+    """Rotation of the plate as a blade of a rotor.
 
-    The radius is hub_radius + y. Vibration in the plane is along x, parallel to the axis, and along
-    the radius. Coriolis forces are then normal to the plane. For a solid they are neglected, with a
-    remark if they matter.
+    The axis lies in the plate's plane, parallel to the clamp. The radius is hub_radius + y.
+    Vibration in the plane is along x, parallel to the axis, and along the radius. Coriolis forces
+    are then normal to the plane. For a solid they are neglected, with a remark if they matter.
 
     The axis of a solid may have any direction. It goes through the point at y = -hub_radius below
     the middle of a box's clamped face, or through ``center``. With a mesh file the point is (0,

@@ -239,6 +239,7 @@ class Manager:
 
     @property
     def _n_finished_cases(self) -> int:
+        """Number of converged and failed cases."""
         return int(np.count_nonzero(self._sweep_file.case_states != State.PENDING))
 
     def progress_text(self) -> str:

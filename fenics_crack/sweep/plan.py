@@ -171,6 +171,7 @@ class Plan:
             return str(error)
 
     def _case_by_number(self, case_number: int) -> Scene | str:
+        """Return the scene of a case, or the reason why it is refused."""
         return self.case_at(np.unravel_index(case_number, self.shape))
 
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:

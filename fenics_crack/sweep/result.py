@@ -532,6 +532,7 @@ class SweepResult(Tabular):
         )
 
     def _title(self) -> str:
+        """Return the numbers of values on the axes and of cases in each state."""
         states_and_counts = zip(
             STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
         )

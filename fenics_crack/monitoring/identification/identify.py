@@ -107,7 +107,7 @@ def identify(
     """
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})
-        changed = replace(table, unknown=Identify.read_value("unknown", unknown))
+        changed = replace(table, unknown=Identify.convert_value("unknown", unknown))
         scene = replace(scene, identify=changed)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with the unknowns")
