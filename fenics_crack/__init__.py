@@ -65,9 +65,9 @@ def __getattr__(name: str) -> Any:
 
 def _keys(name: str) -> list[str]:
     """The keys of a scene that a name may stand for."""
-    from fenics_crack.scene.scene import meant_keys
+    from fenics_crack.scene.scene import suggest_full_keys
 
-    return meant_keys(name)
+    return suggest_full_keys(name)
 
 
 def __dir__() -> list[str]:

@@ -192,7 +192,7 @@ def describe_instability(
         hint_texts += tolerance_options
         damping_table = scene.damping  # None: a matrix, which damps all modes or not
         if damping_table and not (
-            damping_table.of_all_modes or damped_count_and_max_omega(run.structure) is None
+            damping_table.damps_all_modes or damped_count_and_max_omega(run.structure) is None
         ):
             hint_texts.append("damping of all modes (damping.modes = 'all')")
     yield verdict_text + (f"; {' or '.join(hint_texts)} may decide it" if hint_texts else "")

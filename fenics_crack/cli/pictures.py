@@ -37,11 +37,11 @@ from fenics_crack.runs.conclusion import describe_error, frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.words import WHOLE, key_in_words, value_in_words
+from fenics_crack.scene.scene import Scene, unit_of_key
+from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
 from fenics_crack.study.campbell import ORDERS, Campbell
 from fenics_crack.study.prepare import prepare
-from fenics_crack.sweep.plan import FREQUENCIES
+from fenics_crack.sweep.plan import FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
@@ -391,7 +391,7 @@ def _select_drawn_axes(sweep_result: SweepResult) -> list[int]:
         raise InputError("path", str(sweep_result.path), "a sweep with a case that converged")
     axis_indices.sort(
         key=lambda axis_index: (
-            axes[axis_index].key not in FREQUENCIES,
+            axes[axis_index].key not in FREQUENCY_KEYS,
             -len(axes[axis_index].values),
         )
     )
@@ -479,8 +479,8 @@ def draw_swept(
 
 def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
     """Return an axis's values in a readable unit, and the label."""
-    unit, unit_factor = unit_of(axis.key), 1.0
-    if unit and unit not in WHOLE:
+    unit, unit_factor = unit_of_key(axis.key), 1.0
+    if unit and unit not in UNITS_WITHOUT_PREFIX:
         unit_factor, unit = readable(float(np.abs(axis_values).max()), unit)
     return unit_factor * axis_values, with_unit(key_in_words(axis.key), unit)
 

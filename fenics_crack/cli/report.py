@@ -35,10 +35,15 @@ from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
-from fenics_crack.scene.scene import Scene, unit_of
-from fenics_crack.scene.words import differences, given_values, key_in_words, value_in_words
+from fenics_crack.scene.scene import Scene, unit_of_key
+from fenics_crack.scene.words import (
+    describe_differences,
+    file_value_by_key,
+    key_in_words,
+    value_in_words,
+)
 from fenics_crack.study.shelf import KIND as KEPT_KIND
-from fenics_crack.sweep.result import is_part
+from fenics_crack.sweep.result import is_partial_sweep
 from fenics_crack.version import VERSION, packaged
 
 LISTED_TABLE_NAMES = (
@@ -137,9 +142,11 @@ def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[Stored], str]
     result_files = [
         stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
     ] or result_files
-    whole_files = [stored_file for stored_file in result_files if not is_part(stored_file)]
+    whole_files = [stored_file for stored_file in result_files if not is_partial_sweep(stored_file)]
     excluded_paths_text = (
-        ", ".join(str(stored_file.path) for stored_file in result_files if is_part(stored_file))
+        ", ".join(
+            str(stored_file.path) for stored_file in result_files if is_partial_sweep(stored_file)
+        )
         if whole_files
         else ""
     )
@@ -175,7 +182,9 @@ def _draw_curves(
         kind_names = [stored_file.kind for stored_file in result_files]
         raise InputError("result", kind_names, "curves, where several are drawn in one picture")
     curve_runs: list[Any] = [*map(restore_result, result_files)]
-    curve_labels = list(given_labels) or differences([curve_run.scene for curve_run in curve_runs])
+    curve_labels = list(given_labels) or describe_differences(
+        [curve_run.scene for curve_run in curve_runs]
+    )
     if len(set(curve_labels)) < len(curve_labels):
         path_texts = [str(Path(curve_path).with_suffix("")) for curve_path in curve_paths]
         curve_labels = [
@@ -247,7 +256,9 @@ def _write_page(
         result for _, result in files_and_results if result.scene is not None
     ]  # or a record
     scene_differences = iter(
-        differences([result.scene.replace({"reduction": None}) for result in scene_results])
+        describe_differences(
+            [result.scene.replace({"reduction": None}) for result in scene_results]
+        )
     )
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
     file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
@@ -336,7 +347,7 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
         mesh_picture = _encode_picture(
             draw_scene(scene, picture_folder, structure), "The mesh with its named parts."
         )
-    values_by_key = given_values(scene)
+    values_by_key = file_value_by_key(scene)
     listed_keys = [
         key for table in LISTED_TABLE_NAMES for key in values_by_key if key.startswith(f"{table}.")
     ]
@@ -356,7 +367,7 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
 def _format_value(key: str, value: object) -> str:
     """Return a scene's value in words; a vector has all components."""
     if isinstance(value, list):
-        return f"{value} {unit_of(key)}".rstrip()
+        return f"{value} {unit_of_key(key)}".rstrip()
     return value_in_words(key, value)
 
 

@@ -46,7 +46,7 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.runs.conclusion import conclusion_of, unknown_error, unknown_of_solution
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
-from fenics_crack.scene.scene import asked_quantities
+from fenics_crack.scene.scene import quantities_on_request
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import observe
 from fenics_crack.study.plausibility import highest_omega
@@ -213,7 +213,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 
     The result is empty in two dimensions, or if the scene requests none.
     """
-    requested_places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
+    requested_places = [QUANTITIES[name].of for name in quantities_on_request(run.scene)]
     if run.scene.dimension == 2 or Place.TIPS not in requested_places:
         return {}
     stress_intensities = stress_intensity(run)

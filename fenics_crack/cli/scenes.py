@@ -20,8 +20,8 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, asked_quantities
-from fenics_crack.scene.words import faces_in_words
+from fenics_crack.scene.scene import Scene, quantities_on_request
+from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
     CURVE_UNITS,
     KeyFigures,
@@ -48,13 +48,13 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     scene = inputs.scene
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
-        if asked_quantities(scene):  # which may be refused
+        if quantities_on_request(scene):  # which may be refused
             from fenics_crack.study.observer import rows_requested  # the solver
 
             rows_requested(study)
     structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(structure, n_harmonics)
-    is_run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
+    is_run_up = scene.curve is not None and scene.curve.continuation_range[0] == "speed"
     give_back_freed()
     memory_bytes = check_memory_of(scene, structure, run_up=is_run_up)
     with console.report_stage("natural frequencies"):
@@ -145,7 +145,7 @@ def _cad_part_rows(scene: Scene, structure: Structure) -> dict[str, str]:
 
 def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on natural frequencies and the load's relative frequency."""
-    faces_text = faces_in_words(scene)
+    faces_text = word_for_crack_faces(scene)
     frequencies_by_condition = {
         f", {faces_text} open": key_figures.omega_open,
         f", {faces_text} bonded": key_figures.omega_tied,
@@ -268,7 +268,7 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
         pair_stiffness = np.broadcast_to(contact_law.stiffness, study.structure.n_pairs)
         values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
         values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
-    faces_text = faces_in_words(study.scene)
+    faces_text = word_for_crack_faces(study.scene)
     static_stiffness = ranging(key_figures.own_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
     if key_figures.stiffness_ratio is not None:
@@ -301,7 +301,7 @@ def _describe_reduction(study: Study) -> str:
         modes_text = f"{counted(mode_counts[0], 'mode')} or more, for an error of "
         modes_text += f"{scene.harmonic_balance.tolerance:g}"
     if scene_reduction.method == "massless":
-        return f"massless, {modes_text}, {faces_in_words(scene)} without mass"
+        return f"massless, {modes_text}, {word_for_crack_faces(scene)} without mass"
     return f"{scene_reduction.method}, {modes_text}"
 
 
@@ -315,7 +315,7 @@ def _describe_invalid_cases(scene: Scene) -> str:
     ]  # others while they are run
     reason_texts = [
         case_or_reason
-        for case_or_reason in map(sweep_plan.case, case_indices)
+        for case_or_reason in map(sweep_plan.case_at, case_indices)
         if isinstance(case_or_reason, str)
     ]
     scope_text = (

@@ -12,10 +12,15 @@ from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
 from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, describe_large_error
 from fenics_crack.errors.verification import Verification
-from fenics_crack.scene.scene import unit_of
+from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.plan import FREQUENCIES
-from fenics_crack.sweep.result import NOT_STABLE, SweepResult, by_reason, in_words
+from fenics_crack.sweep.plan import FREQUENCY_KEYS
+from fenics_crack.sweep.result import (
+    VERDICTS_NOT_STABLE,
+    SweepResult,
+    describe_by_reason,
+    describe_swept_values,
+)
 
 SPEED_KEYS = ("rotation.speed", "rotation.rpm")
 
@@ -75,18 +80,20 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
 
 def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     """Yield warnings about failed cases, large errors and stability."""
-    yield from by_reason(sweep_result, sweep_result.failed, "failed")
+    yield from describe_by_reason(sweep_result, sweep_result.failed, "failed")
     yield from _describe_large_errors(sweep_result)
     verdicts = sweep_result["verdict"][sweep_result.converged]
-    counts_by_verdict = {verdict: int(np.sum(verdicts == verdict)) for verdict in NOT_STABLE}
+    counts_by_verdict = {
+        verdict: int(np.sum(verdicts == verdict)) for verdict in VERDICTS_NOT_STABLE
+    }
     if counts_by_verdict["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
     elif verdict_counts_text := " and ".join(
         f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
         yield f"{verdict_counts_text} of {counted(verdicts.size, 'case')}"
-    yield from by_reason(sweep_result, sweep_result.undecided, "undecided")
-    for warning_text in by_reason(
+    yield from describe_by_reason(sweep_result, sweep_result.undecided, "undecided")
+    for warning_text in describe_by_reason(
         sweep_result, sweep_result.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
@@ -126,7 +133,7 @@ def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
             error_limit=error_limit,
         ):
             yield (
-                f"{count_text}, the largest at {in_words(sweep_result.axes, case_index)}: "
+                f"{count_text}, the largest at {describe_swept_values(sweep_result.axes, case_index)}: "
                 f"{error_text}"
             )
 
@@ -141,7 +148,7 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
     axis_indices = [
         axis_index
         for axis_index, axis in enumerate(sweep_result.axes)
-        if axis.key in (*FREQUENCIES, *SPEED_KEYS)
+        if axis.key in (*FREQUENCY_KEYS, *SPEED_KEYS)
     ]
     if not axis_indices:
         return []
@@ -158,12 +165,14 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
     end_values = (
         swept_axis.values[value_index] for value_index in value_order[step_index : step_index + 2]
     )
-    range_text = in_unit((1.0, swept_axis.key, unit_of(swept_axis.key)), *end_values)
+    range_text = in_unit((1.0, swept_axis.key, unit_of_key(swept_axis.key)), *end_values)
     other_axes = [
         axis for axis_index, axis in enumerate(sweep_result.axes) if axis_index != axis_indices[0]
     ]
     location_text = "".join(
-        f", {axes_text}" for axes_text in [in_words(other_axes, other_indices)] if axes_text
+        f", {axes_text}"
+        for axes_text in [describe_swept_values(other_axes, other_indices)]
+        if axes_text
     )
     n_further_steps = int(is_skipped.sum()) - 1
     further_text = f", and at {counted(n_further_steps, 'other place')}" if n_further_steps else ""
@@ -203,7 +212,7 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     if len(table.rows) <= FEW_ROWS:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))
-    for frequency_key in FREQUENCIES:
+    for frequency_key in FREQUENCY_KEYS:
         axis_index = axis_keys.index(frequency_key) if frequency_key in axis_keys else axis_index
     responses = np.nan_to_num(sweep_result["response"], nan=-1.0)
     row_numbers = np.arange(responses.size).reshape(responses.shape)

@@ -185,7 +185,7 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
             )
             requirement_text = f"left out with a record in place of a scene, or {allowed_keys}"
             raise InputError(full_key, key_value, requirement_text)
-        table_values_by_name[key_name] = TipTiming.checked(key_name, key_value)
+        table_values_by_name[key_name] = TipTiming.convert_value(key_name, key_value)
     with console.report_stage("arrival times"):
         probe_angles = (
             np.radians(table_values_by_name["probes"]) if "probes" in table_values_by_name else None

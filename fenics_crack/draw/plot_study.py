@@ -35,7 +35,7 @@ from fenics_crack.draw.figure import (
 )
 from fenics_crack.errors.convergence import SAFE
 from fenics_crack.errors.verification import Verification
-from fenics_crack.scene.scene import unit_of
+from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.scene.words import key_in_words
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
@@ -122,8 +122,8 @@ def draw_posterior(
     panel.plot(*within[0].T, "+", **look)
     axes = next(iter(posterior.branches.values())).axes
     _set_limits(panel, np.concatenate(within), (axes[first], axes[second]))
-    label_axis(panel.xaxis, key_in_words(x), unit_of(x))
-    label_axis(panel.yaxis, key_in_words(y), unit_of(y))
+    label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
+    label_axis(panel.yaxis, key_in_words(y), unit_of_key(y))
     return picture.finished()
 
 
@@ -146,7 +146,7 @@ def _draw_density(panel: Axes, found: Identification, x: str) -> None:
         panel.fill_between(values[within], density[within] / most, **look)
     panel.axvline(found.estimate[x], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
-    label_axis(panel.xaxis, key_in_words(x), unit_of(x))
+    label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
     panel.set_ylabel("probability density over the largest")
 
 

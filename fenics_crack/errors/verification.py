@@ -430,7 +430,7 @@ def dent_by_force(scene: Scene) -> float:
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     at_points = [load for load in scene.loads if load.point is not None]
-    load = scene.excitation if scene.excitation.force_given else next(iter(at_points), None)
+    load = scene.excitation if scene.excitation.first_force_key else next(iter(at_points), None)
     if load is None or scene.structure is not None:
         return 0.0
     mesh, sides, thickness = scene.mesh, scene.geometry.sides, scene.geometry.thickness

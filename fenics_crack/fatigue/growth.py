@@ -46,11 +46,16 @@ from fenics_crack.fem.build import with_crack_length
 from fenics_crack.files.saved import Saved
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.scene import Scene, check_known, without_tips
+from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.file import NUMBERED
-from fenics_crack.sweep.result import NO_PEAK_SOUGHT, SweepResult, resonates, run_sweep
+from fenics_crack.sweep.file import MODE_NUMBERS
+from fenics_crack.sweep.result import (
+    SCENES_WITHOUT_PEAK_TEXT,
+    SweepResult,
+    can_seek_resonance,
+    run_sweep,
+)
 
 # --- the result, and its file ---------------------------------------------------------------------
 
@@ -136,7 +141,7 @@ class Growth(Saved):
     @property
     def repeats(self) -> np.ndarray | None:
         """Repeats of the spectrum until then (n,); None without a spectrum."""
-        repeat = self.scene.given("growth").repeat
+        repeat = self.scene.given("growth").repeat_cycles_and_duration
         return None if repeat is None else self.cycles / repeat[0]
 
     @property
@@ -335,7 +340,7 @@ def _errors(
 
 def _checked(scene: Scene) -> Scene:
     """A scene whose crack can grow; InputError where it cannot."""
-    check_known(without_tips(scene), "growth", "asked for")
+    refuse_for_reason(reason_without_stress_intensity(scene), "growth", "asked for")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
         allowed = "'graded' with [growth], which meshes many lengths"
@@ -353,8 +358,8 @@ def _checked(scene: Scene) -> Scene:
     if law.drive == "spectrum" and ellipse:
         allowed = "another one with crack.front = 'elliptical': each of its shapes has one load"
         raise InputError("growth.drive", law.drive, allowed)
-    if law.drive == "resonance" and not resonates(scene):
-        raise InputError("growth.drive", law.drive, f"another one {NO_PEAK_SOUGHT}")
+    if law.drive == "resonance" and not can_seek_resonance(scene):
+        raise InputError("growth.drive", law.drive, f"another one {SCENES_WITHOUT_PEAK_TEXT}")
     key, side = ("depth", "thickness") if ellipse else ("length", "width")
     allowed = "given with [growth], and crack.length: these are what changes"
     least, most = crack.given(key, allowed), getattr(scene.geometry, side) or math.inf
@@ -438,8 +443,8 @@ def _of_shapes(swept: SweepResult) -> EllipseTable:
     if not solved[0, 0] or solved.sum() < SHAPES:
         at, why = swept.failed[0]
         raise ConvergenceError(f"growth, {_shape(swept, at)}: {why}")
-    bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in NUMBERED]
-    mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
+    bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in MODE_NUMBERS]
+    mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
     numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
     names = (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE))
     columns = {name: swept[numbered.get(name, name)].copy() for name in names}
@@ -669,8 +674,8 @@ class LengthPath:
         new, leading = _driving(rows, law, cycles)
         mode = self.mode  # that of the first length, whichever is nearest later on
         if mode is None and solved.any():
-            bilinear = [of_lengths(f"omega_bilinear_{number}")[0, 0] for number in NUMBERED]
-            mode = NUMBERED[int(np.nanargmin(np.abs(bilinear - leading[0])))]
+            bilinear = [of_lengths(f"omega_bilinear_{number}")[0, 0] for number in MODE_NUMBERS]
+            mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear - leading[0])))]
         if mode is not None:
             for name in ("omega_open", "omega_bilinear"):
                 new[name] = of_lengths(f"{name}_{mode}")[:, 0]

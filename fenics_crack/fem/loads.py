@@ -83,7 +83,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         watched_vector = (
             displacement_weights if scene.has_other_loads or scene.speed > 0.0 else None
         )
-    elif (force_key := excitation.force_given) or not scene.has_other_loads:
+    elif (force_key := excitation.first_force_key) or not scene.has_other_loads:
         key_note = f" with excitation.{force_key}" if force_key else ""
         requirement = f"given{key_note}, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, requirement)
@@ -91,7 +91,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         key = f"loads.{load_number}"
         if load.point is not None:
             added_force_harmonics, displacement_weights = _point_load(
-                scene, dofs, key, load.point, load.parts("force")
+                scene, dofs, key, load.point, load.harmonic_components("force")
             )
             watched_vector = displacement_weights if watched_vector is None else watched_vector
         else:
@@ -254,14 +254,14 @@ def _edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
     weights = test_function_integrals.reshape(-1, dofs.dimension)[:, 0]
     nodal_force_harmonics = np.array(
-        [_distribute_vector(dofs, weights, part) for part in load.parts("traction")]
+        [_distribute_vector(dofs, weights, part) for part in load.harmonic_components("traction")]
     )
     normal = ufl.FacetNormal(dofs.space.mesh)
     unit_pressure_force = -compat.assembled_vector(
         t * ufl.inner(normal, test_function) * edge_measure
     )
     nodal_force_harmonics += np.array(
-        [sum(part) * unit_pressure_force for part in load.parts("pressure")]
+        [sum(part) * unit_pressure_force for part in load.harmonic_components("pressure")]
     )
     return _require_free_force(dofs, f"{key}.edge", load.edge, nodal_force_harmonics)
 

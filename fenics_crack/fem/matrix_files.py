@@ -54,12 +54,12 @@ from fenics_crack.model.modes import count_damped_modes
 from fenics_crack.model.nodes import Nodes, Pairs, format_point
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES, Damping, Excitation
+from fenics_crack.scene.tables import FORCE_KEYS, Damping, Excitation
 from fenics_crack.scene.tables import Structure as StructureTable
 
 MATRIX_LETTERS = {"mass": "M", "stiffness": "K", "damping": "B"}
 """Letter for each matrix in a file with several matrices."""
-ROW_FILE_KEYS = ("gap", "tangential", *FORCES)
+ROW_FILE_KEYS = ("gap", "tangential", *FORCE_KEYS)
 """Keys of files with a row for each dof."""
 SCENE_FILE_NAME = "matrices.toml"
 """Name of the scene that reads the written files."""
@@ -88,11 +88,11 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     try:
         return _make_structure(scene, table, damping_rule, comm)
     except InputError as error:
-        if error.key not in table.keys():
+        if error.key not in table.field_by_key():
             raise
         file_setting, problem = getattr(table, error.key), error.value
         path_text = file_setting if problem == file_setting else f"{file_setting} ({problem})"
-        raise InputError(table.name_of(error.key), path_text, error.allowed) from None
+        raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 
 
 def _make_structure(
@@ -133,7 +133,7 @@ def _make_structure(
     if scene.excitation.point is not None:
         assert own_nodes is not None
         _, point_dofs = own_nodes.find_nearest(comm, "excitation.point", scene.excitation.point)
-        for name in FORCES:
+        for name in FORCE_KEYS:
             force_column = sparse.lil_matrix(structure_fields.get(name, (n_dofs, 1)))
             for dof, force_component in zip(
                 point_dofs, getattr(scene.excitation, name), strict=True
@@ -343,7 +343,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
         "mass": local_rows(structure.mass),
         "stiffness": local_rows(structure.stiffness),
         "damping": None if damping_matrix is None else local_rows(damping_matrix),
-        **dict(zip(FORCES, (forces[:1].T, forces[1::2].T, forces[2::2].T), strict=True)),
+        **dict(zip(FORCE_KEYS, (forces[:1].T, forces[1::2].T, forces[2::2].T), strict=True)),
     }
     if structure.n_pairs:
         pair_slice = slice(None if comm.rank == 0 else 0)  # every rank has all pairs: write once

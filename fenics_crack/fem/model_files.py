@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.model.matrices import numbered_lines, read_number_rows
-from fenics_crack.scene.fields import LARGEST
+from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's type of tetrahedra, wedges and hexahedra, by their number of nodes."""
@@ -130,9 +130,10 @@ def _add_node(
     ValueError
         A coordinate is too large or no number, or the node has another position already.
     """
-    if not all(abs(coordinate) <= LARGEST for coordinate in position):
+    if not all(abs(coordinate) <= MAX_ALLOWED_MAGNITUDE for coordinate in position):
         raise ValueError(
-            f"line {line_number}: a coordinate of node {label} is no number to {LARGEST:g}"
+            f"line {line_number}: a coordinate of node {label} is no number to "
+            f"{MAX_ALLOWED_MAGNITUDE:g}"
         )
     if nodes.setdefault(label, position) != position:
         raise ValueError(f"line {line_number}: two places of node {label}")

@@ -77,4 +77,4 @@ def read_load_table_harmonics(load: Excitation, dimension: int) -> tuple[np.ndar
     residual : float
         Root mean square of the part of the table that these harmonics leave out, relative.
     """
-    return read_wave(load.name_of("wave"), load.given("wave"), load.wave_harmonics, dimension)
+    return read_wave(load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension)

@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origi
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.scene.fields import LARGEST
+from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
 
 T = TypeVar("T")
@@ -166,5 +166,5 @@ def check_arrays(parts: Mapping[str, Any]) -> None:
     for name, array in parts.items():
         if isinstance(array, np.ndarray):
             kinds = _ARRAYS.get(name.rpartition(".")[2], "bifu")
-            if array.dtype.kind not in kinds or np.any(np.abs(array) > LARGEST):
+            if array.dtype.kind not in kinds or np.any(np.abs(array) > MAX_ALLOWED_MAGNITUDE):
                 raise ValueError(f"its {name} does not fit")

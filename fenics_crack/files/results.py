@@ -32,7 +32,7 @@ from fenics_crack.model.modes import NEGLIGIBLE, Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import resize_harmonics
-from fenics_crack.scene.fields import LARGEST
+from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
@@ -452,7 +452,9 @@ def _law_parts(contact: Law, structure: Structure) -> Parts:
     if contact is not None and "law_sharpness" not in known and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
             force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
-        known["law_force"] = np.nan_to_num(force, posinf=LARGEST).clip(-LARGEST, LARGEST)
+        known["law_force"] = np.nan_to_num(force, posinf=MAX_ALLOWED_MAGNITUDE).clip(
+            -MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE
+        )
     return {"law": type(contact).__name__, **known}
 
 

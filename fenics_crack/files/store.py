@@ -34,7 +34,7 @@ from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
 from fenics_crack.fem.model_files import list_included_files
 from fenics_crack.files.codec import WRONG, check_arrays
-from fenics_crack.scene.scene import Scene, files_of, with_files
+from fenics_crack.scene.scene import Scene, file_keys_and_paths, with_file_paths
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def scene_text(scene: Scene) -> str:
 
 def with_full_paths(scene: Scene) -> Scene:
     """The scene with the full paths of its files."""
-    return with_files(scene, lambda path: str(Path(path).absolute()))
+    return with_file_paths(scene, lambda path: str(Path(path).absolute()))
 
 
 def texts(file: h5py.File) -> dict[str, str]:
@@ -248,7 +248,7 @@ class Stored:
         if "scene" not in self.attributes:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
-        if len(self._digests) < len(files_of(scene)):
+        if len(self._digests) < len(file_keys_and_paths(scene)):
             raise self._older("digests of its mesh or matrices")
         return scene
 
@@ -383,7 +383,7 @@ def _header(path: Path, state: tuple[int, ...]) -> Stored:
 
 def _files_of(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files of a scene, and these; then those that are read with them."""
-    found = files_of(scene)
+    found = file_keys_and_paths(scene)
     named = any(key == "structure.dofs" for key, _ in found)  # takes the place of those beside
     beside = [(key, str(more)) for key, path in found for more in list_included_files(Path(path))]
     return found + [one for one in beside if not (named and one[1].endswith(".dof"))]

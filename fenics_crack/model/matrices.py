@@ -50,7 +50,7 @@ from fenics_crack.model.factor import (
     weighted_sum,
 )
 from fenics_crack.numerics.fourier import resize_harmonics
-from fenics_crack.scene.fields import LARGEST
+from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 DIRECTION_NUMBERS = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 DIRECTION_NUMBERS |= {str(number): number for number in range(1, 10)}
@@ -755,7 +755,7 @@ def _check_entries(name: str, entries: np.ndarray) -> None:
         invalid_values = entries[~np.isfinite(magnitudes)]
         raise InputError(name, float(invalid_values.ravel()[0]), "finite in every entry")
     max_magnitude = float(magnitudes.max(initial=0.0))
-    max_allowed_magnitude = LARGEST**2  # the product of two numbers in a scene
+    max_allowed_magnitude = MAX_ALLOWED_MAGNITUDE**2  # the product of two numbers in a scene
     if max_magnitude and not 1.0 / max_allowed_magnitude <= max_magnitude <= max_allowed_magnitude:
         requirement = (
             f"0 or from {1.0 / max_allowed_magnitude:g} to {max_allowed_magnitude:g} in size"

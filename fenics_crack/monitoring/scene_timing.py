@@ -28,13 +28,13 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.scene import LOOKED_AT, Scene
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
-from fenics_crack.scene.words import differences
+from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import FASTEST, TOO_FAST
 
-TABLES_NOT_COMPARED = (*LOOKED_AT, "reduction")
+TABLES_NOT_COMPARED = (*RESULT_TABLE_NAMES, "reduction")
 """Tables that may differ between a scene and a result: they choose results, or a run decides
 them."""
 MIN_TIP_SPEED = 1.0
@@ -147,7 +147,7 @@ def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
     compared_scenes = [
         with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
     ]
-    scene_words, result_words = differences(compared_scenes)
+    scene_words, result_words = describe_differences(compared_scenes)
     sentence_start = (
         f"the arrivals are those of a result with {result_words}; the vibration is sought by this "
     )
@@ -199,17 +199,17 @@ def fit_vibration(
         reason = (
             "a run-up, in which an order is tracked, or the resonances are found that are passed"
         )
-        table.leave_out(("frequencies",), reason)
+        table.forbid_keys(("frequencies",), reason)
         if order is None or (run is None and table.orders):
             order_keys = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-            table.leave_out(order_keys, "a run-up in which resonances are sought")
+            table.forbid_keys(order_keys, "a run-up in which resonances are sought")
             diagram = _campbell_diagram(scene, arrivals) if scene and scene.rotation else None
             return _fit_passages(table, arrivals, diagram)
-        table.leave_out(*passage_arguments)
-        table.leave_out(("orders",), f"a computed run-up: order {order} is tracked")
+        table.forbid_keys(*passage_arguments)
+        table.forbid_keys(("orders",), f"a computed run-up: order {order} is tracked")
         options |= {"subharmonic": table.subharmonic, "revolutions": table.fitted_revolutions}
         return track_order(arrivals, order, **options)
-    table.leave_out(*passage_arguments)
+    table.forbid_keys(*passage_arguments)
     if table.frequencies is not None:
         min_omega, max_omega = (2.0 * np.pi * frequency for frequency in table.frequencies)
         return fit_frequency(arrivals, min_omega, max_omega, **options)
@@ -418,7 +418,7 @@ def _choose_speed_or_order(table: TipTiming, run: Run, source: Path | None) -> d
         raise InputError("curve.parameter", run.scene.given("curve").parameter, requirement)
     is_steady = run.scene.excitation.order is None and curve is None
     if is_steady and run.scene.speed > 0.0:
-        table.leave_out(("order",), f"a rotor's speed, in [rotation]{owner}")
+        table.forbid_keys(("order",), f"a rotor's speed, in [rotation]{owner}")
         return {"speed": run.scene.speed}
     if source is not None and run.scene.excitation.order is None and table.order is None:
         requirement = (
@@ -440,7 +440,7 @@ def engine_order(table: TipTiming, scene: Scene, owner: str = "") -> int:
         Neither or both of them have it.
     """
     if scene.excitation.order is not None:
-        table.leave_out(("order",), f"excitation.order{owner}")
+        table.forbid_keys(("order",), f"excitation.order{owner}")
         return scene.excitation.order
     order: int = table.given("order", "given without excitation.order: a whole number >= 1")
     return order

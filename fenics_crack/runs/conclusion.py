@@ -31,7 +31,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.scene.words import faces_in_words
+from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
 from fenics_crack.study.prepare import REFUSALS, Study
 from fenics_crack.time.march import TimeHistory
@@ -156,7 +156,7 @@ def _of_solution(run: Answer) -> Said:
     elif not solution.gap_coefficients.size:
         error = ""
     error = "" if doubt else _error_clause(run, fallback=error)
-    tolerance, faces = run.scene.harmonic_balance.tolerance, faces_in_words(run.scene)
+    tolerance, faces = run.scene.harmonic_balance.tolerance, word_for_crack_faces(run.scene)
     misses_tolerance = tolerance is not None and report.total > tolerance
     return Said(
         "solved, but the tolerance is missed" if misses_tolerance else "solved",

@@ -75,7 +75,7 @@ def curve(
     _check_curve(study)
     rows_requested(study)  # before the curve: it may be refused
     scene = scene.scene if isinstance(scene, Study) else scene
-    parameter, start, stop = scene.given("curve").followed
+    parameter, start, stop = scene.given("curve").continuation_range
     if friction_of(required_law(study)) is not None:
         omega = _first_resonance(study, start, stop) if parameter == "omega" else None
         study = with_lines(study, omega or scene.excitation.omega)
@@ -120,7 +120,7 @@ def _follow(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
 
     structure, law, omega = study.structure, required_law(study), scene.excitation.omega
     table, balance = scene.given("curve"), scene.harmonic_balance
-    parameter, start, stop = table.followed
+    parameter, start, stop = table.continuation_range
     if parameter == "resonance":
         problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
         response = follow_resonance(
@@ -146,7 +146,7 @@ def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     takes.
     """
     scene = source.scene if isinstance(source, Study) else source
-    parameter, start, stop = scene.given("curve").followed
+    parameter, start, stop = scene.given("curve").continuation_range
     unreduced_study = whole_study(source, comm)
     if parameter != "speed":
         yield from with_more_modes(unreduced_study, MOST_OF_MANY)

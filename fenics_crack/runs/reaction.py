@@ -13,7 +13,7 @@ from fenics_crack.basics.observables import Place, read_at
 from fenics_crack.basics.tables import Tabular, quantity
 from fenics_crack.model.nodes import AXES
 from fenics_crack.runs.run import Run, check_motion
-from fenics_crack.scene.scene import check_known, without_clamp
+from fenics_crack.scene.scene import reason_without_clamp_forces, refuse_for_reason
 from fenics_crack.study.observer import held, inertia_rows
 from fenics_crack.time.march import TimeHistory
 
@@ -99,7 +99,7 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     >>> held.force.mean(axis=0), held.numbers["reaction_moment"]
     """
     check_motion(run)
-    check_known(without_clamp(run.scene), "run", repr(run))
+    refuse_for_reason(reason_without_clamp_forces(run.scene), "run", repr(run))
     structure = run.result.structure
     [record] = run.result.records(structure.compute_once(inertia_rows))
     return Reaction(record.time, structure.whole.clamp.center, *held(record))

@@ -15,7 +15,7 @@ from fenics_crack.basics.tables import Tabular
 from fenics_crack.errors.stated import errors_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.runs.run import Run, check_motion
-from fenics_crack.scene.scene import check_known, without_tips
+from fenics_crack.scene.scene import reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.study.observer import AtTip, at_tips, leading, stations_of_fronts, tip_rows
 from fenics_crack.time.march import TimeHistory
 
@@ -182,7 +182,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     >>> found.largest, found.effective, found.turn
     """
     check_motion(run)
-    check_known(without_tips(run.scene), "run", repr(run))
+    refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
     tips, rows, of_forces = tip_rows(run)
     [record] = run.result.records(rows)
     tip_histories = at_tips(record, tips, of_forces, run.scene.growth)

@@ -1,7 +1,7 @@
-"""Keys of a scene, their allowed values, and the tables that check them.
+"""Fields for the keys in a scene's tables, and the class :class:`Table` that checks the values.
 
-A :class:`Table` is a frozen dataclass whose fields are made by the functions below: each states
-once what is allowed. How a value is read follows from the field's type.
+A :class:`Table` is a frozen dataclass. The functions ``..._field`` below make its fields; each
+field states once what a key may hold. The field's type selects the function that reads a value.
 """
 
 from __future__ import annotations
@@ -24,61 +24,72 @@ from fenics_crack.basics.tables import TURN
 
 Pair = tuple[float, float]
 Vector = tuple[float, ...]
-"""In a plane two numbers, in space three."""
-SMALLEST, LARGEST = 1e-30, 1e30
-"""Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
-SIZES = f"{SMALLEST:g} to {LARGEST:g}"
-OR_ZERO = f"(0, or of size {SIZES})"
+"""Two numbers in a plane, three in space."""
+MIN_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE = 1e-30, 1e30
+"""Limits for nonzero numbers in a scene; products and squares neither overflow nor underflow."""
+ALLOWED_MAGNITUDES_TEXT = f"{MIN_ALLOWED_MAGNITUDE:g} to {MAX_ALLOWED_MAGNITUDE:g}"
+ZERO_OR_MAGNITUDE_TEXT = f"(0, or of size {ALLOWED_MAGNITUDES_TEXT})"
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One quantity of a sweep.
+    """Values for one key: an axis in a sweep.
 
     Attributes
     ----------
     key : str
-        A key of the scene, for example "crack.length".
+        Full key, for example "crack.length".
     values : tuple
-        In order.
+        Values in the given order.
     """
 
     key: str
     values: tuple[Any, ...]
 
     def as_toml(self) -> str:
-        """As a line of a file."""
-        return f"{_as_toml(self.key)} = {_as_toml(self.values)}"
+        """Return the axis as a line in a file."""
+        return f"{_value_as_toml(self.key)} = {_value_as_toml(self.values)}"
 
 
 class Point(Axis):
-    """A named point: its key is the name, its values are x and y, of a solid z too [m]."""
+    """Named point.
+
+    ``key`` is the name, ``values`` are x, y and, in a solid, z [m].
+    """
 
 
 class Face(Axis):
-    """A named face of a part: its key is the name, its values are points (x, y, z) on it [m]."""
+    """Named face of a part.
+
+    ``key`` is the name, ``values`` are points (x, y, z) on the face [m].
+    """
 
 
 class MeshFile(Axis):
-    """A mesh with the numbers that it has: its key is the file, its values are names and numbers,
-    ``("crack.length", 0.005)``."""
+    """Mesh file with the parameters of the mesh.
+
+    ``key`` is the path, ``values`` are names and numbers: ``(("crack.length", 0.005),)``.
+    """
 
     def as_toml(self) -> str:
-        """As a line of a file."""
-        pairs = ", ".join(f"{_as_toml(name)} = {_as_toml(value)}" for name, value in self.values)
-        return f"{_as_toml(self.key)} = {{ {pairs} }}"
+        """Return the mesh file as a line in a file."""
+        parameters_text = ", ".join(
+            f"{_value_as_toml(parameter_name)} = {_value_as_toml(parameter)}"
+            for parameter_name, parameter in self.values
+        )
+        return f"{_value_as_toml(self.key)} = {{ {parameters_text} }}"
 
 
 @dataclass(frozen=True)
 class Harmonic:
-    """A harmonic of a periodic load, cos cos(k omega t) + sin sin(k omega t).
+    """Harmonic of a periodic load: cos cos(k omega t) + sin sin(k omega t).
 
     Attributes
     ----------
     order : int
         k.
     cos, sin : tuple of float
-        Components; one number of a pressure.
+        Components of a vector, or the one number of a pressure.
     """
 
     order: int
@@ -89,23 +100,25 @@ class Harmonic:
 # --- how a value is read --------------------------------------------------------------------------
 
 
-def _of(kind: Any, value: object) -> Any:
-    """The value, if it is of a kind."""
-    if not isinstance(value, kind):
+def _require_instance(allowed_type: Any, value: object) -> Any:
+    """Return the value; raise TypeError unless it has an allowed type."""
+    if not isinstance(value, allowed_type):
         raise TypeError
     return value
 
 
-def _float(value: object) -> float:
+def _read_float(value: object) -> float:
+    """Read a finite number; raise OverflowError if its magnitude is not allowed."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
     number = float(value)
-    if value != 0 and not SMALLEST <= abs(number) <= LARGEST:
+    if value != 0 and not MIN_ALLOWED_MAGNITUDE <= abs(number) <= MAX_ALLOWED_MAGNITUDE:
         raise OverflowError
     return number
 
 
-def _int(value: object) -> int:
+def _read_int(value: object) -> int:
+    """Read a whole number with a magnitude below 2^31."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
     number = int(value)
@@ -114,499 +127,655 @@ def _int(value: object) -> int:
     return number
 
 
-def _str(value: object) -> str:
-    """A string that can be written as UTF-8."""
-    if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
+def _read_string(value: object) -> str:
+    """Read a string that UTF-8 can encode."""
+    if not isinstance(value, str) or any("\ud800" <= character <= "\udfff" for character in value):
         raise TypeError
     return value
 
 
-def _floats(value: object) -> tuple[float, ...]:
-    return tuple(map(_float, _of(list | tuple, value)))
+def _read_floats(value: object) -> tuple[float, ...]:
+    """Read a list of numbers."""
+    return tuple(map(_read_float, _require_instance(list | tuple, value)))
 
 
-def _vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
-    """In a plane or in space: of which of them a scene is, it says itself."""
-    if len(_of(list | tuple, value)) not in lengths:
+def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
+    """Read a vector with one of the given lengths.
+
+    Two and three components are both read here. :meth:`Table.with_dimension` compares them with the
+    scene.
+    """
+    if len(_require_instance(list | tuple, value)) not in lengths:
         raise TypeError
-    return _floats(value)
+    return _read_floats(value)
 
 
-def _in_space(value: object) -> Vector:
-    return _vector(value, (3,))
+def _read_space_vector(value: object) -> Vector:
+    """Read a vector with three components."""
+    return _read_vector(value, (3,))
 
 
-def _one_or_more(value: object) -> float | tuple[float, ...]:
+def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
+    """Read a number, or a list with at least one number."""
     if not isinstance(value, list | tuple):
-        return _float(value)
+        return _read_float(value)
     if not value:
         raise TypeError
-    return _floats(value)
+    return _read_floats(value)
 
 
-def _axes(
-    kind: type[Axis], values: Callable[[str, object], tuple[Any, ...]]
+def _make_axes_reader(
+    axis_class: type[Axis], read_values: Callable[[str, object], tuple[Any, ...]]
 ) -> Callable[[object], tuple[Axis, ...]]:
-    """Reader of axes, or what else is a name with its values, from a mapping."""
+    """Return a function that reads axes from a mapping: names to values."""
 
-    def read(value: object) -> tuple[Axis, ...]:
-        if isinstance(value, tuple) and all(isinstance(one, kind) for one in value):
+    def read_axes(value: object) -> tuple[Axis, ...]:
+        if isinstance(value, tuple) and all(isinstance(axis, axis_class) for axis in value):
             return value
-        pairs = _of(Mapping, value).items()
-        return tuple(kind(_str(name), values(name, given)) for name, given in pairs)
+        raw_value_items = _require_instance(Mapping, value).items()
+        return tuple(
+            axis_class(_read_string(name), read_values(name, raw_values))
+            for name, raw_values in raw_value_items
+        )
 
-    return read
+    return read_axes
 
 
-def _numbers_of_mesh(file: str, given: object) -> tuple[tuple[str, float], ...]:
-    return tuple((_str(name), _float(number)) for name, number in _of(Mapping, given).items())
+def _read_mesh_parameters(
+    file_name: str, parameter_by_name: object
+) -> tuple[tuple[str, float], ...]:
+    """Read the named numbers of a mesh file."""
+    return tuple(
+        (_read_string(parameter_name), _read_float(parameter))
+        for parameter_name, parameter in _require_instance(Mapping, parameter_by_name).items()
+    )
 
 
-def _harmonics(value: object) -> tuple[Harmonic, ...]:
-    """Harmonics of different orders, each by its cosine and sine or by amplitude and phase."""
-    given = _of(list | tuple, value)
-    harmonics = tuple(one if isinstance(one, Harmonic) else _harmonic(one) for one in given)
-    _different([one.order for one in harmonics])
+def _read_harmonics(value: object) -> tuple[Harmonic, ...]:
+    """Read harmonics with distinct orders."""
+    harmonic_tables = _require_instance(list | tuple, value)
+    harmonics = tuple(
+        harmonic if isinstance(harmonic, Harmonic) else _read_harmonic(harmonic)
+        for harmonic in harmonic_tables
+    )
+    _require_distinct([harmonic.order for harmonic in harmonics])
     return harmonics
 
 
-def _harmonic(given: object) -> Harmonic:
-    if not isinstance(given, Mapping) or "order" not in given:
+def _read_harmonic(harmonic_table: object) -> Harmonic:
+    """Read a harmonic with cosine and sine, or with amplitude and phase."""
+    if not isinstance(harmonic_table, Mapping) or "order" not in harmonic_table:
         raise TypeError
-    order, keys = _int(given["order"]), given.keys() - {"order"}
-    if not 1 <= order <= MOST_HARMONICS or not keys:
+    order, component_keys = _read_int(harmonic_table["order"]), harmonic_table.keys() - {"order"}
+    if not 1 <= order <= MOST_HARMONICS or not component_keys:
         raise TypeError
-    if keys <= {"cos", "sin"}:
-        parts = {key: _components(given[key]) for key in keys}
-        zero, *others = {(0.0,) * len(part) for part in parts.values()}
-        if others:
+    if component_keys <= {"cos", "sin"}:
+        components_by_key = {
+            key: _read_load_components(harmonic_table[key]) for key in component_keys
+        }
+        zero_components, *further_zero_components = {
+            (0.0,) * len(components) for components in components_by_key.values()
+        }
+        if further_zero_components:
             raise TypeError
-        return Harmonic(order, parts.get("cos", zero), parts.get("sin", zero))
-    if "amplitude" not in keys or not keys <= {"amplitude", "phase"}:
+        return Harmonic(
+            order,
+            components_by_key.get("cos", zero_components),
+            components_by_key.get("sin", zero_components),
+        )
+    if "amplitude" not in component_keys or not component_keys <= {"amplitude", "phase"}:
         raise TypeError
-    lag = math.radians(_float(given.get("phase", 0.0)))
-    size = _components(given["amplitude"])
-    return Harmonic(order, scaled(size, math.cos(lag)), scaled(size, math.sin(lag)))
+    phase = math.radians(_read_float(harmonic_table.get("phase", 0.0)))
+    amplitude = _read_load_components(harmonic_table["amplitude"])
+    return Harmonic(
+        order, scale_numbers(amplitude, math.cos(phase)), scale_numbers(amplitude, math.sin(phase))
+    )
 
 
-def _components(value: object) -> tuple[float, ...]:
-    """A vector, or the one number of a pressure."""
-    return _vector(value if isinstance(value, list | tuple) else [value], (1, 2, 3))
+def _read_load_components(value: object) -> tuple[float, ...]:
+    """Read a vector, or the one number of a pressure."""
+    return _read_vector(value if isinstance(value, list | tuple) else [value], (1, 2, 3))
 
 
-def _ints(value: object) -> tuple[int, ...]:
-    """A whole number, or a list of different ones."""
-    return tuple(map(_int, _different(value if isinstance(value, list | tuple) else [value])))
+def _read_distinct_ints(value: object) -> tuple[int, ...]:
+    """Read a whole number, or a list with distinct whole numbers."""
+    return tuple(
+        map(_read_int, _require_distinct(value if isinstance(value, list | tuple) else [value]))
+    )
 
 
-def _different(values: Any) -> Any:
-    """Refuse values of which two are the same."""
+def _require_distinct(values: Any) -> Any:
+    """Return the values; raise TypeError if two are equal."""
     if len(set(values)) != len(values):
         raise TypeError
     return values
 
 
-def _values(name: str, given: object) -> tuple[Any, ...]:
-    """A list of them, or those from start to stop, by count and spacing."""
-    if isinstance(given, list | tuple) and given:
-        return tuple(given)
-    span = given if isinstance(given, Mapping) else {}
-    spacing = span.get("spacing", "linear")
+def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
+    """Read the values of an axis, from a list or a range.
+
+    A range has start, stop, count and spacing.
+    """
+    if isinstance(values_or_range, list | tuple) and values_or_range:
+        return tuple(values_or_range)
+    range_table = values_or_range if isinstance(values_or_range, Mapping) else {}
+    spacing = range_table.get("spacing", "linear")
     try:
-        start, stop, count = _float(span["start"]), _float(span["stop"]), _int(span["count"])
-        right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MAX_CASES
+        start, stop, n_values = (
+            _read_float(range_table["start"]),
+            _read_float(range_table["stop"]),
+            _read_int(range_table["count"]),
+        )
+        is_valid_range = (
+            range_table.keys() <= {"start", "stop", "count", "spacing"}
+            and 2 <= n_values <= MAX_CASES
+        )
     except (KeyError, TypeError, OverflowError, InputError):
-        right = False
-    full_name = f'."{name}"'  # behind the name of the key: Table.checked
-    if not right or spacing not in ("linear", "logarithmic"):
-        allowed = "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted,"
-        allowed += " spacing = 'linear' or 'logarithmic'"
-        if span and not span.keys() & {"start", "stop", "count"}:
-            allowed += f'; did you mean "{name}.{next(iter(span))}", in quotes?'
-        raise InputError(full_name, given, allowed)
+        is_valid_range = False
+    key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
+    if not is_valid_range or spacing not in ("linear", "logarithmic"):
+        requirement = (
+            "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted,"
+        )
+        requirement += " spacing = 'linear' or 'logarithmic'"
+        if range_table and not range_table.keys() & {"start", "stop", "count"}:
+            requirement += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
+        raise InputError(key_suffix, values_or_range, requirement)
     if spacing == "linear":
-        return tuple(map(float, np.linspace(start, stop, count)))
+        return tuple(map(float, np.linspace(start, stop, n_values)))
     if start * stop <= 0.0:
-        raise InputError(full_name, given, "of one sign from start to stop with that spacing")
-    return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), count)))
+        raise InputError(
+            key_suffix, values_or_range, "of one sign from start to stop with that spacing"
+        )
+    return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), n_values)))
 
 
-_READERS: dict[str, Callable[[object], Any]] = {
-    "bool": partial(_of, bool),
-    "float": _float,
-    "int": _int,
-    "str": _str,
-    "Pair": lambda value: _vector(value, (2,)),
-    "Vector": _vector,
-    "float | bool": lambda value: value is not False and _float(value),
-    "float | str": lambda value: _str(value) if isinstance(value, str) else _float(value),
-    "float | tuple[float, ...]": _one_or_more,
-    "int | str": lambda value: value if value == "all" else _int(value),
-    "tuple[Axis, ...]": _axes(Axis, _values),
-    "tuple[Face, ...]": _axes(
-        Face, lambda _, given: tuple(map(_in_space, _of(list | tuple, given)))
+_READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
+    "bool": partial(_require_instance, bool),
+    "float": _read_float,
+    "int": _read_int,
+    "str": _read_string,
+    "Pair": lambda value: _read_vector(value, (2,)),
+    "Vector": _read_vector,
+    "float | bool": lambda value: value is not False and _read_float(value),
+    "float | str": lambda value: (
+        _read_string(value) if isinstance(value, str) else _read_float(value)
     ),
-    "tuple[MeshFile, ...]": _axes(MeshFile, _numbers_of_mesh),
-    "tuple[Point, ...]": _axes(Point, lambda _, given: _vector(given)),
-    "tuple[Harmonic, ...]": _harmonics,
-    "tuple[float, ...]": _floats,
-    "tuple[int, ...]": _ints,
-    "tuple[str, ...]": lambda value: tuple(map(_str, _different(_of(list | tuple, value)))),
+    "float | tuple[float, ...]": _read_number_or_numbers,
+    "int | str": lambda value: value if value == "all" else _read_int(value),
+    "tuple[Axis, ...]": _make_axes_reader(Axis, _read_axis_values),
+    "tuple[Face, ...]": _make_axes_reader(
+        Face,
+        lambda _, given: tuple(map(_read_space_vector, _require_instance(list | tuple, given))),
+    ),
+    "tuple[MeshFile, ...]": _make_axes_reader(MeshFile, _read_mesh_parameters),
+    "tuple[Point, ...]": _make_axes_reader(Point, lambda _, given: _read_vector(given)),
+    "tuple[Harmonic, ...]": _read_harmonics,
+    "tuple[float, ...]": _read_floats,
+    "tuple[int, ...]": _read_distinct_ints,
+    "tuple[str, ...]": lambda value: tuple(
+        map(_read_string, _require_distinct(_require_instance(list | tuple, value)))
+    ),
 }
-"""Function that reads a value, by the type of a field that is not None."""
+"""Functions that read a value, by the type of the field without "| None"."""
 
 
-_BY_NAME = ("tuple[Axis, ...]", "tuple[Face, ...]", "tuple[MeshFile, ...]", "tuple[Point, ...]")
-_JSON = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-_JSON |= dict.fromkeys(_BY_NAME, "object")
+_MAPPING_TYPE_NAMES = (
+    "tuple[Axis, ...]",
+    "tuple[Face, ...]",
+    "tuple[MeshFile, ...]",
+    "tuple[Point, ...]",
+)
+_JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
+"""JSON types by Python types; all other types are arrays."""
+_JSON_TYPE_BY_TYPE_NAME |= dict.fromkeys(_MAPPING_TYPE_NAMES, "object")
 """JSON's words for types; all others are arrays."""
 
 
-def _reader(item: Field[Any]) -> Callable[[object], Any]:
-    """Return the function that reads a key's value, by its type."""
-    return _READERS[str(item.type).removesuffix(" | None")]
+def _find_reader(key_field: Field[Any]) -> Callable[[object], Any]:
+    """Return the function that reads a key's value, by the field's type."""
+    return _READ_FUNCTION_BY_TYPE_NAME[str(key_field.type).removesuffix(" | None")]
 
 
 # --- what a key may hold --------------------------------------------------------------------------
 
 
-def holds(
-    allowed: str,
-    accepts: Callable[[Any], bool] = lambda value: True,
+def value_field(
+    requirement: str,
+    is_allowed: Callable[[Any], bool] = lambda value: True,
     default: Any = MISSING,
     unit: str = "",
-    **more: Any,
+    **more_metadata: Any,
 ) -> Any:
-    """Field of values for which ``accepts`` is true, ``allowed`` in words, with a unit."""
-    metadata = {"allowed": allowed, "accepts": accepts, "unit": unit} | more
+    """Return a field for values that a function allows.
+
+    Parameters
+    ----------
+    requirement : str
+        Text in errors: what is allowed.
+    is_allowed : callable
+        True for allowed values, after reading.
+    default
+        Default value; MISSING if the key is required.
+    unit : str
+        Unit, empty without one.
+    more_metadata
+        Further metadata of the field.
+    """
+    metadata = {"allowed": requirement, "accepts": is_allowed, "unit": unit} | more_metadata
     return field(default=default, metadata=metadata)
 
 
-def number(default: Any = MISSING, unit: str = "") -> Any:
-    """Field of a finite number."""
-    return holds(f"a finite number {OR_ZERO}", default=default, unit=unit)
+def number_field(default: Any = MISSING, unit: str = "") -> Any:
+    """Return a field for a finite number."""
+    return value_field(f"a finite number {ZERO_OR_MAGNITUDE_TEXT}", default=default, unit=unit)
 
 
-def positive(default: Any = MISSING, unit: str = "") -> Any:
-    """Field of a number > 0."""
-    return holds(f"a finite number > 0 ({SIZES})", lambda value: value > 0, default, unit)
+def positive_field(default: Any = MISSING, unit: str = "") -> Any:
+    """Return a field for a number > 0."""
+    return value_field(
+        f"a finite number > 0 ({ALLOWED_MAGNITUDES_TEXT})", lambda value: value > 0, default, unit
+    )
 
 
-def not_negative(default: Any = MISSING, unit: str = "") -> Any:
-    """Field of a number >= 0."""
-    return holds(f"a finite number >= 0 {OR_ZERO}", lambda value: value >= 0, default, unit)
+def nonnegative_field(default: Any = MISSING, unit: str = "") -> Any:
+    """Return a field for a number >= 0."""
+    return value_field(
+        f"a finite number >= 0 {ZERO_OR_MAGNITUDE_TEXT}", lambda value: value >= 0, default, unit
+    )
 
 
-def between(least: str, most: str, default: Any, unit: str = "") -> Any:
-    """Field of a number between two, given as an error writes them."""
-    low, high = float(least), float(most)
-    allowed = f"a number from {least} to {most}"
-    return holds(allowed, lambda value: low <= value <= high, default, unit)
+def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = "") -> Any:
+    """Return a field for a number between two bounds, written as in errors."""
+    lower_bound, upper_bound = float(lower_text), float(upper_text)
+    requirement = f"a number from {lower_text} to {upper_text}"
+    return value_field(
+        requirement, lambda value: lower_bound <= value <= upper_bound, default, unit
+    )
 
 
-def vector(letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False) -> Any:
-    """Field of a vector, which an error calls by a letter, and by x and y, or z, too; of one that
-    only solids have always."""
-    allowed = components(letter, 3 if of_solid else 2)
-    if not of_solid:
-        allowed += f", or {_names(letter, 3)} of a solid"
-    return holds(allowed, default=default, unit=unit, letter=letter)
-
-
-def components(letter: str, dimension: int) -> str:
-    """Describe the allowed components of a vector."""
-    count = ("two", "three")[dimension - 2]
-    return f"{_names(letter, dimension)}, {count} finite numbers {OR_ZERO}"
-
-
-def _names(letter: str, dimension: int) -> str:
-    """Return the names of a vector's numbers."""
-    return f"[{', '.join(letter + axis for axis in 'xyz'[:dimension])}]"
-
-
-def of_harmonics() -> Any:
-    """Field of harmonics of a load."""
-    allowed = f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and"
-    allowed += " another in each, and cos or sin, or amplitude and phase [degrees] by which it lags"
-    return holds(allowed, default=())
-
-
-def order_of_load(default: int) -> Any:
-    """Field of the order of a harmonic of a load."""
-    allowed = f"a whole number from 1 to {MOST_HARMONICS}"
-    return holds(allowed, lambda value: 1 <= value <= MOST_HARMONICS, default)
-
-
-def at_least_one(default: Any = MISSING) -> Any:
-    """Field of a whole number >= 1."""
-    return holds("a whole number >= 1", lambda value: value >= 1, default)
-
-
-def choice(*words: str, default: Any = MISSING) -> Any:
-    """Field of one of some words."""
-    return holds(one_of(words), lambda value: value in words, default, words=words)
-
-
-def hertz(
-    omega: str,
-    allowed: str = "a finite number > 0 (up to 1e29)",
-    accepts: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
+def vector_value_field(
+    letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False
 ) -> Any:
-    """Field of frequencies [Hz], the twin of the key ``omega`` in rad/s."""
-    return twin(omega, TURN, allowed, accepts, "Hz")
+    """Return a field for a vector.
 
-
-def twin(key: str, factor: float, allowed: str, accepts: Callable[[Any], bool], unit: str) -> Any:
-    """Field of the same quantity as ``key`` in another unit: that key is ``factor`` times it.
-
-    One of the two may be given; a table that is given the twin holds the other, too.
+    Errors name components by a letter with x, y and z. With ``of_solid`` only solids have the key.
     """
-    return holds(allowed, accepts, None, unit, twin=key, factor=factor)
+    requirement = describe_components(letter, 3 if of_solid else 2)
+    if not of_solid:
+        requirement += f", or {_list_component_names(letter, 3)} of a solid"
+    return value_field(requirement, default=default, unit=unit, letter=letter)
 
 
-def path(allowed: str, default: Any = None, unit: str = "") -> Any:
-    """Field of the path of a file, relative to the scene's."""
-    return holds(allowed, lambda value: value != "", default, unit, path=True)
+def describe_components(letter: str, dimension: int) -> str:
+    """Describe the allowed components of a vector."""
+    count_word = ("two", "three")[dimension - 2]
+    names_text = _list_component_names(letter, dimension)
+    return f"{names_text}, {count_word} finite numbers {ZERO_OR_MAGNITUDE_TEXT}"
 
 
-def scaled(value: Any, factor: float) -> Any:
-    """A number times a factor, or each of a tuple."""
-    if isinstance(value, tuple):
-        return tuple(scaled(one, factor) for one in value)
-    return factor * value
+def _list_component_names(letter: str, dimension: int) -> str:
+    """Return the component names as a text: "[fx, fy]"."""
+    return f"[{', '.join(letter + axis_letter for axis_letter in 'xyz'[:dimension])}]"
 
 
-def _as_toml(value: object) -> str:
-    """A value as TOML: JSON but for DEL, and for inline tables."""
+def harmonics_field() -> Any:
+    """Return a field for the harmonics of a load."""
+    requirement = f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and"
+    requirement += (
+        " another in each, and cos or sin, or amplitude and phase [degrees] by which it lags"
+    )
+    return value_field(requirement, default=())
+
+
+def load_order_field(default: int) -> Any:
+    """Return a field for the order of a load's harmonic."""
+    requirement = f"a whole number from 1 to {MOST_HARMONICS}"
+    return value_field(requirement, lambda value: 1 <= value <= MOST_HARMONICS, default)
+
+
+def positive_int_field(default: Any = MISSING) -> Any:
+    """Return a field for a whole number >= 1."""
+    return value_field("a whole number >= 1", lambda value: value >= 1, default)
+
+
+def choice_field(*words: str, default: Any = MISSING) -> Any:
+    """Return a field for one of the given words."""
+    return value_field(one_of(words), lambda value: value in words, default, words=words)
+
+
+def hertz_field(
+    omega_key: str,
+    requirement: str = "a finite number > 0 (up to 1e29)",
+    is_allowed: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
+) -> Any:
+    """Return a field for frequencies [Hz], the twin of a key in rad/s."""
+    return twin_field(omega_key, TURN, requirement, is_allowed, "Hz")
+
+
+def twin_field(
+    si_key: str, factor: float, requirement: str, is_allowed: Callable[[Any], bool], unit: str
+) -> Any:
+    """Return a field for the quantity of an SI key in another unit.
+
+    The SI value is ``factor`` times the twin's value. One of the two keys may be given; a given
+    twin sets the SI key, too.
+    """
+    return value_field(requirement, is_allowed, None, unit, twin=si_key, factor=factor)
+
+
+def path_field(requirement: str, default: Any = None, unit: str = "") -> Any:
+    """Return a field for a file's path, relative to the scene's folder."""
+    return value_field(requirement, lambda value: value != "", default, unit, path=True)
+
+
+def scale_numbers(number_or_tuple: Any, factor: float) -> Any:
+    """Multiply a number, or each number in nested tuples, by a factor."""
+    if isinstance(number_or_tuple, tuple):
+        return tuple(scale_numbers(component, factor) for component in number_or_tuple)
+    return factor * number_or_tuple
+
+
+def _value_as_toml(value: object) -> str:
+    """Return a value as TOML: JSON except for DEL and inline tables."""
     if isinstance(value, Harmonic):
-        pairs = ", ".join(f"{key} = {_as_toml(held)}" for key, held in vars(value).items())
-        return f"{{ {pairs} }}"
+        pairs_text = ", ".join(
+            f"{attribute_name} = {_value_as_toml(attribute_value)}"
+            for attribute_name, attribute_value in vars(value).items()
+        )
+        return f"{{ {pairs_text} }}"
     if isinstance(value, tuple):
-        return f"[{', '.join(map(_as_toml, value))}]"
+        return f"[{', '.join(map(_value_as_toml, value))}]"
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 @contextmanager
-def named(name: str) -> Iterator[None]:
-    """Call the table whose keys are refused by its name in the file: "cracks.1" for a Crack."""
+def table_name_in_errors(table_name: str) -> Iterator[None]:
+    """Use a table's name in the file for errors: "cracks.1" for a Crack."""
     try:
         yield
     except InputError as error:
-        key = error.key.partition(".")[2]
-        raise InputError(f"{name}.{key}" if key else name, error.value, error.allowed) from None
+        key_in_table = error.key.partition(".")[2]
+        raise InputError(
+            f"{table_name}.{key_in_table}" if key_in_table else table_name,
+            error.value,
+            error.allowed,
+        ) from None
 
 
 class Table:
-    """A table of the scene: checks each of its keys when it is made."""
+    """Table in a scene: checks the value of each key when it is made."""
 
-    FIRST: ClassVar[str | None] = None
-    """The first table of its kind, "loads.1", where all stand in a list."""
-    WORD: ClassVar[str | None] = None
-    """The key for which a word may stand instead of the table: ``reduction = "off"``."""
-    _ADVICE: ClassVar[Mapping[str, str]] = {}
-    """Advice for keys that people look for and the table does not have, "name", and for values that
-    a key does not take, "edge = top"."""
+    FIRST_TABLE_NAME: ClassVar[str | None] = None
+    """Name of the first table, "loads.1", if all tables of the class stand in a list."""
+    SHORTHAND_KEY: ClassVar[str | None] = None
+    """Key whose word may stand for the whole table: ``reduction = "off"``."""
+    _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
+    """Advice by unknown key, "name", or by refused value, "edge = top"."""
 
-    def with_vectors(self, dimension: int) -> Any:
-        """The same in a plane or in space, its vectors of zeros as long as that requires.
+    def with_dimension(self, dimension: int) -> Any:
+        """Return the table for a plane or space: zero vectors get the right length.
 
         Raises
         ------
         InputError
-            Another vector is longer or shorter.
+            A vector that is not zero has the wrong length.
         """
-        zeros = {}
-        for key, item in self.keys().items():
-            letter, value = item.metadata.get("letter"), getattr(self, key)
-            if letter is not None and value is not None and len(value) != dimension:
-                self.require(not any(value), key, components(letter, dimension))
-                zeros[key] = (0.0,) * dimension
-        return self.with_values(**zeros)
+        zero_vector_by_key = {}
+        for key, key_field in self.field_by_key().items():
+            component_letter, vector = key_field.metadata.get("letter"), getattr(self, key)
+            if component_letter is not None and vector is not None and len(vector) != dimension:
+                self.require(not any(vector), key, describe_components(component_letter, dimension))
+                zero_vector_by_key[key] = (0.0,) * dimension
+        return self.with_values(**zero_vector_by_key)
 
-    def with_values(self, **values: Any) -> Self:
-        """The same with other values, which are not checked."""
-        made = copy(self)
-        vars(made).update(values)
-        return made
+    def with_values(self, **value_by_key: Any) -> Self:
+        """Return a copy with other values, which are not checked."""
+        table = copy(self)
+        vars(table).update(value_by_key)
+        return table
 
     def __post_init__(self) -> None:
-        for name, item in self.keys().items():
-            value = getattr(self, name)
-            if value is not None or item.default is not None:
-                object.__setattr__(self, name, self.checked(name, value))
-        for name, key in self.twins().items():
-            if (given := getattr(self, name)) is not None:
-                value = scaled(given, self.keys()[name].metadata["factor"])
-                allowed = f"left out with {self.name_of(key)} = {getattr(self, key)}"
-                self.require(getattr(self, key) in (None, value), name, allowed)
-                object.__setattr__(self, key, value)
+        for key, key_field in self.field_by_key().items():
+            value = getattr(self, key)
+            if value is not None or key_field.default is not None:
+                object.__setattr__(self, key, self.convert_value(key, value))
+        for twin_key, si_key in self.si_key_by_twin().items():
+            if (twin_value := getattr(self, twin_key)) is not None:
+                si_value = scale_numbers(
+                    twin_value, self.field_by_key()[twin_key].metadata["factor"]
+                )
+                requirement = f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}"
+                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement)
+                object.__setattr__(self, si_key, si_value)
 
     @classmethod
-    def checked(cls, key: str, value: object) -> Any:
-        """A value as a key holds it; raises InputError if the key may not hold it."""
-        item = cls.keys()[key]
+    def convert_value(cls, key: str, value: object) -> Any:
+        """Convert a value to its stored form; raise InputError if not allowed."""
+        key_field = cls.field_by_key()[key]
         try:
-            found = _reader(item)(value)
-            accepted = item.metadata["accepts"](found)
+            field_value = _find_reader(key_field)(value)
+            is_accepted = key_field.metadata["accepts"](field_value)
         except InputError as error:  # of one of its axes
-            raise InputError(cls.name_of(key) + error.key, error.value, error.allowed) from None
+            raise InputError(cls.full_key(key) + error.key, error.value, error.allowed) from None
         except (TypeError, OverflowError):
-            accepted = False
-        if not accepted:
-            allowed = item.metadata["allowed"] + cls._hint(key, value)
-            raise InputError(cls.name_of(key), value, allowed)
-        return found
+            is_accepted = False
+        if not is_accepted:
+            requirement = key_field.metadata["allowed"] + cls._suggest_value(key, value)
+            raise InputError(cls.full_key(key), value, requirement)
+        return field_value
 
     @classmethod
-    def _hint(cls, key: str, value: object) -> str:
-        """Suggest a value instead of one that a key may not hold; or ""."""
-        item = cls.keys()[key]
-        words: list[Any] = []
+    def _suggest_value(cls, key: str, value: object) -> str:
+        """Return a text that suggests an allowed value; empty without a suggestion."""
+        key_field = cls.field_by_key()[key]
+        suggestions: list[Any] = []
         if isinstance(value, str):
-            if advice := cls._ADVICE.get(f"{key} = {value}"):
-                return f"; {advice}"
-            words = near(value, item.metadata.get("words", ()))
-        for other in candidates(value, item.metadata["unit"]):
+            if advice_text := cls._ADVICE_TEXT_BY_MISTAKE.get(f"{key} = {value}"):
+                return f"; {advice_text}"
+            suggestions = near(value, key_field.metadata.get("words", ()))
+        for candidate in candidates(value, key_field.metadata["unit"]):
             with suppress(InputError, TypeError, OverflowError):
-                if not words and item.metadata["accepts"](_reader(item)(other)):
-                    words.append(other)
-        return f"; {meant([written(word) for word in words])}".rstrip("; ")
+                if not suggestions and key_field.metadata["accepts"](
+                    _find_reader(key_field)(candidate)
+                ):
+                    suggestions.append(candidate)
+        return f"; {meant([written(suggestion) for suggestion in suggestions])}".rstrip("; ")
 
     @classmethod
-    def keys(cls) -> dict[str, Field[Any]]:
-        """The keys of the table."""
-        return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+    def field_by_key(cls) -> dict[str, Field[Any]]:
+        """Return the dataclass fields by key."""
+        return {key_field.name: key_field for key_field in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     def schema(cls) -> dict[str, Any]:
-        """The table as a JSON schema."""
-        found: dict[str, Any] = {}
-        for name, item in cls.keys().items():
-            kinds = str(item.type).removesuffix(" | None").split(" | ")
-            types = [_JSON.get(kind, "array") for kind in kinds]
-            if "tuple[int, ...]" in kinds:  # one number stands for a list of it
-                types.append("integer")
-            words = f"{item.metadata['allowed']} [{item.metadata['unit']}]"
-            found[name] = {"type": types, "description": words.removesuffix(" []")}
-            if "words" in item.metadata:
-                found[name]["enum"] = item.metadata["words"]
-            if item.default not in (MISSING, None, ()):
-                found[name]["default"] = item.default
-        needed = [name for name, item in cls.keys().items() if item.default is MISSING]
-        table: dict[str, Any] = {"type": "object", "properties": found, "required": needed}
-        table["additionalProperties"] = False
-        return table if cls.WORD is None else {"anyOf": [table, found[cls.WORD]]}
+        """Return the table as a JSON schema."""
+        schema_by_key: dict[str, Any] = {}
+        for key, key_field in cls.field_by_key().items():
+            type_names = str(key_field.type).removesuffix(" | None").split(" | ")
+            json_types = [
+                _JSON_TYPE_BY_TYPE_NAME.get(type_name, "array") for type_name in type_names
+            ]
+            if "tuple[int, ...]" in type_names:  # one number stands for a list of it
+                json_types.append("integer")
+            description_text = f"{key_field.metadata['allowed']} [{key_field.metadata['unit']}]"
+            schema_by_key[key] = {
+                "type": json_types,
+                "description": description_text.removesuffix(" []"),
+            }
+            if "words" in key_field.metadata:
+                schema_by_key[key]["enum"] = key_field.metadata["words"]
+            if key_field.default not in (MISSING, None, ()):
+                schema_by_key[key]["default"] = key_field.default
+        required_keys = [
+            key for key, key_field in cls.field_by_key().items() if key_field.default is MISSING
+        ]
+        table_schema: dict[str, Any] = {
+            "type": "object",
+            "properties": schema_by_key,
+            "required": required_keys,
+        }
+        table_schema["additionalProperties"] = False
+        return (
+            table_schema
+            if cls.SHORTHAND_KEY is None
+            else {"anyOf": [table_schema, schema_by_key[cls.SHORTHAND_KEY]]}
+        )
 
     @classmethod
-    def twins(cls) -> dict[str, str]:
-        """The keys in another unit, as Hz, and those in SI units that stand for the same."""
-        held = {name: item.metadata for name, item in cls.keys().items()}
-        return {name: known["twin"] for name, known in held.items() if "twin" in known}
+    def si_key_by_twin(cls) -> dict[str, str]:
+        """Return the SI keys by the keys in Hz and similar units."""
+        metadata_by_key = {key: key_field.metadata for key, key_field in cls.field_by_key().items()}
+        return {
+            key: metadata["twin"] for key, metadata in metadata_by_key.items() if "twin" in metadata
+        }
 
     @property
-    def derived(self) -> set[str]:
-        """The keys whose values follow from those of others, or are not given and chosen."""
-        given = {key for name, key in self.twins().items() if getattr(self, name) is not None}
-        return given | vars(self).get("_follow", set())
+    def derived_keys(self) -> set[str]:
+        """Keys whose values were inferred from other keys, or chosen as defaults."""
+        replaced_si_keys = {
+            si_key
+            for twin_key, si_key in self.si_key_by_twin().items()
+            if getattr(self, twin_key) is not None
+        }
+        return replaced_si_keys | vars(self).get("_inferred_keys", set())
 
     @classmethod
-    def name_of(cls, key: str = "") -> str:
-        """A key as it stands in a scene file: ``harmonic_balance.samples``; or the table alone."""
-        table = "".join("_" + c.lower() if c.isupper() else c for c in cls.__name__).lstrip("_")
-        return f"{table}.{key}" if key else table
+    def full_key(cls, key: str = "") -> str:
+        """Return a key as written in a scene, ``harmonic_balance.samples``; without a key the
+        table's name."""
+        table_name = "".join(
+            "_" + letter.lower() if letter.isupper() else letter for letter in cls.__name__
+        ).lstrip("_")
+        return f"{table_name}.{key}" if key else table_name
 
     @classmethod
-    def proposed(cls, key: str) -> str:
-        """A key as it is proposed, and taken by ``replace``; of a list of tables, of its first."""
-        return f"{cls.FIRST}.{key}" if cls.FIRST else cls.name_of(key)
+    def suggested_key(cls, key: str) -> str:
+        """Return a key as errors suggest it.
+
+        For a list of tables it is the first table's key.
+        """
+        return f"{cls.FIRST_TABLE_NAME}.{key}" if cls.FIRST_TABLE_NAME else cls.full_key(key)
 
     def as_toml(self) -> str:
-        """The table as it would stand in a file; what has its default is left out."""
-        lines, after = [f"[{self.name_of()}]"], []
-        found = self.derived
-        for name, item in self.keys().items():
-            value = getattr(self, name)
-            if isinstance(value, tuple) and value and isinstance(value[0], Axis):
-                after += ["", f"[{self.name_of(name)}]", *(axis.as_toml() for axis in value)]
-            elif value != item.default and name not in found:
-                lines.append(f"{name} = {_as_toml(value)}")
-        return "\n".join([*lines, *after, ""])
+        """Return the table as written in a file, without default and inferred values."""
+        toml_lines, axes_lines = [f"[{self.full_key()}]"], []
+        derived_keys = self.derived_keys
+        for key, key_field in self.field_by_key().items():
+            current_value = getattr(self, key)
+            if (
+                isinstance(current_value, tuple)
+                and current_value
+                and isinstance(current_value[0], Axis)
+            ):
+                axes_lines += [
+                    "",
+                    f"[{self.full_key(key)}]",
+                    *(axis.as_toml() for axis in current_value),
+                ]
+            elif current_value != key_field.default and key not in derived_keys:
+                toml_lines.append(f"{key} = {_value_as_toml(current_value)}")
+        return "\n".join([*toml_lines, *axes_lines, ""])
 
-    def require(self, condition: bool, key: str, allowed: str) -> None:
+    def require(self, condition: bool, key: str, requirement: str) -> None:
         """Raise InputError for a key unless a condition holds."""
         if not condition:
-            raise InputError(self.name_of(key), getattr(self, key), allowed)
+            raise InputError(self.full_key(key), getattr(self, key), requirement)
 
-    def given(self, key: str, allowed: str = "") -> Any:
-        """The value of a key that may not be left out."""
-        allowed = allowed or f"given: {self.keys()[key].metadata['allowed']}"
-        self.require(getattr(self, key) is not None, key, allowed)
+    def given(self, key: str, requirement: str = "") -> Any:
+        """Return the value of a key; raise InputError if it is None."""
+        requirement = requirement or f"given: {self.field_by_key()[key].metadata['allowed']}"
+        self.require(getattr(self, key) is not None, key, requirement)
         return getattr(self, key)
 
-    def leave_out(self, keys: Iterable[str], why: str) -> None:
-        """Raise InputError if one of the keys is given, other than by default."""
+    def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
+        """Raise InputError if a key is neither None nor the default."""
         for key in keys:
-            unsaid = getattr(self, key) in (None, self.keys()[key].default)
-            self.require(unsaid, key, f"left out with {why}")
+            is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
+            self.require(is_absent, key, f"left out with {circumstance}")
 
     @classmethod
-    def meant_by(cls, key: str) -> list[str]:
-        """The keys of the scene that may be meant by one that the table does not have.
+    def suggest_keys(cls, key: str) -> list[str]:
+        """Suggest keys for a key that the table does not have.
 
-        It is misspelt, or belongs to another table.
+        The key is misspelt or belongs to another table.
         """
-        tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
-        own = [cls.proposed(name) for name in near(key, cls.keys())]
-        if found := own or with_key(key, tables):
-            return found
-        every = {name: table for table in tables[::-1] for name in table.keys()}
-        return [every[name].proposed(name) for name in near(key, every, 0.8)]
+        table_classes = [
+            cls,
+            *(table_class for table_class in Table.__subclasses__() if table_class is not cls),
+        ]
+        own_suggestions = [
+            cls.suggested_key(known_key) for known_key in near(key, cls.field_by_key())
+        ]
+        if suggestions := own_suggestions or find_full_keys(key, table_classes):
+            return suggestions
+        table_class_by_key = {
+            known_key: table_class
+            for table_class in table_classes[::-1]
+            for known_key in table_class.field_by_key()
+        }
+        return [
+            table_class_by_key[known_key].suggested_key(known_key)
+            for known_key in near(key, table_class_by_key, 0.8)
+        ]
 
     @classmethod
-    def instead_of(cls, key: str) -> str:
-        """Return the error text for a missing key: the suggested keys, and all known ones."""
-        advice = cls._ADVICE.get(key) or meant(cls.meant_by(key)).strip()
-        return f"left out; {advice} known keys: {', '.join(cls.keys())}".replace(";  ", "; ")
+    def unknown_key_text(cls, key: str) -> str:
+        """Return the error text for an unknown key: suggested keys and all known keys."""
+        advice_text = cls._ADVICE_TEXT_BY_MISTAKE.get(key) or meant(cls.suggest_keys(key)).strip()
+        return f"left out; {advice_text} known keys: {', '.join(cls.field_by_key())}".replace(
+            ";  ", "; "
+        )
 
     @classmethod
-    def without_twins(
-        cls, values: Mapping[str, object], _held: Mapping[str, object]
+    def with_twins_removed(
+        cls, changes: Mapping[str, object], _current_values: Mapping[str, object]
     ) -> dict[str, Any]:
-        """Changes of some keys of what a table holds, and None for what they take the place of."""
-        cls.check_twins(values)
-        others = {key: twin for pair in cls.twins().items() for key, twin in (pair, pair[::-1])}
-        gone = {others[key]: None for key in values if others.get(key, key) not in values}
-        return {**gone, **values}
+        """Return changes that also set the twins of changed keys to None."""
+        cls.forbid_both_twins(changes)
+        twin_by_key = {
+            key: twin_key
+            for twin_pair in cls.si_key_by_twin().items()
+            for key, twin_key in (twin_pair, twin_pair[::-1])
+        }
+        removal_by_twin = {
+            twin_by_key[key]: None for key in changes if twin_by_key.get(key, key) not in changes
+        }
+        return {**removal_by_twin, **changes}
 
     @classmethod
-    def check_twins(cls, values: Mapping[str, object]) -> None:
+    def forbid_both_twins(cls, value_by_key: Mapping[str, object]) -> None:
         """Raise InputError if a key and its twin in another unit are given."""
-        for name, omega in cls.twins().items():
-            if values.get(name) is not None and values.get(omega) is not None:
-                allowed = f"left out with {cls.name_of(omega)} = {values[omega]}: one of the two"
-                raise InputError(cls.name_of(name), values[name], allowed)
+        for twin_key, si_key in cls.si_key_by_twin().items():
+            if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
+                requirement = (
+                    f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: one of the two"
+                )
+                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement)
 
     @classmethod
     def from_mapping(cls, values: object) -> Any:
-        """Make the table from the mapping read in a file."""
-        known = cls.keys()
-        keys = ", ".join(known)
-        if cls.WORD is not None and isinstance(values, str):
-            values = {cls.WORD: values}
+        """Make the table from a mapping that a file holds."""
+        field_by_key = cls.field_by_key()
+        keys_text = ", ".join(field_by_key)
+        if cls.SHORTHAND_KEY is not None and isinstance(values, str):
+            values = {cls.SHORTHAND_KEY: values}
         if not isinstance(values, Mapping):
-            raise InputError(cls.name_of(), values, f"a table with the keys {keys}")
+            raise InputError(cls.full_key(), values, f"a table with the keys {keys_text}")
         for key, value in values.items():
-            if key not in known:
-                raise InputError(cls.name_of(str(key)), value, cls.instead_of(str(key)))
-        for key, item in known.items():
-            if item.default is MISSING and key not in values:
-                raise InputError(cls.name_of(key), None, f"given: {item.metadata['allowed']}")
-        cls.check_twins(values)
+            if key not in field_by_key:
+                raise InputError(cls.full_key(str(key)), value, cls.unknown_key_text(str(key)))
+        for key, key_field in field_by_key.items():
+            if key_field.default is MISSING and key not in values:
+                raise InputError(cls.full_key(key), None, f"given: {key_field.metadata['allowed']}")
+        cls.forbid_both_twins(values)
         return cls(**values)
 
 
-def with_key(key: str, tables: Iterable[type[Table]]) -> list[str]:
-    """A key with the tables that have it; those last where it is a list of tables."""
-    known = [table for table in tables if key in table.keys()]
-    known.sort(key=lambda table: table.keys()[key].default == ())
-    return [table.proposed(key) for table in known]
+def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
+    """Return a key's full names in all tables; list keys (default ``()``) come last."""
+    classes_with_key = [
+        table_class for table_class in table_classes if key in table_class.field_by_key()
+    ]
+    classes_with_key.sort(key=lambda table_class: table_class.field_by_key()[key].default == ())
+    return [table_class.suggested_key(key) for table_class in classes_with_key]

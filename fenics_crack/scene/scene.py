@@ -2,7 +2,7 @@
 
 A scene is a TOML file (see ``demos/paper_plate.toml``) or a tree of the dataclasses in
 :mod:`fenics_crack.scene.tables`. A value that a key may not hold raises :class:`InputError` with
-the key, the value and what is allowed, before anything is computed.
+key, value and requirement, before any computation.
 """
 
 from __future__ import annotations
@@ -33,29 +33,36 @@ from fenics_crack.basics.suggestions import (
 from fenics_crack.basics.tables import RPM, TURN, frequency_axis
 from fenics_crack.basics.untrusted_files import text_of
 from fenics_crack.scene import tables as kinds
-from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
+from fenics_crack.scene.fields import (
+    Axis,
+    Point,
+    Table,
+    describe_components,
+    find_full_keys,
+    table_name_in_errors,
+)
 
-SOLVED_OFTEN = ("curve", "sweep", "growth", "identify")
-"""Tables by which a scene is solved many times."""
-LOOKED_AT = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
-"""Tables that choose results, and change nothing of the structure and its load."""
+MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
+"""Tables by which a command solves a scene many times."""
+RESULT_TABLE_NAMES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
+"""Tables that only choose results and do not change the structure or its load."""
 
-PLATE_TABLES = (
+PLATE_TABLE_NAMES = (
     "geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation", "disk",
 )  # fmt: skip
-"""Tables of a plate, which matrices from elsewhere take the place of."""
-THINNEST = 1e4
-"""Largest ratio of the plate's sides."""
+"""Tables of a plate or solid; matrices in ``structure`` replace them."""
+MAX_ALLOWED_SIDE_RATIO = 1e4
+"""Maximum allowed ratio between a plate's sides, either way."""
 
 
 @dataclass(frozen=True, repr=False)
 class Scene:
-    """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
+    """A cracked structure, the load, and the settings for computing the vibration.
 
-    Each table of the file is an attribute, and each of its keys an attribute of that:
-    ``scene.material.young``; all of them are under "Keys of a scene" in the reference. SI units;
-    frequencies given in Hz are there in rad/s too. A table that is left out is None or has its
-    defaults. With the table ``structure`` the tables of a plate are None.
+    Each table in the file is an attribute, and each key an attribute of the table:
+    ``scene.material.young``. All keys are under "Keys of a scene" in the reference. SI units;
+    frequencies given in Hz are there in rad/s too. An omitted table is None or has default values.
+    With the table ``structure`` the tables of a plate are None.
 
     Raises
     ------
@@ -73,7 +80,7 @@ class Scene:
     cracks: tuple[kinds.Crack, ...] = ()
     """Further cracks."""
     loads: tuple[kinds.Load, ...] = ()
-    """Loads beside the force of the excitation."""
+    """Loads in addition to the excitation's force."""
     base: kinds.Base | None = None
     rotation: kinds.Rotation | None = None
     disk: kinds.Disk | None = None
@@ -89,39 +96,48 @@ class Scene:
     output: kinds.Output | None = None
 
     def __post_init__(self) -> None:
-        for name, table in _TABLES.items():
-            value = getattr(self, name)
-            if name in _LISTS:
-                fine = isinstance(value, tuple) and all(isinstance(one, table) for one in value)
+        for table_name, table_class in _TABLE_CLASS_BY_NAME.items():
+            table = getattr(self, table_name)
+            if table_name in _LIST_TABLE_NAMES:
+                has_right_type = isinstance(table, tuple) and all(
+                    isinstance(list_element, table_class) for list_element in table
+                )
             else:
-                missing = value is None and (name in _OPTIONAL or _not_needed(self, name))
-                fine = isinstance(value, table) or missing
-            if not fine:
-                allowed = "given: a table" if value is None else f"a {table.__name__}"
-                if isinstance(value, str | Path):
-                    allowed += "; Scene.load(path) reads the file of a scene"
-                raise InputError(name, value, allowed)
+                may_be_missing = table is None and (
+                    table_name in _OPTIONAL_TABLE_NAMES
+                    or _is_replaced_by_matrices(self, table_name)
+                )
+                has_right_type = isinstance(table, table_class) or may_be_missing
+            if not has_right_type:
+                requirement = "given: a table" if table is None else f"a {table_class.__name__}"
+                if isinstance(table, str | Path):
+                    requirement += "; Scene.load(path) reads the file of a scene"
+                raise InputError(table_name, table, requirement)
         if self.rotation is not None:
-            self.rotation.check_place(self.disk)
+            self.rotation.check_axis_position(self.disk)
         if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
-            allowed = "left out without a rotation.speed > 0"
-            self.excitation.require(self.speed > 0.0, "order", allowed)
+            requirement = "left out without a rotation.speed > 0"
+            self.excitation.require(self.speed > 0.0, "order", requirement)
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
-        balance = self.harmonic_balance.of_load(self.highest_order)
-        object.__setattr__(self, "harmonic_balance", balance)
-        rubs = self.contact is not None and bool(self.contact.friction)
-        allowed = "'condensed' with contact.friction"
-        balance.require(balance.form == "condensed" or not rubs, "form", allowed)
-        if self.curve is not None and self.curve.followed[0] == "speed":
-            allowed = "another one without an excitation.order, which needs a rotation"
-            self.curve.require(self.excitation.order is not None, "parameter", allowed)
-        if self.curve is not None and self.curve.followed[0] == "load":
-            allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
-            allowed += "; or curve.at = 'resonance', where it stays"
-            self.curve.require(self.speed == 0.0, "parameter", allowed)
+        harmonic_balance = self.harmonic_balance.with_load_harmonics(self.highest_order)
+        object.__setattr__(self, "harmonic_balance", harmonic_balance)
+        contact_has_friction = self.contact is not None and bool(self.contact.friction)
+        requirement = "'condensed' with contact.friction"
+        harmonic_balance.require(
+            harmonic_balance.form == "condensed" or not contact_has_friction, "form", requirement
+        )
+        if self.curve is not None and self.curve.continuation_range[0] == "speed":
+            requirement = "another one without an excitation.order, which needs a rotation"
+            self.curve.require(self.excitation.order is not None, "parameter", requirement)
+        if self.curve is not None and self.curve.continuation_range[0] == "load":
+            requirement = "another one with a rotation.speed > 0: "
+            requirement += (
+                "the mean load is partly centrifugal; or curve.at = 'resonance', where it stays"
+            )
+            self.curve.require(self.speed == 0.0, "parameter", requirement)
         if self.integration is not None and self.rotation is not None:
-            why = "[rotation]: the mean load is partly centrifugal"
-            self.integration.leave_out(("deflection", "free"), why)
+            circumstance = "[rotation]: the mean load is partly centrifugal"
+            self.integration.forbid_keys(("deflection", "free"), circumstance)
         if self.structure is not None:
             _check_matrices(self, self.structure)
         else:
@@ -132,25 +148,32 @@ class Scene:
                 (_check_file if self.mesh.layout == "file" else _check_plate)(self)
             if self.disk is not None:
                 _check_disk(self, self.disk)
-        for name in self.quantities or ():
-            check_known(_without(self, QUANTITIES[name]), "output.quantities", name)
-        for name, key in _AXES:
-            if (chosen := getattr(self, name)) is not None:
-                axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
-                object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
+        for quantity_name in self.quantities or ():
+            reason = _reason_without_observable(self, QUANTITIES[quantity_name])
+            refuse_for_reason(reason, "output.quantities", quantity_name)
+        for table_name, axes_key in _AXES_TABLE_KEY_PAIRS:
+            if (axes_table := getattr(self, table_name)) is not None:
+                checked_axes = _check_axes(
+                    self, f"{table_name}.{axes_key}", getattr(axes_table, axes_key)
+                )
+                object.__setattr__(
+                    self, table_name, dataclasses.replace(axes_table, **{axes_key: checked_axes})
+                )
         if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
-            allowed = "left out without mesh.layout = 'file'"
-            self.identify.require(not self.identify.meshes, "meshes", allowed)
-            self.identify.leave_out(("uncracked",), "a mesh that is not a file")
+            requirement = "left out without mesh.layout = 'file'"
+            self.identify.require(not self.identify.meshes, "meshes", requirement)
+            self.identify.forbid_keys(("uncracked",), "a mesh that is not a file")
 
     def __repr__(self) -> str:
-        return f"Scene({_in_short(self)})"
+        return f"Scene({_describe_scene(self)})"
 
     @property
     def all_cracks(self) -> dict[str, kinds.Crack]:
-        """Every crack by its name: "crack", "cracks.1", "cracks.2"."""
-        first = {} if self.crack is None else {"crack": self.crack}
-        return first | {f"cracks.{number}": c for number, c in enumerate(self.cracks, 1)}
+        """Cracks by name: "crack", "cracks.1", "cracks.2"."""
+        first_crack_by_name = {} if self.crack is None else {"crack": self.crack}
+        return first_crack_by_name | {
+            f"cracks.{crack_number}": crack for crack_number, crack in enumerate(self.cracks, 1)
+        }
 
     @classmethod
     @checked_call
@@ -160,25 +183,36 @@ class Scene:
         folder: Path = Path(),
         changes: Mapping[str, object] | None = None,
     ) -> Scene:
-        """Make a scene from nested mappings; a relative ``mesh.file`` is one of ``folder``.
+        """Make a scene from nested mappings.
 
-        ``changes`` are those of :meth:`replace`, made before anything is checked; their files are
-        as they stand.
+        A relative ``mesh.file`` lies in ``folder``. ``changes`` are keys and values as in
+        :meth:`replace`; they apply before any check. Paths in ``changes`` stay as they are.
         """
         changes = changes or {}
-        tables = _with_changes(tables, changes)
-        for name, value in tables.items():
-            if name not in _TABLES:
-                raise InputError(name, value, _instead_of(name))
-        made = {name: _made(name, value) for name, value in tables.items()}
-        scene = with_files(cls(**made), lambda path: str(folder / path))
-        return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
+        tables = _with_changed_keys(tables, changes)
+        for table_name, raw_table in tables.items():
+            if table_name not in _TABLE_CLASS_BY_NAME:
+                raise InputError(table_name, raw_table, _unknown_table_text(table_name))
+        tables_by_name = {
+            table_name: _make_table_or_tuple(table_name, raw_table)
+            for table_name, raw_table in tables.items()
+        }
+        scene = with_file_paths(cls(**tables_by_name), lambda path: str(folder / path))
+        return scene.replace(
+            {
+                changed_key: changes[changed_key]
+                for changed_key in changes
+                if changed_key in _KEYS_WITH_PATHS
+            }
+        )
 
     @classmethod
     @checked_call
     def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Scene:
-        """Read a scene from a TOML file, with the changes of :meth:`replace`: what is wrong in the
-        file and changed does no harm.
+        """Read a scene from a TOML file.
+
+        ``changes`` are keys and values as in :meth:`replace`; they may replace wrong values in the
+        file.
 
         Raises
         ------
@@ -196,203 +230,246 @@ class Scene:
         folder: Path = Path(),
         changes: Mapping[str, object] | None = None,
     ) -> Scene:
-        """Make a scene from the text of a TOML file, which errors call ``name``."""
+        """Make a scene from TOML text, which errors call ``name``."""
         with reading("scene", name, "a TOML file"):
             try:
-                tables = tomllib.loads(text)
+                table_by_name = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:
-                allowed = f"a TOML file ({error}){_hint_in(text, str(error))}"
-                raise InputError("scene", name, allowed) from error
-        return cls.from_mapping(tables, folder, changes)
+                requirement = f"a TOML file ({error}){_suggest_line_fix(text, str(error))}"
+                raise InputError("scene", name, requirement) from error
+        return cls.from_mapping(table_by_name, folder, changes)
 
     @classmethod
     def schema(cls) -> dict[str, Any]:
-        """All tables and keys as a JSON schema, by which editors of TOML complete and check them.
+        """Return all tables and keys as a JSON schema, for editors that check TOML.
 
         Examples
         --------
         >>> sorted(fc.Scene.schema()["properties"]["material"]["required"])
         ['density', 'poisson', 'young']
         """
-        tables = {name: kind.schema() for name, kind in _TABLES.items()}
-        lists = {name: {"type": "array", "items": tables[name]} for name in _LISTS}
+        schema_by_table = {
+            table_name: table_class.schema()
+            for table_name, table_class in _TABLE_CLASS_BY_NAME.items()
+        }
+        list_schema_by_table = {
+            table_name: {"type": "array", "items": schema_by_table[table_name]}
+            for table_name in _LIST_TABLE_NAMES
+        }
         return {
             "$schema": "http://json-schema.org/draft-07/schema#",
             "type": "object",
-            "properties": tables | lists,
+            "properties": schema_by_table | list_schema_by_table,
             "additionalProperties": False,
         }
 
     @property
     def dimension(self) -> int:
-        """3 for a solid, and for a model of another program; else 2."""
+        """3 for a solid and for a model from another program, otherwise 2."""
         if self.structure is not None:
             return 2 if self.structure.model is None else 3
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
     def has_element_lengths(self) -> bool:
-        """True if elements are as long as their distance from crack tips and corners allows: of a
-        solid, and of a sector that is graded."""
+        """True if distances to crack tips and corners set the element lengths.
+
+        This holds for a solid and for a graded sector.
+        """
         return self.dimension == 3 or (self.disk is not None and self.mesh.layout == "graded")
 
     @property
     def has_friction(self) -> bool:
-        """True if there is friction between crack faces, in a case of the sweep at least."""
-        own = self.contact is not None and bool(self.contact.friction)
-        return own or any(self.swept.get("contact.friction", ()))
+        """True if crack faces have friction, at least in one case of the sweep."""
+        contact_has_friction = self.contact is not None and bool(self.contact.friction)
+        return contact_has_friction or any(self.swept.get("contact.friction", ()))
 
     @property
     def highest_order(self) -> int:
-        """Highest multiple of the excitation's frequency at which a load acts."""
-        tables: list[kinds.Periodic | None] = [self.excitation, *self.loads, self.base]
-        return max(table.highest for table in tables if table is not None)
+        """Highest multiple of the excitation frequency in any load."""
+        periodic_loads: list[kinds.Periodic | None] = [self.excitation, *self.loads, self.base]
+        return max(
+            periodic_load.highest_order
+            for periodic_load in periodic_loads
+            if periodic_load is not None
+        )
 
     @property
     def has_other_loads(self) -> bool:
-        """True if there is a load beside the force at ``excitation.point``."""
+        """True if a load other than the force at ``excitation.point`` may act."""
         return bool(self.loads) or self.base is not None or self.structure is not None
 
     def given(self, name: str) -> Any:
-        """A table that a command cannot do without; InputError where there is none."""
+        """Return a table for a command; raise InputError if the table is missing."""
         if getattr(self, name) is None:
             raise InputError(name, None, "given for this command: a table")
-        condensed = self.harmonic_balance.form == "condensed"
-        allowed = f"'condensed' for this command, by the table [{name}]"
-        self.harmonic_balance.require(condensed or name not in SOLVED_OFTEN, "form", allowed)
+        is_condensed = self.harmonic_balance.form == "condensed"
+        requirement = f"'condensed' for this command, by the table [{name}]"
+        self.harmonic_balance.require(
+            is_condensed or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement
+        )
         return getattr(self, name)
 
     @property
     def speed(self) -> float:
-        """Rotor speed [rad/s]; 0 where there is none."""
+        """Rotor speed [rad/s]; 0 without a rotor."""
         return 0.0 if self.rotation is None else self.rotation.speed
 
-    def _asks_in(self, name: str) -> bool:
-        """Return True if a key in another unit than SI is given, followed or swept."""
-        table, key = name.split(".")
-        given = getattr(getattr(self, table), key, None) is not None
-        followed = self.curve is not None and self.curve.parameter == key
-        return given or followed or name in self.swept
+    def _uses_key(self, full_key: str) -> bool:
+        """Return True if a key is given, followed by a curve, or swept."""
+        table_name, key_in_table = full_key.split(".")
+        is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
+        is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
+        return is_given or is_curve_parameter or full_key in self.swept
 
     @property
     def in_rpm(self) -> bool:
-        """True if the rotor's speed is given, or swept, in revolutions per minute."""
-        return self._asks_in("rotation.rpm")
+        """True if the rotor speed is given or swept in revolutions per minute."""
+        return self._uses_key("rotation.rpm")
 
     @property
     def in_hertz(self) -> bool:
-        """True if the load's frequency is given, followed or swept in Hz, and so to be shown."""
-        by_order = self.excitation.order is not None and self.in_rpm
-        return by_order or self._asks_in("excitation.frequency")
+        """True if results show the load frequency in Hz.
+
+        The frequency is given, followed or swept in Hz, or follows from an order and rpm.
+        """
+        has_order_and_rpm = self.excitation.order is not None and self.in_rpm
+        return has_order_and_rpm or self._uses_key("excitation.frequency")
 
     @property
     def quantities(self) -> tuple[str, ...] | None:
-        """Quantities of ``[output]``; None where it does not choose."""
+        """Quantities in ``[output]``; None if it does not choose."""
         return None if self.output is None else self.output.quantities
 
     @property
     def points(self) -> tuple[Point, ...]:
-        """Points of ``[output.points]``."""
+        """Points in ``[output.points]``."""
         return () if self.output is None else self.output.points
 
     @property
     def point_names(self) -> dict[str, str]:
-        """The points in each direction, "tip.ux", "tip.uy", and their words."""
+        """Labels by point and direction: "tip.ux", "tip.uy"."""
         return {
-            f"{point.key}.u{axis}": f"{axis} displacement of {point.key}"
+            f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
             for point in self.points
-            for axis in "xyz"[: self.dimension]
+            for axis_letter in "xyz"[: self.dimension]
         }
 
     def at_rest(self) -> Scene:
-        """The scene without rotation, its load at the same frequency."""
-        changes: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
+        """Return the scene without rotation, with the same load frequency."""
+        value_by_changed_key: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
         if self.excitation.order is not None:
-            changes["excitation.omega"] = self.excitation.omega
+            value_by_changed_key["excitation.omega"] = self.excitation.omega
             if self.disk is not None:  # whose order gives the phases
-                changes["excitation.order"] = self.excitation.order
-        return self.replace(changes)
+                value_by_changed_key["excitation.order"] = self.excitation.order
+        return self.replace(value_by_changed_key)
 
     @property
     def swept(self) -> dict[str, tuple[Any, ...]]:
-        """The keys of a sweep, and their values."""
+        """Values by key of the sweep."""
         return {} if self.sweep is None else {axis.key: axis.values for axis in self.sweep.over}
 
     @property
     def swept_omegas(self) -> tuple[float, ...]:
-        """The load frequencies of a sweep [rad/s]; without one, or where it is the same for all
-        cases, that of the excitation."""
-        swept = self.swept
-        if "excitation.frequency" in swept:
-            return tuple(TURN * hertz for hertz in swept["excitation.frequency"])
-        orders = swept.get("excitation.order", (self.excitation.order,))
-        if None in orders or "excitation.omega" in swept:  # this in place of an order
-            return swept.get("excitation.omega", (self.excitation.omega,))
-        speeds = tuple(RPM * rpm for rpm in swept.get("rotation.rpm", ())) or (self.speed,)
-        speeds = swept.get("rotation.speed", speeds)
+        """Load frequencies in a sweep [rad/s].
+
+        If the sweep does not change the frequency, the excitation's frequency alone.
+        """
+        swept_values_by_key = self.swept
+        if "excitation.frequency" in swept_values_by_key:
+            return tuple(
+                TURN * frequency for frequency in swept_values_by_key["excitation.frequency"]
+            )
+        orders = swept_values_by_key.get("excitation.order", (self.excitation.order,))
+        if None in orders or "excitation.omega" in swept_values_by_key:  # this in place of an order
+            return swept_values_by_key.get("excitation.omega", (self.excitation.omega,))
+        speeds = tuple(RPM * rpm for rpm in swept_values_by_key.get("rotation.rpm", ())) or (
+            self.speed,
+        )
+        speeds = swept_values_by_key.get("rotation.speed", speeds)
         return tuple(order * speed for order in orders for speed in speeds)
 
     @property
     def axis(self) -> tuple[np.ndarray, np.ndarray]:
-        """A point of the rotor's axis in space [m], and its direction, of length 1."""
+        """Point on the rotor axis [m] and unit direction, (3,) each."""
         if self.disk is None:
             assert self.rotation is not None
-            sides = self.geometry.sides
-            return self.rotation.place(0.5 * np.array(sides if len(sides) == 3 else np.zeros(3)))
-        plane, axis = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
+            geometry_sides = self.geometry.sides
+            return self.rotation.locate_axis(
+                0.5 * np.array(geometry_sides if len(geometry_sides) == 3 else np.zeros(3))
+            )
+        is_plane, direction = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
         if self.mesh.layout == "file":
-            point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
+            axis_point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
         else:
-            below, middle = -self.disk.given("outer_radius"), 0.5 * self.geometry.across
-            point = [middle, below, 0.0] if plane else [0.0, below, middle]
-        if plane:
-            axis = np.array([0.0, 0.0, 1.0])
-        return np.array(point), axis / np.linalg.norm(axis)
+            axis_height, blade_center = (
+                -self.disk.given("outer_radius"),
+                0.5 * self.geometry.circumferential_width,
+            )
+            axis_point = (
+                [blade_center, axis_height, 0.0] if is_plane else [0.0, axis_height, blade_center]
+            )
+        if is_plane:
+            direction = np.array([0.0, 0.0, 1.0])
+        return np.array(axis_point), direction / np.linalg.norm(direction)
 
     @property
     def modes_key(self) -> str:
-        """The key by which more modes are kept."""
+        """Key that sets the number of modes."""
         return "reduction.modes" if self.disk is None else "disk.families"
 
     @property
     def damped_modes(self) -> int | str:
-        """``damping.modes``; "all" where the damping is a matrix."""
+        """``damping.modes``; "all" if the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
-    @partial(checked_call, keys=lambda name: meant_keys(name))
+    @partial(checked_call, keys=lambda misspelt_name: suggest_full_keys(misspelt_name))
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
-        An optional table is made where it is missing, and removed by ``{"crack": None}``. Tables of
-        a list are counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency
-        in Hz takes the place of the one in rad/s, and the other way round.
+        A missing optional table is made; ``{"crack": None}`` removes a table. Tables of a list are
+        counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency in Hz
+        replaces the frequency in rad/s, and vice versa.
         """
-        given = {item.name: getattr(self, item.name) for item in fields(self)}
-        tables = _with_changes({name: one for name, one in given.items() if one}, values)
-        return Scene(**{name: _made(name, table) for name, table in tables.items()})
+        table_by_name = {
+            scene_field.name: getattr(self, scene_field.name) for scene_field in fields(self)
+        }
+        changed_table_by_name = _with_changed_keys(
+            {table_name: table for table_name, table in table_by_name.items() if table}, values
+        )
+        return Scene(
+            **{
+                table_name: _make_table_or_tuple(table_name, raw_table)
+                for table_name, raw_table in changed_table_by_name.items()
+            }
+        )
 
     def as_toml(self) -> str:
-        """The scene as a file that :meth:`load` reads; paths as they are."""
-        parts = []
-        for name, kind in _TABLES.items():
-            tables = getattr(self, name)
-            if name in _LISTS:
-                header = f"[{kind.name_of()}]"
-                parts += [table.as_toml().replace(header, f"[[{name}]]", 1) for table in tables]
+        """Return the scene as a TOML text for :meth:`load`, with unchanged paths."""
+        table_texts = []
+        for table_name, table_class in _TABLE_CLASS_BY_NAME.items():
+            tables = getattr(self, table_name)
+            if table_name in _LIST_TABLE_NAMES:
+                header = f"[{table_class.full_key()}]"
+                table_texts += [
+                    table.as_toml().replace(header, f"[[{table_name}]]", 1) for table in tables
+                ]
             elif tables is not None:
-                parts.append(tables.as_toml())
-        return "\n".join(parts)
+                table_texts.append(tables.as_toml())
+        return "\n".join(table_texts)
 
 
-def _not_needed(scene: Scene, name: str) -> bool:
-    """Return True if a table that a plate needs may be missing, for there are matrices instead."""
+def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
+    """Return True if matrices replace a table that a plate needs."""
     if scene.structure is None:
         return False
-    return name in PLATE_TABLES or (name == "damping" and scene.structure.damping is not None)
+    return table_name in PLATE_TABLE_NAMES or (
+        table_name == "damping" and scene.structure.damping is not None
+    )
 
 
-def without_tips(scene: Scene) -> str:
-    """Why no stress intensities are known of a scene; "" of a plate with a crack."""
+def reason_without_stress_intensity(scene: Scene) -> str:
+    """Return why a scene has no stress intensities; empty for a mesh with a crack."""
     if scene.structure is not None:
         return "with [structure]: stress intensities take a mesh"
     if scene.disk is not None:
@@ -406,15 +483,15 @@ def without_tips(scene: Scene) -> str:
     return ""
 
 
-def without_ellipse(scene: Scene) -> str:
-    """Why a scene's crack does not grow as half of an ellipse; "" where it does."""
+def reason_without_elliptical_growth(scene: Scene) -> str:
+    """Return why a scene's crack does not grow as an ellipse; empty if it does."""
     if scene.crack is None or not scene.crack.is_elliptical or scene.cracks:
         return "without one crack with crack.front = 'elliptical', or around a point"
-    return without_tips(scene)
+    return reason_without_stress_intensity(scene)
 
 
-def without_clamp(scene: Scene) -> str:
-    """Why the forces of the clamp are not known; "" where they are."""
+def reason_without_clamp_forces(scene: Scene) -> str:
+    """Return why clamp forces are unknown; empty if they are known."""
     if scene.structure is not None:
         return "with [structure]: matrices have no clamp, a mesh has"
     if scene.disk is not None:
@@ -424,254 +501,321 @@ def without_clamp(scene: Scene) -> str:
     return ""
 
 
-def check_known(without: str, key: str, value: object = None) -> None:
-    """Raise InputError, of a key and its value, where there is a reason why it cannot be known."""
-    if without:
-        raise InputError(key, value, f"left out {without}")
+def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
+    """Raise InputError for a key and value if the reason is not empty."""
+    if reason:
+        raise InputError(key, value, f"left out {reason}")
 
 
-def _without(scene: Scene, one: Observable) -> str:
-    """Why an observable is not known of a scene; "" where it is."""
-    if Where.FRICTION in one.where and not scene.has_friction:
+def _reason_without_observable(scene: Scene, observable: Observable) -> str:
+    """Return why a scene lacks an observable; empty if it has the observable."""
+    if Where.FRICTION in observable.where and not scene.has_friction:
         return "without contact.friction"
-    if Where.GROWING in one.where and scene.growth is None:
+    if Where.GROWING in observable.where and scene.growth is None:
         return "without a table [growth], which has its exponent"
-    if Where.SOLID in one.where and (scene.structure is not None or scene.dimension == 2):
+    if Where.SOLID in observable.where and (scene.structure is not None or scene.dimension == 2):
         return "without geometry.kind = 'solid'"
-    return _WITHOUT[one.of](scene) if one.of in _WITHOUT else ""
+    return (
+        _REASON_FUNCTION_BY_PLACE[observable.of](scene)
+        if observable.of in _REASON_FUNCTION_BY_PLACE
+        else ""
+    )
 
 
-def asked_quantities(scene: Scene) -> tuple[str, ...]:
-    """Return the quantities of ``output.quantities`` at places of rows of their own."""
-    return tuple(name for name in scene.quantities or () if QUANTITIES[name].of.on_request)
+def quantities_on_request(scene: Scene) -> tuple[str, ...]:
+    """Return the ``output.quantities`` at places that are computed only on request."""
+    return tuple(
+        quantity_name
+        for quantity_name in scene.quantities or ()
+        if QUANTITIES[quantity_name].of.on_request
+    )
 
 
-_WITHOUT: dict[Place, Callable[[Scene], str]] = {
-    Place.TIPS: without_tips,
-    Place.ELLIPSE: without_ellipse,
-    Place.CLAMP: without_clamp,
+_REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
+    Place.TIPS: reason_without_stress_intensity,
+    Place.ELLIPSE: reason_without_elliptical_growth,
+    Place.CLAMP: reason_without_clamp_forces,
 }
-"""Why there is nothing at a place of a scene; "" where there is."""
+"""Functions by place: the reason why a scene lacks observables there, or an empty text."""
 
 
-def files_of(scene: Scene) -> list[tuple[str, str]]:
-    """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
-    found = [item for item in _paths(scene).items() if not item[0].startswith(LOOKED_AT)]
-    for key, values in scene.swept.items():
-        if key in _PATHS:
-            found += [(key, value) for value in values if isinstance(value, str)]
-    return found
+def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
+    """Return keys and paths of mesh and matrix files, in the scene and its sweep."""
+    keys_and_paths = [
+        key_and_path
+        for key_and_path in _path_by_key(scene).items()
+        if not key_and_path[0].startswith(RESULT_TABLE_NAMES)
+    ]
+    for key, axis_values in scene.swept.items():
+        if key in _PATH_KEYS:
+            keys_and_paths += [(key, path) for path in axis_values if isinstance(path, str)]
+    return keys_and_paths
 
 
-def _paths(scene: Scene) -> dict[str, str]:
-    """Keys that name files, and the files."""
-    named = ((key, *key.split(".")) for key in _PATHS)
-    found = {key: getattr(getattr(scene, table), name, None) for key, table, name in named}
-    return {key: value for key, value in found.items() if isinstance(value, str)}
+def _path_by_key(scene: Scene) -> dict[str, str]:
+    """Return the paths of a scene's files by key, without sweep and meshes."""
+    split_keys = ((full_key, *full_key.split(".")) for full_key in _PATH_KEYS)
+    path_or_none_by_key = {
+        full_key: getattr(getattr(scene, table_name), key_in_table, None)
+        for full_key, table_name, key_in_table in split_keys
+    }
+    return {
+        full_key: path_or_none
+        for full_key, path_or_none in path_or_none_by_key.items()
+        if isinstance(path_or_none, str)
+    }
 
 
-def with_files(scene: Scene, change: Callable[[str], str]) -> Scene:
-    """The scene with the paths of its files changed."""
-    paths = _paths(scene)
-    if not paths:
+def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
+    """Return the scene with changed paths."""
+    path_by_key = _path_by_key(scene)
+    if not path_by_key:
         return scene
-    changes: dict[str, object] = {key: change(path) for key, path in paths.items()}
+    changes: dict[str, object] = {
+        path_key: change_path(path) for path_key, path in path_by_key.items()
+    }
 
-    def moved(axis: Axis) -> Axis:
-        values = (change(v) if isinstance(v, str) else v for v in axis.values)
-        return Axis(axis.key, tuple(values)) if axis.key in _PATHS else axis
+    def change_axis_paths(axis: Axis) -> Axis:
+        axis_values = (
+            change_path(axis_value) if isinstance(axis_value, str) else axis_value
+            for axis_value in axis.values
+        )
+        return Axis(axis.key, tuple(axis_values)) if axis.key in _PATH_KEYS else axis
 
-    for name, key in _AXES:
-        if (table := getattr(scene, name)) is not None:
-            changes[f"{name}.{key}"] = tuple(map(moved, getattr(table, key)))
+    for table_name, axes_key in _AXES_TABLE_KEY_PAIRS:
+        if (table := getattr(scene, table_name)) is not None:
+            changes[f"{table_name}.{axes_key}"] = tuple(
+                map(change_axis_paths, getattr(table, axes_key))
+            )
     if scene.identify is not None and scene.identify.meshes:
-        meshes = (dataclasses.replace(mesh, key=change(mesh.key)) for mesh in scene.identify.meshes)
+        meshes = (
+            dataclasses.replace(mesh, key=change_path(mesh.key)) for mesh in scene.identify.meshes
+        )
         changes["identify.meshes"] = tuple(meshes)
     return scene.replace(changes)
 
 
-def _in_short(scene: Scene) -> str:
-    """Describe the structure, its cracks, and the load's frequency."""
+def _describe_scene(scene: Scene) -> str:
+    """Describe the structure, its cracks, and the load frequency."""
     if scene.structure is not None:
-        parts = [f"matrices {scene.structure.stiffness!r}"]
+        phrases = [f"matrices {scene.structure.stiffness!r}"]
     elif scene.mesh.layout == "file":
-        parts = [f"mesh {scene.mesh.file!r}"]
+        phrases = [f"mesh {scene.mesh.file!r}"]
     elif scene.geometry.file is not None:
-        parts = [f"part {scene.geometry.file!r}"]
+        phrases = [f"part {scene.geometry.file!r}"]
     else:
-        sides = " x ".join(f"{side:g}" for side in scene.geometry.sides)
-        parts = [f"{scene.geometry.kind} of {sides} m"]
+        sides_text = " x ".join(f"{side:g}" for side in scene.geometry.sides)
+        phrases = [f"{scene.geometry.kind} of {sides_text} m"]
     for crack in scene.all_cracks.values():
-        parts.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
+        phrases.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
     if scene.contact is not None:
-        parts.append(scene.contact.law)
-    factor, _, unit = frequency_axis(scene.in_hertz)
-    return f"{', '.join(parts)}, {factor * scene.excitation.omega:g} {unit}"
+        phrases.append(scene.contact.law)
+    frequency_factor, _, frequency_unit = frequency_axis(scene.in_hertz)
+    return f"{', '.join(phrases)}, {frequency_factor * scene.excitation.omega:g} {frequency_unit}"
 
 
-def _hint_in(text: str, error: str) -> str:
-    """Suggest the value to write in the line that an error of TOML names, a number in SI units or a
-    word in quotes; or ""."""
-    lines, place = text.splitlines(), re.search(r"at line (\d+)", error)
-    if place is None or int(place[1]) > len(lines):
+def _suggest_line_fix(toml_text: str, error_text: str) -> str:
+    """Suggest the correct value for the line that a TOML error names.
+
+    The value is a number in SI units or a quoted word. Empty without a suggestion.
+    """
+    toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
+    if line_match is None or int(line_match[1]) > len(toml_lines):
         return ""
-    above, line = lines[: int(place[1])], lines[int(place[1]) - 1]
-    headers = [one.strip("[ ]") for one in above if one.startswith("[")]
-    key, _, value = (part.strip() for part in line.partition("#")[0].partition("="))
-    number = converted(value.strip("\"'"), unit_of(".".join([*headers[-1:], key])))
-    if number is None and not value.isidentifier():
+    lines_to_error, toml_line = toml_lines[: int(line_match[1])], toml_lines[int(line_match[1]) - 1]
+    table_headers = [
+        toml_line.strip("[ ]") for toml_line in lines_to_error if toml_line.startswith("[")
+    ]
+    key, _, value_text = (
+        line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
+    )
+    si_value = converted(value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key])))
+    if si_value is None and not value_text.isidentifier():
         return ""
-    right = f'"{value}"' if number is None else written(number)
-    return f"; {meant([f'{key} = {right}'])}".rstrip()
+    corrected_text = f'"{value_text}"' if si_value is None else written(si_value)
+    return f"; {meant([f'{key} = {corrected_text}'])}".rstrip()
 
 
 def known_keys() -> list[str]:
-    """Every key of a scene; of a list of tables those of the first."""
-    tables = [(f"{name}.1" if name in _LISTS else name, kind) for name, kind in _TABLES.items()]
-    return [f"{name}.{key}" for name, kind in tables for key in kind.keys()]
+    """Return every full key; for lists of tables those of the first table."""
+    named_table_classes = [
+        (f"{table_name}.1" if table_name in _LIST_TABLE_NAMES else table_name, table_class)
+        for table_name, table_class in _TABLE_CLASS_BY_NAME.items()
+    ]
+    return [
+        f"{table_name}.{key_in_table}"
+        for table_name, table_class in named_table_classes
+        for key_in_table in table_class.field_by_key()
+    ]
 
 
-def unit_of(name: str) -> str:
-    """The unit of the values of a key, "cracks.1.length"; empty if they have none."""
-    table, _, key = _parts(name)
-    known = _TABLES[table].keys() if table in _TABLES else {}
-    return str(known[key].metadata["unit"]) if key in known else ""
+def unit_of_key(full_key: str) -> str:
+    """Return the unit for a full key, "cracks.1.length"; empty without a unit."""
+    table_name, _, key_in_table = _split_key(full_key)
+    field_by_key = (
+        _TABLE_CLASS_BY_NAME[table_name].field_by_key()
+        if table_name in _TABLE_CLASS_BY_NAME
+        else {}
+    )
+    return str(field_by_key[key_in_table].metadata["unit"]) if key_in_table in field_by_key else ""
 
 
 # --- what tables must not contradict --------------------------------------------------------------
 
 
 def _check_matrices(scene: Scene, structure: kinds.Structure) -> None:
-    _check_absent(scene, PLATE_TABLES, "[structure]")
+    """Raise InputError if tables contradict matrices from files."""
+    _forbid_tables(scene, PLATE_TABLE_NAMES, "[structure]")
     if structure.damping is not None:
-        _check_absent(scene, ("damping",), "structure.damping")
+        _forbid_tables(scene, ("damping",), "structure.damping")
     if structure.model is None:
-        force = scene.excitation.force_given
-        allowed = "left out with [structure], which has files, or has no model with the places"
-        absent = not force and scene.excitation.point is None
-        scene.excitation.require(absent, force or "point", allowed)
-        matrices = structure.mass, structure.stiffness, structure.damping or ""
-        if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrices):
-            structure.leave_out(("dofs",), "matrices that have no model, and are not CalculiX's")
+        force_key = scene.excitation.first_force_key
+        requirement = "left out with [structure], which has files, or has no model with the places"
+        has_no_force = not force_key and scene.excitation.point is None
+        scene.excitation.require(has_no_force, force_key or "point", requirement)
+        matrix_files = structure.mass, structure.stiffness, structure.damping or ""
+        if not any(Path(file).suffix.lower() in (".sti", ".mas") for file in matrix_files):
+            structure.forbid_keys(("dofs",), "matrices that have no model, and are not CalculiX's")
     if structure.gap is None and (structure.model is None or scene.contact is None):
-        per_pair = ("clearance", "areas", "tangential")
-        structure.leave_out(per_pair, "no pairs: no gap, nor a model with [contact]")
-    _check_vectors(scene)
+        pair_keys = ("clearance", "areas", "tangential")
+        structure.forbid_keys(pair_keys, "no pairs: no gap, nor a model with [contact]")
+    _set_vector_dimension(scene)
     if scene.excitation.point is None:
-        files = (structure.force_sin, structure.force_cos, structure.force_mean)
-        allowed = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
-        scene.excitation.require(any(files) and not scene.excitation.force_given, "point", allowed)
+        force_files = (structure.force_sin, structure.force_cos, structure.force_mean)
+        requirement = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
+        scene.excitation.require(
+            any(force_files) and not scene.excitation.first_force_key, "point", requirement
+        )
     if structure.gap is not None and scene.contact is None:
         raise InputError("contact", None, "given with structure.gap: a table")
     if scene.contact is not None:
-        allowed = "'all' with [structure]"
-        scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
+        requirement = "'all' with [structure]"
+        scene.contact.require(scene.contact.pairs == "all", "pairs", requirement)
         if structure.areas is None and (structure.model is None or structure.gap is not None):
-            scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+            scene.contact.forbid_keys(("stiffness_per_area",), "[structure], which has no areas")
         if structure.model is None and structure.gap is None:
-            allowed = "left out without structure.gap or model: there are no pairs"
-            raise InputError("contact", "a table", allowed)
+            requirement = "left out without structure.gap or model: there are no pairs"
+            raise InputError("contact", "a table", requirement)
 
 
-def _check_absent(scene: Scene, tables: Iterable[str], why: str) -> None:
-    """Raise InputError for the first of some tables that is there."""
-    for name in tables:
-        if getattr(scene, name):
-            raise InputError(name, "a table", f"left out with {why}")
+def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) -> None:
+    """Raise InputError for the first named table that is present."""
+    for table_name in table_names:
+        if getattr(scene, table_name):
+            raise InputError(table_name, "a table", f"left out with {circumstance}")
 
 
-def _check_vectors(scene: Scene) -> None:
-    """Give all tables vectors of the plane or of space; InputError where they are not."""
+def _set_vector_dimension(scene: Scene) -> None:
+    """Give vectors in all tables the scene's dimension; raise InputError if they do not fit."""
     dimension = scene.dimension
-    for name in _TABLES:
-        held = getattr(scene, name)
-        if name in _LISTS:
-            found: Any = []
-            for number, table in enumerate(held, 1):
-                with named(f"{name}.{number}"):
-                    found.append(table.with_vectors(dimension))
-            object.__setattr__(scene, name, tuple(found))
-        elif held is not None:
-            object.__setattr__(scene, name, held.with_vectors(dimension))
+    for table_name in _TABLE_CLASS_BY_NAME:
+        tables = getattr(scene, table_name)
+        if table_name in _LIST_TABLE_NAMES:
+            converted_tables: Any = []
+            for list_position, table in enumerate(tables, 1):
+                with table_name_in_errors(f"{table_name}.{list_position}"):
+                    converted_tables.append(table.with_dimension(dimension))
+            object.__setattr__(scene, table_name, tuple(converted_tables))
+        elif tables is not None:
+            object.__setattr__(scene, table_name, tables.with_dimension(dimension))
     for point in scene.points:
         if len(point.values) != dimension:
-            raise InputError(f"output.points.{point.key}", point.values, components("", dimension))
+            raise InputError(
+                f"output.points.{point.key}", point.values, describe_components("", dimension)
+            )
 
 
 def _check_dimension(scene: Scene) -> None:
-    """Raise InputError where a table is not one of a plate, or of a solid."""
+    """Raise InputError if a table does not fit a plate, or a solid."""
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
-        scene.rotation.leave_out(("axis", "center"), "a plate: its axis is parallel to x")
-    for name, crack in scene.all_cracks.items() if dimension == 2 else ():
-        with named(name):
-            crack.leave_out(kinds.OF_PLANES, "geometry.kind = 'plate'")
-    _check_vectors(scene)
+        scene.rotation.forbid_keys(("axis", "center"), "a plate: its axis is parallel to x")
+    for crack_name, crack in scene.all_cracks.items() if dimension == 2 else ():
+        with table_name_in_errors(crack_name):
+            crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
+    _set_vector_dimension(scene)
     mesh = scene.mesh
     if scene.contact is not None and scene.contact.pairs == "mouth":
-        mesh.leave_out(("patches",), "contact.pairs = 'mouth', which keeps one")
+        mesh.forbid_keys(("patches",), "contact.pairs = 'mouth', which keeps one")
     if dimension == 3:
-        reason = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
-        mesh.require(mesh.order == 2, "order", reason)
-        allowed = "'graded' or 'file' with geometry.kind = 'solid'"
-        mesh.require(mesh.layout != "grid", "layout", allowed)
-        mesh.leave_out(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
+        requirement = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
+        mesh.require(mesh.order == 2, "order", requirement)
+        requirement = "'graded' or 'file' with geometry.kind = 'solid'"
+        mesh.require(mesh.layout != "grid", "layout", requirement)
+        mesh.forbid_keys(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
         if scene.contact is not None and scene.contact.friction and scene.disk is not None:
-            allowed = "0, or left out, with [disk] and geometry.kind = 'solid': not there yet"
-            scene.contact.require(False, "friction", allowed)
+            requirement = "0, or left out, with [disk] and geometry.kind = 'solid': not there yet"
+            scene.contact.require(False, "friction", requirement)
     if geometry.file is None:
-        mesh.leave_out(("per_turn",), "no geometry.file: it has no curved faces")
+        mesh.forbid_keys(("per_turn",), "no geometry.file: it has no curved faces")
     if dimension == 2 or (mesh.layout != "file" and geometry.file is None):
         geometry.given("thickness", "given: a finite number > 0")
 
 
 def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
-    """Raise InputError for what a bladed disk is not, or is not there yet."""
-    _check_absent(scene, ("base", "growth", "identify", "reduction"), "[disk]")
+    """Raise InputError if a bladed disk excludes a table, or the rim is wrong."""
+    _forbid_tables(scene, ("base", "growth", "identify", "reduction"), "[disk]")
     scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
     if scene.speed == 0.0:
-        allowed = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
-        scene.excitation.given("omega", allowed)
+        requirement = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
+        scene.excitation.given("omega", requirement)
     if scene.curve is not None:
-        allowed = "another one with [disk]: the load's frequency, for example"
-        scene.curve.require(scene.curve.followed[0] != "speed", "parameter", allowed)
-    for name, crack in scene.all_cracks.items():
-        with named(name):
-            crack.leave_out(("first_omega", "first_frequency"), "[disk]")
-    radii = ("inner_radius", "outer_radius")
+        requirement = "another one with [disk]: the load's frequency, for example"
+        scene.curve.require(scene.curve.continuation_range[0] != "speed", "parameter", requirement)
+    for crack_name, crack in scene.all_cracks.items():
+        with table_name_in_errors(crack_name):
+            crack.forbid_keys(("first_omega", "first_frequency"), "[disk]")
+    radius_keys = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
-        disk.leave_out(radii, "mesh.layout = 'file'")
+        disk.forbid_keys(radius_keys, "mesh.layout = 'file'")
         return
-    disk.leave_out(("center", "axis"), "a blade on a rim that is made here")
-    inner, outer = (disk.given(key) for key in radii)
-    disk.require(inner < outer, "inner_radius", f"less than disk.outer_radius = {outer:g}")
-    across = scene.geometry.across
-    room = 2.0 * outer * math.sin(math.pi / disk.sectors)
-    allowed = f"so large that blades {across:g} m across stand apart: their feet have {room:g} m"
-    disk.require(across < room * (1.0 - LEAST_DISTANCE), "outer_radius", allowed)
-    low = outer - math.sqrt(outer**2 - 0.25 * across**2)
-    allowed = f"less than the {outer - low:g} m at which the blade meets the rim"
-    disk.require(inner < outer - low, "inner_radius", allowed)
+    disk.forbid_keys(("center", "axis"), "a blade on a rim that is made here")
+    inner_radius, outer_radius = (disk.given(radius_key) for radius_key in radius_keys)
+    disk.require(
+        inner_radius < outer_radius,
+        "inner_radius",
+        f"less than disk.outer_radius = {outer_radius:g}",
+    )
+    blade_width = scene.geometry.circumferential_width
+    foot_spacing = 2.0 * outer_radius * math.sin(math.pi / disk.sectors)
+    requirement = f"so large that blades {blade_width:g} m across stand apart: "
+    requirement += f"their feet have {foot_spacing:g} m"
+    disk.require(
+        blade_width < foot_spacing * (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE),
+        "outer_radius",
+        requirement,
+    )
+    foot_depth = outer_radius - math.sqrt(outer_radius**2 - 0.25 * blade_width**2)
+    requirement = f"less than the {outer_radius - foot_depth:g} m at which the blade meets the rim"
+    disk.require(inner_radius < outer_radius - foot_depth, "inner_radius", requirement)
 
 
 def _check_plate(scene: Scene) -> None:
+    """Raise InputError if a plate's sides or points of load are wrong."""
     geometry = scene.geometry
-    _, height = (geometry.given(key) for key in ("width", "height"))
-    for key in ("width", "thickness")[: scene.dimension - 1]:
-        near = height / THINNEST <= getattr(geometry, key) <= height * THINNEST
-        allowed = f"within a factor {THINNEST:g} of geometry.height = {height:g}"
-        geometry.require(near, key, allowed)
+    _, height = (geometry.given(side_key) for side_key in ("width", "height"))
+    for side_key in ("width", "thickness")[: scene.dimension - 1]:
+        is_similar_size = (
+            height / MAX_ALLOWED_SIDE_RATIO
+            <= getattr(geometry, side_key)
+            <= height * MAX_ALLOWED_SIDE_RATIO
+        )
+        requirement = f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g}"
+        geometry.require(is_similar_size, side_key, requirement)
     if not scene.has_other_loads:
         scene.excitation.given("point", "given: [x, y] on the plate")
-    if scene.excitation.point is None and (force := scene.excitation.force_given):
-        scene.excitation.require(False, force, "left out without excitation.point")
-    loads = {f"loads.{number}": load for number, load in enumerate(scene.loads, 1)}
-    for name, load in ({"excitation": scene.excitation} | loads).items():
+    if scene.excitation.point is None and (force_key := scene.excitation.first_force_key):
+        scene.excitation.require(False, force_key, "left out without excitation.point")
+    load_by_name = {f"loads.{load_number}": load for load_number, load in enumerate(scene.loads, 1)}
+    for load_name, load in ({"excitation": scene.excitation} | load_by_name).items():
         sides = geometry.sides
-        within = [0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)]
-        with named(name):
-            where = ", ".join(f"0..{side:g}" for side in sides)
-            load.require(all(within), "point", f"on the {geometry.kind}: [{where}]")
+        is_on_side = [
+            0.0 <= coordinate <= side
+            for coordinate, side in zip(load.point or (), sides, strict=False)
+        ]
+        with table_name_in_errors(load_name):
+            ranges_text = ", ".join(f"0..{side:g}" for side in sides)
+            load.require(all(is_on_side), "point", f"on the {geometry.kind}: [{ranges_text}]")
     if scene.all_cracks:
         _check_cracks(scene)
         if scene.contact is None:
@@ -679,7 +823,7 @@ def _check_plate(scene: Scene) -> None:
 
 
 def _check_part(scene: Scene) -> None:
-    """Raise InputError where a part from a CAD file cannot be meshed as the scene says."""
+    """Raise InputError if a part from a CAD file cannot be meshed as requested."""
     scene.mesh.require(scene.mesh.layout == "graded", "layout", "'graded' with geometry.file")
     if scene.disk is not None:
         raise InputError("disk", "a table", "left out with geometry.file")
@@ -689,37 +833,38 @@ def _check_part(scene: Scene) -> None:
         scene.mesh.given("lip_elements", "given where there is a crack")
         if scene.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
-    for name, crack in scene.all_cracks.items():
-        with named(name):
+    for crack_name, crack in scene.all_cracks.items():
+        with table_name_in_errors(crack_name):
             crack.given("point", "given with geometry.file: [x, y, z]")
-            crack.check_plane()
+            crack.check_plane_keys()
 
 
 def _check_file(scene: Scene) -> None:
-    of_file = ("width", "height", "thickness")[: scene.dimension]
-    scene.geometry.leave_out(of_file, "mesh.layout = 'file'")
-    for name, crack in scene.all_cracks.items():
-        with named(name):
-            crack.leave_out(_OF_SHAPES, "mesh.layout = 'file'")
+    """Raise InputError if keys repeat what the mesh file defines."""
+    keys_in_file = ("width", "height", "thickness")[: scene.dimension]
+    scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
+    for crack_name, crack in scene.all_cracks.items():
+        with table_name_in_errors(crack_name):
+            crack.forbid_keys(_CRACK_SHAPE_KEYS, "mesh.layout = 'file'")
 
 
 # --- where the cracks of a plate may be -----------------------------------------------------------
 
-LEAST_DISTANCE = 1e-4
-"""Minimum distance of cracks and crack tips from the edges and each other, relative to the side."""
-_OF_SHAPES = (*kinds.OF_BOXES, "length", "depth", "front", *kinds.OF_PLANES)
+MIN_ALLOWED_RELATIVE_DISTANCE = 1e-4
+"""Minimum distance between cracks, tips and edges, relative to the side."""
+_CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.PLANE_CRACK_KEYS)
 """Keys of a crack that a mesh file defines itself."""
 
 
 def _check_cracks(scene: Scene) -> None:
-    """Raise InputError where a crack cannot be in a plate, by the crack's name in the scene."""
+    """Raise InputError if a plate cannot have a crack at its position."""
     cracks, geometry, mesh = scene.all_cracks, scene.geometry, scene.mesh
-    for name, crack in cracks.items():
-        with named(name):
+    for crack_name, crack in cracks.items():
+        with table_name_in_errors(crack_name):
             if crack.point is not None:
-                crack.check_plane()
+                crack.check_plane_keys()
                 continue
-            crack.leave_out(kinds.OF_PLANES, "no crack.point")
+            crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "no crack.point")
             crack.require(crack.front != "through", "front", "another one without crack.point")
             _check_crack(crack, geometry, list(cracks))
             _check_front(crack, geometry)
@@ -727,244 +872,359 @@ def _check_cracks(scene: Scene) -> None:
                 _check_grid(crack, geometry, mesh)
     if mesh.layout == "graded":
         mesh.given("lip_elements", "given where there is a crack")
-    for first, second in combinations([n for n, c in cracks.items() if c.point is None], 2):
-        _check_apart(scene, first, second)
+    for first_name, second_name in combinations(
+        [crack_name for crack_name, crack in cracks.items() if crack.point is None], 2
+    ):
+        _check_crack_distance(scene, first_name, second_name)
 
 
-def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, names: list[str]) -> None:
+def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list[str]) -> None:
+    """Raise InputError if a crack's keys are inconsistent, or outside the plate."""
     width, height, *_ = geometry.sides
-    kind, margin = geometry.kind, f"at least {LEAST_DISTANCE:g} of that from both"
-    inside = crack.center is not None
-    if inside:
-        crack.leave_out(("edge",), "crack.center")
+    geometry_kind, margin_text = (
+        geometry.kind,
+        f"at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that from both",
+    )
+    is_inside_plate = crack.center is not None
+    if is_inside_plate:
+        crack.forbid_keys(("edge",), "crack.center")
     else:
-        crack.given("edge", f"given: 'left' or 'right'; or center, for a crack inside the {kind}")
-    allowed = f"inside the {kind}: between 0 and geometry.height = {height:g}, {margin}"
-    crack.require(_inside(crack.height or 0.0, height), "height", allowed)
-    if len(names) > 1:
-        why = "several cracks: it finds the length of the only one"
-        crack.leave_out(("first_frequency", "first_omega"), why)
-    allowed = "given, or left out where crack.first_omega determines it, or first_frequency"
-    crack.require((crack.length is None) != (crack.first_omega is None), "length", allowed)
-    allowed = f"shorter than the {kind}: between 0 and geometry.width = {width:g}, {margin}"
-    crack.require(crack.length is None or _inside(crack.length, width), "length", allowed)
-    if inside:
-        ends = [crack.center] if crack.length is None else crack.span(width)
-        allowed = f"such that both tips are inside the {kind}: between 0 and {width:g}, {margin}"
-        crack.require(all(_inside(end or 0.0, width) for end in ends), "center", allowed)
+        crack.given(
+            "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
+        )
+    requirement = f"inside the {geometry_kind}: between 0 and geometry.height = {height:g}, "
+    requirement += margin_text
+    crack.require(_is_inside(crack.height or 0.0, height), "height", requirement)
+    if len(crack_names) > 1:
+        circumstance = "several cracks: it finds the length of the only one"
+        crack.forbid_keys(("first_frequency", "first_omega"), circumstance)
+    requirement = "given, or left out where crack.first_omega determines it, or first_frequency"
+    crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement)
+    requirement = f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g}, "
+    requirement += margin_text
+    crack.require(crack.length is None or _is_inside(crack.length, width), "length", requirement)
+    if is_inside_plate:
+        tip_positions = [crack.center] if crack.length is None else crack.span(width)
+        requirement = f"such that both tips are inside the {geometry_kind}: "
+        requirement += f"between 0 and {width:g}, {margin_text}"
+        crack.require(
+            all(_is_inside(tip_position or 0.0, width) for tip_position in tip_positions),
+            "center",
+            requirement,
+        )
 
 
 def _check_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
+    """Raise InputError if depth and front of a crack do not fit the geometry."""
     if geometry.dimension == 2:
-        crack.leave_out(("depth", "front"), "geometry.kind = 'plate'")
+        crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:
-        crack.leave_out(("front",), "a crack through the thickness: there is no crack.depth")
+        crack.forbid_keys(("front",), "a crack through the thickness: there is no crack.depth")
     else:
         thickness = geometry.sides[2]
-        words = f"geometry.thickness = {thickness:g}"
-        allowed = f"less than {words}, by {LEAST_DISTANCE:g} of that; left out: through it"
-        crack.require(_inside(crack.depth, thickness), "depth", allowed)
+        thickness_text = f"geometry.thickness = {thickness:g}"
+        requirement = f"less than {thickness_text}, by {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that; "
+        requirement += "left out: through it"
+        crack.require(_is_inside(crack.depth, thickness), "depth", requirement)
 
 
 def _check_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
+    """Raise InputError unless crack and tips are on lines of the grid."""
     crack.given("length", "given with mesh.layout = 'grid'")
-    (width, height), columns = geometry.sides, mesh.given("columns")
-    sides = {"length": (width, columns), "height": (height, mesh.given("rows"))}
-    for key, (extent, count) in sides.items():
-        cells, size = getattr(crack, key) / extent * count, f"{extent / count:g} m"
-        whole = 0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count
-        allowed = f"a whole number of grid cells of {size}, at least one from each end"
-        crack.require(whole, key, allowed)
+    (width, height), n_columns = geometry.sides, mesh.given("columns")
+    extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
+    for extent_key, (extent, n_cells) in extent_and_cells_by_key.items():
+        n_crack_cells, cell_size_text = (
+            getattr(crack, extent_key) / extent * n_cells,
+            f"{extent / n_cells:g} m",
+        )
+        is_on_grid_line = (
+            0 < round(n_crack_cells) < n_cells
+            and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells
+        )
+        requirement = (
+            f"a whole number of grid cells of {cell_size_text}, at least one from each end"
+        )
+        crack.require(is_on_grid_line, extent_key, requirement)
     if crack.center is not None:
-        tip = crack.span(width)[0] / width * columns
-        allowed = f"such that both tips are on grid lines, {width / columns:g} m apart"
-        crack.require(abs(tip - round(tip)) < 1e-9 * columns, "center", allowed)
+        tip_column = crack.span(width)[0] / width * n_columns
+        requirement = f"such that both tips are on grid lines, {width / n_columns:g} m apart"
+        crack.require(abs(tip_column - round(tip_column)) < 1e-9 * n_columns, "center", requirement)
 
 
-def _check_apart(scene: Scene, first: str, second: str) -> None:
-    """Raise InputError unless two cracks are far enough from each other."""
-    one, other = (scene.all_cracks[name] for name in (first, second))
+def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> None:
+    """Raise InputError if two cracks are too close."""
+    first_crack, second_crack = (
+        scene.all_cracks[crack_name] for crack_name in (first_name, second_name)
+    )
     width, height, *_ = scene.geometry.sides
-    distance = abs(one.given("height") - other.given("height"))
-    if distance >= LEAST_DISTANCE * height:
+    height_distance = abs(first_crack.given("height") - second_crack.given("height"))
+    if height_distance >= MIN_ALLOWED_RELATIVE_DISTANCE * height:
         return
-    same = distance <= 1e-9 * height
-    spans = sorted(crack.span(width) for crack in (one, other))
+    has_same_height = height_distance <= 1e-9 * height
+    spans = sorted(crack.span(width) for crack in (first_crack, second_crack))
     ligament = spans[1][0] - spans[0][1]
-    if not same or ligament < LEAST_DISTANCE * width:
-        least = f"{LEAST_DISTANCE * height:g} m above or below"
-        if same:
-            least += f", or with {LEAST_DISTANCE * width:g} m between their tips"
-        allowed = f"apart from that of {first}: cracks may not touch; at least {least}"
-        raise InputError(f"{second}.height", other.height, allowed)
+    if not has_same_height or ligament < MIN_ALLOWED_RELATIVE_DISTANCE * width:
+        min_distance_text = f"{MIN_ALLOWED_RELATIVE_DISTANCE * height:g} m above or below"
+        if has_same_height:
+            min_distance_text += (
+                f", or with {MIN_ALLOWED_RELATIVE_DISTANCE * width:g} m between their tips"
+            )
+        requirement = f"apart from that of {first_name}: cracks may not touch; "
+        requirement += f"at least {min_distance_text}"
+        raise InputError(f"{second_name}.height", second_crack.height, requirement)
 
 
-def _inside(place: float, extent: float) -> bool:
-    """Return True if a place is between 0 and an extent, and not too close to either."""
-    return LEAST_DISTANCE * extent <= place <= (1.0 - LEAST_DISTANCE) * extent
+def _is_inside(coordinate: float, extent: float) -> bool:
+    """Return True if a coordinate is between 0 and an extent, with a margin."""
+    return (
+        MIN_ALLOWED_RELATIVE_DISTANCE * extent
+        <= coordinate
+        <= (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE) * extent
+    )
 
 
 # --- axes of keys ---------------------------------------------------------------------------------
 
 
-def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axis, ...]:
-    """Axes with values as their keys hold them; each case is checked when it is made."""
-    axes, seen = [], set()
-    for axis in given:
-        table, number, key = _parts(axis.key)
-        there = number is None or number <= len(getattr(scene, table))
-        known_key = table in _SWEPT and key in _TABLES[table].keys()
-        if not (known_key and there) or axis.key in seen:
-            allowed = f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
-            if (question := meant(_meant(axis.key))) and axis.key not in seen:
-                allowed += f"; {question}".rstrip()
-            raise InputError(name, axis.key, allowed)
-        seen.add(axis.key)
-        for twins in _TABLES[table].twins().items():
-            at = axis.key.removesuffix(f".{key}")
-            if seen.issuperset(both := [f"{at}.{name}" for name in twins]):
-                allowed = f"without {both[0] if axis.key == both[1] else both[1]}: one of them"
-                raise InputError(name, axis.key, allowed)
-        with named(axis.key.removesuffix(f".{key}")):
-            values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
-        if len(set(values)) != len(values) or not values:
-            raise InputError(f'{name}."{axis.key}"', values, "values, each given once")
-        axes.append(Axis(axis.key, values))
-    return tuple(axes)
+def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Axis, ...]:
+    """Check the keys of axes, and read the values by these keys.
+
+    Later, each case checks combinations of values.
+    """
+    checked_axes, seen_keys = [], set()
+    for axis in axes:
+        table_name, list_position, key_in_table = _split_key(axis.key)
+        table_exists = list_position is None or list_position <= len(getattr(scene, table_name))
+        is_sweepable_key = (
+            table_name in _SWEEPABLE_TABLE_NAMES
+            and key_in_table in _TABLE_CLASS_BY_NAME[table_name].field_by_key()
+        )
+        if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
+            tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
+            requirement = f"a table.key of the scene, given once, with a table of {tables_text}"
+            if (suggestion_text := meant(_suggest_keys(axis.key))) and axis.key not in seen_keys:
+                requirement += f"; {suggestion_text}".rstrip()
+            raise InputError(axes_key, axis.key, requirement)
+        seen_keys.add(axis.key)
+        for twin_pair in _TABLE_CLASS_BY_NAME[table_name].si_key_by_twin().items():
+            table_prefix = axis.key.removesuffix(f".{key_in_table}")
+            if seen_keys.issuperset(
+                twin_keys := [f"{table_prefix}.{twin_key}" for twin_key in twin_pair]
+            ):
+                other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
+                requirement = f"without {other_twin_key}: one of them"
+                raise InputError(axes_key, axis.key, requirement)
+        with table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
+            axis_values = tuple(
+                _TABLE_CLASS_BY_NAME[table_name].convert_value(key_in_table, axis_value)
+                for axis_value in axis.values
+            )
+        if len(set(axis_values)) != len(axis_values) or not axis_values:
+            raise InputError(f'{axes_key}."{axis.key}"', axis_values, "values, each given once")
+        checked_axes.append(Axis(axis.key, axis_values))
+    return tuple(checked_axes)
 
 
 # --- lists of tables ------------------------------------------------------------------------------
 
 
-def _parts(name: str) -> tuple[str, int | None, str]:
-    """Table, place in a list counted from 1, and key of "cracks.1.length"; without a list None."""
-    table, _, key = name.partition(".")
-    place, _, rest = key.partition(".")
-    if table in _LISTS and place.isdecimal() and 0 < len(place) < 10 and int(place) > 0:
-        return table, int(place), rest
-    return table, None, key
+def _split_key(full_key: str) -> tuple[str, int | None, str]:
+    """Split a full key: "cracks.1.length" gives "cracks", 1, "length".
+
+    The position is None for a table that is not in a list.
+    """
+    table_name, _, key_in_table = full_key.partition(".")
+    position_text, _, key_after_position = key_in_table.partition(".")
+    if (
+        table_name in _LIST_TABLE_NAMES
+        and position_text.isdecimal()
+        and 0 < len(position_text) < 10
+        and int(position_text) > 0
+    ):
+        return table_name, int(position_text), key_after_position
+    return table_name, None, key_in_table
 
 
-def _made(name: str, value: object) -> Any:
-    """A table, or the tuple of a list of tables, from what a file holds; one that is made stays."""
-    kind = _TABLES[name]
-    if name not in _LISTS:
-        return value if isinstance(value, kind) else kind.from_mapping(value)
-    if not isinstance(value, list | tuple):
-        raise InputError(name, value, f"a list of tables: [[{name}]]")
-    made = []
-    for number, table in enumerate(value, 1):
-        with named(f"{name}.{number}"):
-            made.append(table if isinstance(table, kind) else kind.from_mapping(table))
-    return tuple(made)
+def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
+    """Make a table, or the tuple for a list of tables, from a file's value.
+
+    Finished tables stay as they are.
+    """
+    table_class = _TABLE_CLASS_BY_NAME[table_name]
+    if table_name not in _LIST_TABLE_NAMES:
+        return (
+            raw_tables
+            if isinstance(raw_tables, table_class)
+            else table_class.from_mapping(raw_tables)
+        )
+    if not isinstance(raw_tables, list | tuple):
+        raise InputError(table_name, raw_tables, f"a list of tables: [[{table_name}]]")
+    tables = []
+    for list_position, raw_table in enumerate(raw_tables, 1):
+        with table_name_in_errors(f"{table_name}.{list_position}"):
+            tables.append(
+                raw_table
+                if isinstance(raw_table, table_class)
+                else table_class.from_mapping(raw_table)
+            )
+    return tuple(tables)
 
 
-def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
-    """Table, place in a list and key of what is changed; without a key the table is removed."""
-    table, number, key = _parts(name)
-    kind = _TABLES.get(table)
-    if kind is None:
-        raise InputError(name, value, _instead_of(name))
-    if not key and kind.WORD is not None and isinstance(value, str):
-        return table, None, kind.WORD
-    if not key:
-        if value is not None or number is not None or table not in (*_OPTIONAL, *_LISTS):
-            gone = ", ".join((*_OPTIONAL, *_LISTS))
-            allowed = f"changed key by key; only {gone} can be removed, by none"
-            raise InputError(name, value, allowed)
-    elif (number is None) == (table in _LISTS):
-        known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
-        raise InputError(name, value, f"left out; known keys: {known}")
-    elif key not in kind.keys():
-        whole, _, own = key.partition(".")
-        if whole in kind.keys() and own:
-            raise InputError(name, value, f"changed as a whole: {table}.{whole}={{{own}=...}}")
-        raise InputError(name, value, kind.instead_of(key))
-    return table, number, key
+def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, str]:
+    """Split a changed key into table, position in a list (or None), and key.
+
+    Raises InputError for an unknown key. The key is empty if the change removes the table.
+    """
+    table_name, list_position, key_in_table = _split_key(full_key)
+    table_class = _TABLE_CLASS_BY_NAME.get(table_name)
+    if table_class is None:
+        raise InputError(full_key, value, _unknown_table_text(full_key))
+    if not key_in_table and table_class.SHORTHAND_KEY is not None and isinstance(value, str):
+        return table_name, None, table_class.SHORTHAND_KEY
+    if not key_in_table:
+        if (
+            value is not None
+            or list_position is not None
+            or table_name not in (*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES)
+        ):
+            removable_names = ", ".join((*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES))
+            requirement = f"changed key by key; only {removable_names} can be removed, by none"
+            raise InputError(full_key, value, requirement)
+    elif (list_position is None) == (table_name in _LIST_TABLE_NAMES):
+        known_keys_text = ", ".join(
+            f"{table_name}.1.{subkey}" for subkey in table_class.field_by_key()
+        )
+        raise InputError(full_key, value, f"left out; known keys: {known_keys_text}")
+    elif key_in_table not in table_class.field_by_key():
+        parent_key, _, subkey = key_in_table.partition(".")
+        if parent_key in table_class.field_by_key() and subkey:
+            raise InputError(
+                full_key, value, f"changed as a whole: {table_name}.{parent_key}={{{subkey}=...}}"
+            )
+        raise InputError(full_key, value, table_class.unknown_key_text(key_in_table))
+    return table_name, list_position, key_in_table
 
 
-def _with_changes(tables: Mapping[str, Any], values: Mapping[str, object]) -> dict[str, Any]:
-    """Tables, or what a file holds of them, with some keys changed."""
-    found = dict(tables)
-    changes: dict[tuple[str, int], dict[str, object]] = {}
-    for name, value in values.items():
-        table, number, key = _changed_key(str(name), value)
-        if key:
-            changes.setdefault((table, number or 0), {})[key] = value
+def _with_changed_keys(tables: Mapping[str, Any], changes: Mapping[str, object]) -> dict[str, Any]:
+    """Return tables, or their mappings, with changed keys."""
+    changed_tables = dict(tables)
+    changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
+    for full_key, raw_value in changes.items():
+        table_name, list_position, key_in_table = _split_changed_key(str(full_key), raw_value)
+        if key_in_table:
+            changes_by_table.setdefault((table_name, list_position or 0), {})[key_in_table] = (
+                raw_value
+            )
         else:
-            found.pop(table, None)
-    for (table, number), change in sorted(changes.items(), key=lambda item: item[0][1]):
-        if number:
-            found[table] = _changed_list(table, found.get(table, ()), number, change)
+            changed_tables.pop(table_name, None)
+    for (table_name, list_position), table_changes in sorted(
+        changes_by_table.items(), key=lambda changes_item: changes_item[0][1]
+    ):
+        if list_position:
+            changed_tables[table_name] = _merge_list_changes(
+                table_name, changed_tables.get(table_name, ()), list_position, table_changes
+            )
         else:
-            found[table] = _changed(table, found.get(table), change)
-    return found
+            changed_tables[table_name] = _merge_table_changes(
+                table_name, changed_tables.get(table_name), table_changes
+            )
+    return changed_tables
 
 
-def _changed(name: str, table: Any, change: dict[str, object]) -> Any:
-    """A table, or the mapping of one that is to be made, with other values; a new one."""
-    kind = _TABLES[name]
-    if isinstance(table, kind):
-        table = {key: getattr(table, key) for key in kind.keys().keys() - table.derived}
-    if kind.WORD is not None and isinstance(table, str):
-        table = {kind.WORD: table}
+def _merge_table_changes(table_name: str, table: Any, changes: dict[str, object]) -> Any:
+    """Return a mapping for a table, with changed values."""
+    table_class = _TABLE_CLASS_BY_NAME[table_name]
+    if isinstance(table, table_class):
+        table = {
+            key: getattr(table, key)
+            for key in table_class.field_by_key().keys() - table.derived_keys
+        }
+    if table_class.SHORTHAND_KEY is not None and isinstance(table, str):
+        table = {table_class.SHORTHAND_KEY: table}
     if table is None:
-        return change
+        return changes
     if not isinstance(table, Mapping):  # refused when it is made
         return table
-    return {**table, **kind.without_twins(change, table)}
+    return {**table, **table_class.with_twins_removed(changes, table)}
 
 
-def _changed_list(
-    name: str, tables: Any, number: int, change: dict[str, object]
+def _merge_list_changes(
+    table_name: str, tables: Any, list_position: int, changes: dict[str, object]
 ) -> tuple[Any, ...]:
+    """Return a list of tables with changes to one, or with a next table."""
     if not isinstance(tables, list | tuple):
-        raise InputError(name, tables, f"a list of tables: [[{name}]]")
-    if number > len(tables) + 1:
-        key = f"{name}.{number}.{next(iter(change))}"
-        allowed = f"one of the {len(tables)} [[{name}]], or of the next one"
-        raise InputError(key, next(iter(change.values())), allowed)
-    old = tables[number - 1] if number <= len(tables) else None
-    with named(f"{name}.{number}"):
-        return (*tables[: number - 1], _changed(name, old, change), *tables[number:])
+        raise InputError(table_name, tables, f"a list of tables: [[{table_name}]]")
+    if list_position > len(tables) + 1:
+        first_changed_key = f"{table_name}.{list_position}.{next(iter(changes))}"
+        requirement = f"one of the {len(tables)} [[{table_name}]], or of the next one"
+        raise InputError(first_changed_key, next(iter(changes.values())), requirement)
+    current_table = tables[list_position - 1] if list_position <= len(tables) else None
+    with table_name_in_errors(f"{table_name}.{list_position}"):
+        return (
+            *tables[: list_position - 1],
+            _merge_table_changes(table_name, current_table, changes),
+            *tables[list_position:],
+        )
 
 
-def _meant(name: str) -> list[str]:
-    """The keys and tables of a scene that a misspelt name may stand for."""
-    table, _, key = name.partition(".")
-    if table in _TABLES:
-        return _TABLES[table].meant_by(key) if key else []
-    if key:
-        every = {kind.proposed(key) for kind in _TABLES.values() for key in kind.keys()}
-        return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
-    return list(dict.fromkeys(with_key(table, _TABLES.values()))) or near(table, _TABLES)
+def _suggest_keys(misspelt_name: str) -> list[str]:
+    """Suggest keys and tables for a misspelt name."""
+    table_name, _, key_in_table = misspelt_name.partition(".")
+    if table_name in _TABLE_CLASS_BY_NAME:
+        return _TABLE_CLASS_BY_NAME[table_name].suggest_keys(key_in_table) if key_in_table else []
+    if key_in_table:
+        all_keys = {
+            table_class.suggested_key(key_in_table)
+            for table_class in _TABLE_CLASS_BY_NAME.values()
+            for key_in_table in table_class.field_by_key()
+        }
+        return near(misspelt_name, all_keys, 0.8) or sorted(
+            full_key for full_key in all_keys if full_key.endswith(f".{key_in_table}")
+        )
+    return list(dict.fromkeys(find_full_keys(table_name, _TABLE_CLASS_BY_NAME.values()))) or near(
+        table_name, _TABLE_CLASS_BY_NAME
+    )
 
 
-def meant_keys(name: str) -> list[str]:
-    """The keys with their tables that a name without one may stand for."""
-    first = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
-    own = _meant(name) or [first[key] for key in near_or_longer(name, first)]
-    return own or near_or_longer(name, known_keys())
+def suggest_full_keys(misspelt_name: str) -> list[str]:
+    """Suggest full keys for a misspelt name, or a key without its table."""
+    full_key_by_key = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
+    suggestions = _suggest_keys(misspelt_name) or [
+        full_key_by_key[key] for key in near_or_longer(misspelt_name, full_key_by_key)
+    ]
+    return suggestions or near_or_longer(misspelt_name, known_keys())
 
 
-def _instead_of(name: str) -> str:
-    """Return the error text for a table that the scene does not have."""
-    return f"left out; {meant(_meant(name))}known tables: {', '.join(_TABLES)}"
+def _unknown_table_text(table_name: str) -> str:
+    """Return the error text for an unknown table."""
+    suggestion_text = meant(_suggest_keys(table_name))
+    return f"left out; {suggestion_text}known tables: {', '.join(_TABLE_CLASS_BY_NAME)}"
 
 
-_HINTS = get_type_hints(Scene).items()
-_TABLES: dict[str, type[Table]] = {name: (get_args(hint) or (hint,))[0] for name, hint in _HINTS}
-_LISTS = tuple(name for name, hint in _HINTS if get_origin(hint) is tuple)
-_OPTIONAL = tuple(name for name, hint in _HINTS if type(None) in get_args(hint))
-_PATHS = tuple(
-    kind.name_of(key)
-    for kind in _TABLES.values()
-    for key, item in kind.keys().items()
+_TYPE_HINT_ITEMS = get_type_hints(Scene).items()
+_TABLE_CLASS_BY_NAME: dict[str, type[Table]] = {
+    name: (get_args(hint) or (hint,))[0] for name, hint in _TYPE_HINT_ITEMS
+}
+_LIST_TABLE_NAMES = tuple(name for name, hint in _TYPE_HINT_ITEMS if get_origin(hint) is tuple)
+_OPTIONAL_TABLE_NAMES = tuple(
+    name for name, hint in _TYPE_HINT_ITEMS if type(None) in get_args(hint)
+)
+_PATH_KEYS = tuple(
+    kind.full_key(key)
+    for kind in _TABLE_CLASS_BY_NAME.values()
+    for key, item in kind.field_by_key().items()
     if "path" in item.metadata
 )
-"""Keys that hold the path of a file."""
-_AXES = ("sweep", "over"), ("identify", "unknown")
-"""Tables and their keys that hold axes."""
-_WITH_FILES = (*_PATHS, *(f"{name}.{key}" for name, key in _AXES), "identify.meshes")
-"""Keys that may hold paths."""
-_SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)
+"""Full keys that hold a path."""
+_AXES_TABLE_KEY_PAIRS = ("sweep", "over"), ("identify", "unknown")
+"""Tables and keys that hold axes."""
+_KEYS_WITH_PATHS = (
+    *_PATH_KEYS,
+    *(f"{name}.{key}" for name, key in _AXES_TABLE_KEY_PAIRS),
+    "identify.meshes",
+)
+"""Full keys that may hold paths, in axes too."""
+_SWEEPABLE_TABLE_NAMES = tuple(
+    name for name in _TABLE_CLASS_BY_NAME if name not in RESULT_TABLE_NAMES
+)

@@ -1,4 +1,4 @@
-"""Keys of a scene in words, with their units; and by what scenes differ."""
+"""Labels and units for the keys of a scene, and descriptions of how scenes differ."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fenics_crack.basics.tables import quantity
-from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, unit_of_key
 
-WORDS = {
+LABEL_BY_KEY = {
     "excitation.omega": "load frequency",
     "excitation.frequency": "load frequency",
     "excitation.order": "engine order",
@@ -32,81 +32,101 @@ WORDS = {
     "reduction.modes": "modes kept",
     "mesh.size": "element size",
 }
-"""Words of the keys whose own words are not enough."""
-WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
-"""Units that take no prefix here."""
+"""Labels of keys whose own text is not clear enough."""
+UNITS_WITHOUT_PREFIX = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
+"""Units printed without an SI prefix."""
 
 
 def key_in_words(key: str) -> str:
-    """A key as an axis is named: "crack length"."""
-    return WORDS.get(key, key.replace(".", " ").replace("_", " "))
+    """Return the label for a key on an axis: "crack length"."""
+    return LABEL_BY_KEY.get(key, key.replace(".", " ").replace("_", " "))
 
 
 def value_in_words(key: str, value: Any) -> str:
-    """A value of a key with its unit: "35 mm"."""
-    unit = unit_of(key)
+    """Return a value with the unit for a key: "35 mm"."""
+    unit = unit_of_key(key)
     if isinstance(value, list | tuple):
-        parts = [part for part in value if part != 0]
-        if len(value) == 2 and len(parts) == 1 and key.startswith("excitation.force"):
-            return value_in_words(key, parts[0])
+        nonzero_components = [component for component in value if component != 0]
+        if len(value) == 2 and len(nonzero_components) == 1 and key.startswith("excitation.force"):
+            return value_in_words(key, nonzero_components[0])
         return " ".join(filter(None, (str(list(value)), unit)))
     if isinstance(value, bool) or not isinstance(value, float | int):
         return "none" if value is None else str(value)
-    if unit in ("", *WHOLE) or value == 0:
+    if unit in ("", *UNITS_WITHOUT_PREFIX) or value == 0:
         return f"{value:g} {unit}".rstrip()
     return quantity(float(value), unit)
 
 
-def differences(scenes: Sequence[Scene]) -> list[str]:
-    """List for each scene the values that are not the same in all: "excitation.force_sin = 20 N".
+def describe_differences(scenes: Sequence[Scene]) -> list[str]:
+    """Describe how each scene differs from the others: "excitation.force_sin = 20 N".
 
-    Empty where all are equal. What a curve, a motion in time or a sweep ranges over is left aside
-    unless nothing else differs.
+    Tables that only choose results (:data:`RESULT_TABLE_NAMES`) are skipped unless nothing else
+    differs.
+
+    Returns
+    -------
+    list of str
+        One text for each scene; empty texts if all scenes are equal.
     """
-    found = [given_values(scene) for scene in scenes]
-    keys = list(dict.fromkeys(key for one in found for key in one))
-    values = [
-        {key: one.get(key, _default(scene, key)) for key in keys}
-        for scene, one in zip(scenes, found, strict=True)
+    file_values_by_scene = [file_value_by_key(scene) for scene in scenes]
+    all_keys = list(
+        dict.fromkeys(key for value_by_key in file_values_by_scene for key in value_by_key)
+    )
+    compared_values_by_scene = [
+        {key: value_by_key.get(key, _default_value(scene, key)) for key in all_keys}
+        for scene, value_by_key in zip(scenes, file_values_by_scene, strict=True)
     ]
-    differ = [key for key in keys if any(one[key] != values[0][key] for one in values)]
-    chosen = [key for key in differ if key.split(".")[0] not in LOOKED_AT] or differ
+    differing_keys = [
+        key
+        for key in all_keys
+        if any(
+            value_by_key[key] != compared_values_by_scene[0][key]
+            for value_by_key in compared_values_by_scene
+        )
+    ]
+    reported_keys = [
+        key for key in differing_keys if key.split(".")[0] not in RESULT_TABLE_NAMES
+    ] or differing_keys
     return [
-        ", ".join(f"{key} = {value_in_words(key, one[key])}" for key in chosen) for one in values
+        ", ".join(f"{key} = {value_in_words(key, value_by_key[key])}" for key in reported_keys)
+        for value_by_key in compared_values_by_scene
     ]
 
 
-def faces_in_words(scene: Scene) -> str:
-    """Return the word for what closes: crack faces, or pairs of matrices from elsewhere."""
-    matrices = scene.structure is not None and scene.structure.model is None
-    return "pairs" if matrices else "crack faces"
+def word_for_crack_faces(scene: Scene) -> str:
+    """Return "pairs" for matrices without a model, otherwise "crack faces"."""
+    has_matrices_alone = scene.structure is not None and scene.structure.model is None
+    return "pairs" if has_matrices_alone else "crack faces"
 
 
-def given_values(scene: Scene) -> dict[str, Any]:
-    """Return the values that a scene gives, by whole keys, "cracks.1.length"; no defaults."""
-    return _flat(tomllib.loads(scene.as_toml()))
+def file_value_by_key(scene: Scene) -> dict[str, Any]:
+    """Return all values that a scene's file has, by full keys: "cracks.1.length".
+
+    Default values are left out.
+    """
+    return _flatten_tables(tomllib.loads(scene.as_toml()))
 
 
-def _flat(tables: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """The values of nested tables by their whole keys; lists of tables are numbered from 1."""
-    found: dict[str, Any] = {}
-    for name, value in tables.items():
-        inner = value
+def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> dict[str, Any]:
+    """Return the values in nested tables by full keys; positions in lists start at 1."""
+    value_by_key: dict[str, Any] = {}
+    for key, value in nested_tables.items():
+        subtable = value
         if isinstance(value, list) and value and isinstance(value[0], dict):
-            inner = {str(number): one for number, one in enumerate(value, 1)}
-        if isinstance(inner, dict):
-            found |= _flat(inner, f"{above}{name}.")
+            subtable = {str(list_position): table for list_position, table in enumerate(value, 1)}
+        if isinstance(subtable, dict):
+            value_by_key |= _flatten_tables(subtable, f"{key_prefix}{key}.")
         else:
-            found[f"{above}{name}"] = value
-    return found
+            value_by_key[f"{key_prefix}{key}"] = value
+    return value_by_key
 
 
-def _default(scene: Scene, key: str) -> Any:
-    """The value of a key that a scene does not write; None if it has none."""
+def _default_value(scene: Scene, key: str) -> Any:
+    """Return the value for a key that a scene's file lacks; None without a value."""
     value: Any = scene
-    for name in key.split("."):
-        if name.isdecimal():  # of a list of tables
-            value = dict(enumerate(value or (), 1)).get(int(name))
+    for key_part in key.split("."):
+        if key_part.isdecimal():  # of a list of tables
+            value = dict(enumerate(value or (), 1)).get(int(key_part))
         else:
-            value = getattr(value, name, None)
+            value = getattr(value, key_part, None)
     return list(value) if isinstance(value, tuple) else value

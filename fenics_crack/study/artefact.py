@@ -42,7 +42,7 @@ from fenics_crack.model.receptance import (
 )
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
-from fenics_crack.scene.fields import LARGEST
+from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, coarser_scene
 from fenics_crack.study.prepare import Study, prepare, reduced
@@ -234,11 +234,11 @@ class PreparedStructure:
             for dof in known_receptance.rows:
                 sizes |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
             shapes |= {f"{name}.{key}": size for key, size in sizes.items()}
-            ranges |= {f"{name}.squares": (0, LARGEST), f"{name}.rows": (0, n_dofs)}
+            ranges |= {f"{name}.squares": (0, MAX_ALLOWED_MAGNITUDE), f"{name}.rows": (0, n_dofs)}
             arrays[f"{name}.rows"] = np.array([*known_receptance.rows])
         check_shapes(arrays, shapes)
         for name, array in arrays.items():
-            start, end = ranges.get(name, (-LARGEST, LARGEST))
+            start, end = ranges.get(name, (-MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE))
             if array.size and not start <= array.min() <= array.max() < end:
                 raise ValueError(f"its {name} does not fit")
         return n_dofs

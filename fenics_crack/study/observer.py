@@ -27,7 +27,12 @@ from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.receptance import check_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
-from fenics_crack.scene.scene import Scene, asked_quantities, check_known, without_tips
+from fenics_crack.scene.scene import (
+    Scene,
+    quantities_on_request,
+    reason_without_stress_intensity,
+    refuse_for_reason,
+)
 from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
 
@@ -45,7 +50,7 @@ EXPANDED = 20_000_000
 def rows_requested(study: Study) -> list[ExtraRows]:
     """Places of rows of their own whose quantities a study's scene requests; the rows are made once
     for its structure (collective)."""
-    requested = {QUANTITIES[name].of for name in asked_quantities(study.scene)}
+    requested = {QUANTITIES[name].of for name in quantities_on_request(study.scene)}
     return [make(study) for place, make in _ROWS.items() if place in requested]
 
 
@@ -80,7 +85,7 @@ def observe(study: Study, motion: ObservedMotion) -> list[Quantity]:
             of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
             number = row.words + of_point, getattr(indicators, name), row.unit, name
             quantities.append(Quantity(watched.column(name), *number))
-    values = motion.faces | {name: others[name] for name in asked_quantities(study.scene)}
+    values = motion.faces | {name: others[name] for name in quantities_on_request(study.scene)}
     for name, value in values.items():
         row = QUANTITIES[name]
         quantities.append(Quantity(name, row.words, value, row.unit, name))
@@ -215,11 +220,11 @@ def errors_along_fronts(
     numbers of them; and how far each number is away on a coarser mesh, where on the fronts it is
     the most: at one place it may be none by chance [Pa m^1/2]. Infinite for all numbers where the
     coarser mesh has none, or a front with so few stations that K is its mean (collective)."""
-    asked = set(asked_quantities(study.scene))
+    asked = set(quantities_on_request(study.scene))
     names = sorted(asked.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
     if study.scene.dimension == 2 or not names:
         return {}, {}
-    if not asked.intersection(asked_quantities(coarse.scene)):
+    if not asked.intersection(quantities_on_request(coarse.scene)):
         return {}, dict.fromkeys(names, math.inf)
     fine, rough = _along_fronts(study, motion), _along_fronts(coarse, other)
     if min(len(positions) for positions, *_ in rough.values()) < MIN_STATIONS:
@@ -280,7 +285,7 @@ def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.nd
         Stress intensities of the scene are not known, or it has no crack with tips.
     """
     scene = study.scene
-    check_known(without_tips(scene), "output.quantities")
+    refuse_for_reason(reason_without_stress_intensity(scene), "output.quantities")
     pairs = None if scene.contact is None else scene.contact.pairs
     plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
     return study.structure.compute_once(_OfScene(plate, scene))

@@ -50,7 +50,7 @@ from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structur
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
-from fenics_crack.scene.words import faces_in_words
+from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.prepare import Study, reduction_of
 from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, meeting_speed
 
@@ -297,10 +297,10 @@ def span_of(scene: Scene, command: str) -> tuple[float, float]:
     """Lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
     curve = scene.curve if command == "curve" else None
-    if curve is not None and curve.followed[0] == "omega":
-        omegas = [*curve.followed[1:]]
-    elif curve is not None and curve.followed[0] == "speed":
-        omegas = [(scene.excitation.order or 1) * speed for speed in curve.followed[1:]]
+    if curve is not None and curve.continuation_range[0] == "omega":
+        omegas = [*curve.continuation_range[1:]]
+    elif curve is not None and curve.continuation_range[0] == "speed":
+        omegas = [(scene.excitation.order or 1) * speed for speed in curve.continuation_range[1:]]
     if command == "sweep":
         omegas = [*scene.swept_omegas]
     return min(omegas), max(omegas)
@@ -354,7 +354,11 @@ def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
         low = high = found.value
         start, stop = min(low, found.rest), max(high, found.rest)
         start, stop = start - 3.0 * found.width, stop + 3.0 * found.width
-    if curve is not None and min(curve.followed[1:]) <= high and max(curve.followed[1:]) >= low:
+    if (
+        curve is not None
+        and min(curve.continuation_range[1:]) <= high
+        and max(curve.continuation_range[1:]) >= low
+    ):
         return None
     if not 0.0 < start < stop < math.inf:
         return None
@@ -472,7 +476,7 @@ def _remarks(rows: Iterable[Usual], scene: Scene, *known: object) -> Iterator[Re
             number, *others = numbers if isinstance(numbers, tuple) else (numbers,)
             if number is None or row.low <= number <= row.high:
                 continue
-            text = row.words.format(number, *others, kind=kind, faces=faces_in_words(scene))
+            text = row.words.format(number, *others, kind=kind, faces=word_for_crack_faces(scene))
             for unit, factor in row.units.items():
                 if row.low <= factor * number <= row.high:
                     text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
@@ -629,7 +633,7 @@ def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, s
     if curve is None or curve.parameter not in CURVE_UNITS:
         return None
     meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.slopes[0]))
-    first, last = sorted(curve.followed[1:])
+    first, last = sorted(curve.continuation_range[1:])
     natural = figures.omega_open, figures.omega_tied
     for order in (0.5, 1.0, 2.0, 3.0):
         opened, bonded = (meeting(omega, harmonic=order) for omega in natural)
@@ -701,7 +705,7 @@ OF_SCENE = (
           lambda _, scene: (read_load_table_harmonics(scene.excitation, scene.dimension)[1],
                             scene.excitation.wave_harmonics)),
     Usual(LOADS, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
-          "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.force_given)),
+          "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key)),
 )  # fmt: skip
 OF_STRUCTURE = (
     Usual("structure.model mesh.file", 0.0, LARGEST_SIDE, "a structure of {1:.3g} m x {0:.3g} m; "

@@ -31,7 +31,7 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE, reduce_structure
 from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import LOOKED_AT, Scene
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.sharing import LAST, Made, assembled
 
@@ -188,7 +188,7 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     the load's frequency; of a bladed disk in its mistuning; else None (collective)."""
     other, whole = like.scene, like.structure.whole
     if other.disk is not None:
-        same = dict.fromkeys(LOOKED_AT) | {
+        same = dict.fromkeys(RESULT_TABLE_NAMES) | {
             f"disk.{key}": None for key in ("mistuning", "deviation", "seed")
         }
         same["excitation.omega"] = 1.0
@@ -198,7 +198,7 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
     rotation = whole.rotation
     if rotation is None or scene.speed == 0.0:
         return None
-    same = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
+    same = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(RESULT_TABLE_NAMES)
     same["reduction"] = None
     if scene.replace(same) != other.replace(same):
         return None

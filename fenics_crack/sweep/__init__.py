@@ -1,3 +1,3 @@
-"""Many cases of a scene, spread over ranks."""
+"""Sweeps: many cases for one scene, shared by ranks."""
 
 import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

@@ -1,4 +1,4 @@
-"""The cases of one geometry of a sweep: the structure that they share, and the solutions."""
+"""Solve the cases that share a geometry of a sweep."""
 
 from __future__ import annotations
 
@@ -32,346 +32,469 @@ from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, BilinearFrequencies, 
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES
+from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
-from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
+from fenics_crack.sweep.file import (
+    CONTRADICTION_PREFIX,
+    UNDECIDED_PREFIX,
+    UNIT_BY_HARMONIC_PART,
+    UNIT_BY_POINT_QUANTITY,
+    load_column_name,
+)
 from fenics_crack.sweep.plan import Chunk
 
 
 @dataclass(frozen=True)
-class Asked:
-    """Request for the cases of a sweep.
+class CaseRequest:
+    """Options that all cases of a sweep share.
 
     Attributes
     ----------
-    unit_loads : bool
+    has_unit_loads : bool
         True if geometries are built with unit loads.
-    hopeless : bool
-        True if a structure that stays large ends the sweep.
+    ends_at_large_structure : bool
+        True if the sweep ends with an error at a structure too large to solve.
     at_resonance : bool
         True if each case is solved at its resonance.
-    verdicts : bool
+    with_verdicts : bool
         True if the stability of each case is assessed.
-    judged : bool
-        True if the error of the reduction is.
-    natural : tuple of bool
-        For each place on the last axis, True if natural frequencies alone are found there.
+    with_reduction_error : bool
+        True if the reduction error of each case is estimated.
+    frequencies_only_by_position : tuple of bool
+        For each position on the last axis, True if only natural frequencies are computed.
     """
 
-    unit_loads: bool
-    hopeless: bool = False
+    has_unit_loads: bool
+    ends_at_large_structure: bool = False
     at_resonance: bool = False
-    verdicts: bool = True
-    judged: bool = True
-    natural: tuple[bool, ...] = (False,)
+    with_verdicts: bool = True
+    with_reduction_error: bool = True
+    frequencies_only_by_position: tuple[bool, ...] = (False,)
 
 
 @dataclass(frozen=True)
-class Geometry:
-    """Common part of cases that differ in load, clearance, law and harmonics only.
+class SweepGeometry:
+    """Structure for cases that differ only in load, clearance, contact law and harmonics.
 
     Attributes
     ----------
     study : Study
-        With a small structure without clearance.
-    unit_loads : bool
-        True if its load has a sine part of 1 N in x, a cosine part of 1 N in y and, of a solid, a
-        mean of 1 N in z.
+        Study with a small structure without clearance.
+    has_unit_loads : bool
+        True if the load has a sine part of 1 N in x and a cosine part of 1 N in y.
+        A solid has a mean of 1 N in z, too.
     crack_length : float [m]
-        Of the first crack; nan where it is unknown.
-    natural : BilinearFrequencies
-        With the crack open and bonded.
-    watched : dict of str to (n_dofs,)
-        Factors of the coordinates in the motion of the named points [m], by "tip.ux",
-        and at the load, by ""; of one load alone its own vector does that.
-    whole : Study
-        Not reduced.
-    modes : tuple of int
-        Number of modes, and those that the tolerance may choose instead; empty where it does not
-        choose them.
+        Length of the first crack; nan if unknown.
+    bilinear_frequencies : BilinearFrequencies
+        Natural frequencies with the crack open and bonded.
+    watched_row_by_name : dict of str to (n_dofs,)
+        Rows that give displacements [m]: named points by "tip.ux", the load's point by "".
+        Without "", the load vector of a case gives the displacement at the load.
+    unreduced_study : Study
+        Study before reduction.
+    mode_counts : tuple of int
+        Number of modes, then larger numbers that the tolerance may choose.
+        Empty if the tolerance does not choose the number.
     """
 
     study: Study
-    unit_loads: bool
+    has_unit_loads: bool
     crack_length: float
-    natural: BilinearFrequencies
-    watched: dict[str, np.ndarray]
-    whole: Study
-    modes: tuple[int, ...] = ()
+    bilinear_frequencies: BilinearFrequencies
+    watched_row_by_name: dict[str, np.ndarray]
+    unreduced_study: Study
+    mode_counts: tuple[int, ...] = ()
 
     @cached_property
-    def finer(self) -> Geometry | None:
-        """The same with the next number of modes; None where these are the most."""
-        if len(self.modes) < 2:
+    def geometry_with_more_modes(self) -> SweepGeometry | None:
+        """Geometry with the next number of modes; None if there is no larger number."""
+        if len(self.mode_counts) < 2:
             return None
-        study = reduced_to(self.whole, self.modes[1])
-        return replace(self, study=study, watched=_watched(study), modes=self.modes[1:])
+        study_with_more_modes = reduced_to(self.unreduced_study, self.mode_counts[1])
+        return replace(
+            self,
+            study=study_with_more_modes,
+            watched_row_by_name=_find_watched_rows(study_with_more_modes),
+            mode_counts=self.mode_counts[1:],
+        )
 
     @property
     def structure(self) -> Structure:
-        """Without clearance."""
+        """Structure without clearance."""
         return self.study.structure
 
-    def of_case(self, scene: Scene) -> Structure:
-        """The structure with the load and the clearance of a case."""
-        load: float | np.ndarray = 1.0
-        if self.unit_loads:
-            load = np.zeros((len(FORCES), len(FORCES)))
-            wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
-            load[:, -scene.dimension :] = wanted[:, ::-1]
-        of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
-        return self.structure.varied(load=load, clearance=of_cracks)
+    def structure_of_case(self, scene: Scene) -> Structure:
+        """Return the structure with the load and clearance of a case."""
+        load_factors: float | np.ndarray = 1.0
+        if self.has_unit_loads:
+            load_factors = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
+            force_vectors = np.array(
+                [getattr(scene.excitation, force_key) for force_key in FORCE_KEYS]
+            )
+            load_factors[:, -scene.dimension :] = force_vectors[:, ::-1]
+        clearance = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
+        return self.structure.varied(load=load_factors, clearance=clearance)
 
 
-def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = None) -> Geometry:
-    """The geometry of a case, with the reference of its reduction if requested; the mesh of the
-    last one serves another speed of the rotor (collective)."""
-    scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
-    if asked.unit_loads:
-        size = scene.dimension
-        units = zip(FORCES, np.eye(len(FORCES), size, size - len(FORCES))[:, ::-1], strict=True)
-        scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in units})
-    whole = prepare(scene, comm, whole=True, like=None if last is None else last.study)
-    modes = modes_chosen(whole, MOST_OF_MANY) if asked.judged else []
+def build_geometry(
+    scene: Scene, comm: MPI.Comm, request: CaseRequest, last_geometry: SweepGeometry | None = None
+) -> SweepGeometry:
+    """Build the geometry for a case (collective).
+
+    ``request`` decides whether the reduction error gets a reference. ``last_geometry`` lends its
+    mesh, for another rotor speed.
+    """
+    scene = scene.replace({f"{key_name}.clearance": 0.0 for key_name in scene.all_cracks})
+    if request.has_unit_loads:
+        dimension = scene.dimension
+        unit_force_by_key = zip(
+            FORCE_KEYS,
+            np.eye(len(FORCE_KEYS), dimension, dimension - len(FORCE_KEYS))[:, ::-1],
+            strict=True,
+        )
+        scene = scene.replace(
+            {
+                f"excitation.{key_name}": tuple(unit_force)
+                for key_name, unit_force in unit_force_by_key
+            }
+        )
+    unreduced_study = prepare(
+        scene, comm, whole=True, like=None if last_geometry is None else last_geometry.study
+    )
+    mode_counts = (
+        modes_chosen(unreduced_study, MOST_OF_MANY) if request.with_reduction_error else []
+    )
     # Natural frequencies have no error of their own: they are of many modes.
-    every = reduced(whole, judged=asked.judged and not modes)
-    structure = every.structure
+    many_mode_study = reduced(
+        unreduced_study, judged=request.with_reduction_error and not mode_counts
+    )
+    structure = many_mode_study.structure
     if not is_small(structure):
-        method = "off" if scene.reduction is None else scene.reduction.method
-        allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
-        raise InputError("reduction.method", method, allowed)
-    rows_requested(every)
-    lengths = [crack.length for crack in every.scene.all_cracks.values()]
-    known = lengths[0] if lengths and lengths[0] is not None else np.nan
-    natural = bilinear_frequencies(structure)
-    study = reduced_to(whole, modes[0]) if modes else every
-    rows = _watched(study)
-    return Geometry(study, asked.unit_loads, known, natural, rows, whole, tuple(modes))
+        reduction_method = "off" if scene.reduction is None else scene.reduction.method
+        requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
+        raise InputError("reduction.method", reduction_method, requirement)
+    rows_requested(many_mode_study)
+    crack_lengths = [crack.length for crack in many_mode_study.scene.all_cracks.values()]
+    crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
+    natural_frequencies = bilinear_frequencies(structure)
+    study = reduced_to(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
+    watched_row_by_name = _find_watched_rows(study)
+    return SweepGeometry(
+        study,
+        request.has_unit_loads,
+        crack_length,
+        natural_frequencies,
+        watched_row_by_name,
+        unreduced_study,
+        tuple(mode_counts),
+    )
 
 
-def with_any_modes(scene: Scene, asked: Asked) -> Iterator[Geometry]:
-    """The geometry of a case with each number of modes with which it may have been solved."""
-    first = build(scene, MPI.COMM_SELF, asked)
-    made: Geometry | None = first
-    while made is not None:
-        yield made
-        made = made.finer
-    if first.modes:
-        yield build(scene, MPI.COMM_SELF, replace(asked, judged=False))
+def build_possible_geometries(scene: Scene, request: CaseRequest) -> Iterator[SweepGeometry]:
+    """Build geometries with each number of modes that may have solved a case."""
+    first_geometry = build_geometry(scene, MPI.COMM_SELF, request)
+    geometry: SweepGeometry | None = first_geometry
+    while geometry is not None:
+        yield geometry
+        geometry = geometry.geometry_with_more_modes
+    if first_geometry.mode_counts:
+        yield build_geometry(scene, MPI.COMM_SELF, replace(request, with_reduction_error=False))
 
 
-def _watched(study: Study) -> dict[str, np.ndarray]:
-    """The rows of the motion at the load and at the named points (collective)."""
-    named = [watched for watched in study.watched if watched.name]
-    rows = rows_of(study.structure, [watched.dof for watched in named])
-    found = {watched.name: row for watched, row in zip(named, rows, strict=True)}
-    return _at_load(study.scene, study.structure) | found
+def _find_watched_rows(study: Study) -> dict[str, np.ndarray]:
+    """Return rows for displacements at the load and named points, by name (collective)."""
+    named_watches = [watch for watch in study.watched if watch.name]
+    displacement_rows = rows_of(study.structure, [watch.dof for watch in named_watches])
+    row_by_name = {
+        watch.name: row for watch, row in zip(named_watches, displacement_rows, strict=True)
+    }
+    return _find_watched_load_rows(study.scene, study.structure) | row_by_name
 
 
-def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
-    """Return the rows of the motion watched at the load, where the structure has it; of matrices
-    the dof that carries most of the load (collective)."""
-    whole = structure.whole
-    if whole.watched is not None:
-        weights = gather_rows(whole.comm, whole.watched)
+def _find_watched_load_rows(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
+    """Return the row for the displacement at the load, with the key "" (collective).
+
+    For matrices it is the dof with the largest load. The dictionary is empty if the structure
+    watches no displacement.
+    """
+    whole_structure = structure.whole
+    if whole_structure.watched is not None:
+        dof_weights = gather_rows(whole_structure.comm, whole_structure.watched)
     elif scene.structure is not None:
-        weights = np.zeros(whole.n_dofs)
-        weights[whole.find_most_loaded_dof()] = 1.0
+        dof_weights = np.zeros(whole_structure.n_dofs)
+        dof_weights[whole_structure.find_most_loaded_dof()] = 1.0
     else:
         return {}
-    dofs = np.flatnonzero(weights)
-    return {"": weights[dofs] @ rows_of(structure, dofs.tolist())}
+    dofs = np.flatnonzero(dof_weights)
+    return {"": dof_weights[dofs] @ rows_of(structure, dofs.tolist())}
 
 
 # --- a case ---------------------------------------------------------------------------------------
 
 
-ALONE = "natural frequencies alone"
-"""Status of a case for which nothing else is requested."""
-Found = dict[str, Any]
-"""Values of a case, columns of the file and others, which that does not keep; and "gap" and "force"
-coefficients if it converged."""
+FREQUENCIES_ONLY_STATUS = "natural frequencies alone"
+"""Status of a case with natural frequencies only."""
+CaseValues = dict[str, Any]
+"""Values of a case by column name, and by names that the file omits.
+
+A converged case has "gap" and "force" coefficients.
+"""
 
 
 def solve_chunk(
-    geometry: Geometry, chunk: Chunk, asked: Asked, go_on: Callable[[], bool]
-) -> list[Found]:
-    """Solve cases one after the other, each at its own frequency or at its resonance; with verdicts
-    on their stability, if wanted, and with the error of a reduction that has been assessed.
+    geometry: SweepGeometry, chunk: Chunk, request: CaseRequest, may_continue: Callable[[], bool]
+) -> list[CaseValues]:
+    """Solve the cases in a chunk in turn, at given frequencies or at resonances.
 
-    The first ones where ``go_on``, which is called before each, ends it.
+    Parameters
+    ----------
+    geometry : SweepGeometry
+        Shared structure.
+    chunk : Chunk
+        Cases.
+    request : CaseRequest
+        Options.
+    may_continue : callable
+        Called before each case; False ends the chunk.
+
+    Returns
+    -------
+    list of dict
+        Values of the cases that were tried.
     """
-    cases, solved = Cases(geometry), []
-    for number, case in zip(chunk.numbers.tolist(), chunk.cases, strict=True):
-        if not go_on():
+    solver, chunk_case_values = CaseSolver(geometry), []
+    for case_number, case in zip(chunk.case_numbers.tolist(), chunk.scenes_or_reasons, strict=True):
+        if not may_continue():
             break
         if isinstance(case, str):
-            solved.append({"status": case})
-            cases = Cases(geometry)
+            chunk_case_values.append({"status": case})
+            solver = CaseSolver(geometry)
             continue
-        started = time.perf_counter()
-        harmonics = case.harmonic_balance.harmonics
-        found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
-        found |= _at(case.excitation.omega, geometry.natural) | _numbered(geometry.natural)
-        if asked.natural[number % len(asked.natural)]:
-            solved.append(found | {"status": ALONE, "seconds": time.perf_counter() - started})
+        start_time = time.perf_counter()
+        n_harmonics = case.harmonic_balance.harmonics
+        value_by_column: CaseValues = {
+            "crack_length": geometry.crack_length,
+            "harmonics": n_harmonics,
+        }
+        value_by_column |= _frequency_values(case.excitation.omega, geometry.bilinear_frequencies)
+        value_by_column |= _natural_frequency_values(geometry.bilinear_frequencies)
+        if request.frequencies_only_by_position[
+            case_number % len(request.frequencies_only_by_position)
+        ]:
+            chunk_case_values.append(
+                value_by_column
+                | {"status": FREQUENCIES_ONLY_STATUS, "seconds": time.perf_counter() - start_time}
+            )
             continue
         try:
-            solution = cases.found(case, asked)
+            solution = solver.solve_as_requested(case, request)
             tolerance = case.harmonic_balance.tolerance
-            while tolerance and lacks_modes(solution, tolerance) and geometry.finer:
-                geometry = geometry.finer  # for the cases behind it, too
-                cases = Cases(geometry)
-                solution = cases.found(case, asked)
-            found |= _observed(solution, case, geometry)
-            found |= _at(solution.omega, geometry.natural) | solution.to_dict()
-            if not asked.judged:
-                found.pop("reduction_error")
-            if asked.verdicts and case.harmonic_balance.error:
-                found |= cases.verdict(solution)
-                found["status"] += found.pop("remark", "")
-            found |= {"gap": solution.gap_rows, "force": solution.force_rows}
+            while (
+                tolerance and lacks_modes(solution, tolerance) and geometry.geometry_with_more_modes
+            ):
+                geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
+                solver = CaseSolver(geometry)
+                solution = solver.solve_as_requested(case, request)
+            value_by_column |= _observe_values(solution, case, geometry)
+            value_by_column |= (
+                _frequency_values(solution.omega, geometry.bilinear_frequencies)
+                | solution.to_dict()
+            )
+            if not request.with_reduction_error:
+                value_by_column.pop("reduction_error")
+            if request.with_verdicts and case.harmonic_balance.error:
+                value_by_column |= solver.assess_stability(solution)
+                value_by_column["status"] += value_by_column.pop("remark", "")
+            value_by_column |= {"gap": solution.gap_rows, "force": solution.force_rows}
         except REFUSALS as error:
-            cases = Cases(geometry)
-            found["status"] = str(error)
-        solved.append(found | {"seconds": time.perf_counter() - started})
-    return solved
+            solver = CaseSolver(geometry)
+            value_by_column["status"] = str(error)
+        chunk_case_values.append(value_by_column | {"seconds": time.perf_counter() - start_time})
+    return chunk_case_values
 
 
-class Cases:
-    """Cases of a geometry, each solved from the one before.
+class CaseSolver:
+    """Solver for cases with a common geometry; each case starts from the last case.
 
-    Those that differ in the frequency alone share structure, law and equations.
+    Cases that differ only in frequency share structure, law and equations.
     """
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: SweepGeometry) -> None:
         self._geometry = geometry
-        self._last: Scene | None = None
-        self._near: PeriodicSolution | None = None
+        self._last_case: Scene | None = None
+        self._last_solution: PeriodicSolution | None = None
 
-    def found(self, case: Scene, asked: Asked) -> PeriodicSolution:
-        """The solution of a case, or at its resonance, as requested; raises as :meth:`solve`."""
-        return self.at_resonance(case) if asked.at_resonance else self.solve(case)
+    def solve_as_requested(self, case: Scene, request: CaseRequest) -> PeriodicSolution:
+        """Solve a case at a given frequency or at resonance; raises as :meth:`solve`."""
+        return self.solve_at_resonance(case) if request.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
-        """The solution of a case; one of :data:`REFUSALS` where there is none."""
-        omega, table = case.excitation.omega, case.harmonic_balance
-        self._take(case)
+        """Solve a case at the given frequency; raises an error in :data:`REFUSALS` on failure."""
+        omega, balance_table = case.excitation.omega, case.harmonic_balance
+        self._set_structure_and_law(case)
         structure, law = self._structure, self._law
         if law is not None:
             law = slide_along_lines(structure, omega, law)
         if law is None:
-            return solve_linear(structure, omega, harmonics=table.harmonics)
-        check_memory(structure, table.harmonics)
-        problem = Problem(structure, omega, law, table.harmonics, table.samples)
-        near, self._near = self._near, None
-        self._near = solve_beside(problem, near, table.tolerance, with_errors=table.error)
-        return self._near
+            return solve_linear(structure, omega, harmonics=balance_table.harmonics)
+        check_memory(structure, balance_table.harmonics)
+        problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
+        neighbour, self._last_solution = self._last_solution, None
+        self._last_solution = solve_beside(
+            problem, neighbour, balance_table.tolerance, with_errors=balance_table.error
+        )
+        return self._last_solution
 
-    def _take(self, case: Scene) -> None:
-        """Structure and law of a case, unless they are those of the last one."""
-        at_omega = case.replace({"excitation.omega": 1.0, "curve": None})
-        if self._last != at_omega:
-            self._last = at_omega
-            self._structure = self._geometry.of_case(case)
+    def _set_structure_and_law(self, case: Scene) -> None:
+        """Set structure and law for a case, unless only its frequency differs."""
+        comparable_case = case.replace({"excitation.omega": 1.0, "curve": None})
+        if self._last_case != comparable_case:
+            self._last_case = comparable_case
+            self._structure = self._geometry.structure_of_case(case)
             self._law = law_of(case, self._structure)
 
-    def at_resonance(self, case: Scene) -> PeriodicSolution:
-        """The solution of a case at the resonance nearest to its frequency; raises as
-        :meth:`solve`.
+    def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
+        """Solve a case at the resonance nearest to its frequency; raises as :meth:`solve`.
 
-        Where several modes answer together, and with friction or a smooth law, which have no phase
-        resonance, it is the top of the response curve.
+        The resonance is the peak of the response curve if several modes respond together. The same
+        holds with friction or a smooth law, which have no phase resonance.
         """
-        table = case.harmonic_balance
-        self._take(case)
+        balance_table = case.harmonic_balance
+        self._set_structure_and_law(case)
         omega = case.excitation.omega
         assert self._law is not None
         law = slide_along_lines(self._structure, omega, self._law)
-        problem = Problem(self._structure, omega, law, table.harmonics, table.samples)
-        found = None
+        problem = Problem(
+            self._structure, omega, law, balance_table.harmonics, balance_table.samples
+        )
+        resonance = None
         if is_unilateral(law) and not problem.has_friction:
-            near = float(self._geometry.natural.nearest(omega)["omega_bilinear"])
-            found = resonance_at(problem, near, tolerance=table.tolerance)
-        if found is None or found.several:
-            omega, self._near = self._top(problem)
+            nearest_mode = self._geometry.bilinear_frequencies.nearest(omega)
+            bilinear_frequency = float(nearest_mode["omega_bilinear"])
+            resonance = resonance_at(problem, bilinear_frequency, tolerance=balance_table.tolerance)
+        if resonance is None or resonance.several:
+            omega, self._last_solution = self._find_response_peak(problem)
         else:
-            omega, self._near = found.omega, found.solution
+            omega, self._last_solution = resonance.omega, resonance.solution
         return self.solve(case.replace({"excitation.omega": omega}))
 
-    def _top(self, problem: Problem) -> tuple[float, PeriodicSolution]:
-        """Where the response curve is largest, from below the mode with the crack open to above
-        that with it bonded, and the nearest of its points."""
-        natural = self._geometry.natural
-        nearest = natural.nearest(problem.omega)
-        ratios = damping_ratios(self._geometry.structure.whole, natural.omega_open)
-        ratio = float(ratios[int(nearest["mode"]) - 1])
-        if not 0.0 < 2.0 * ratio < 1.0:  # widths to either side where it is looked for
-            allowed = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
-            raise InputError("damping", ratio, allowed)
-        low, high = float(nearest["omega_open"]), float(nearest["omega_tied"])
-        ends = (1.0 - 2.0 * ratio) * low, (1.0 + 2.0 * ratio) * high
-        curve = continue_frequency(
-            problem.structure, *ends, problem.contact, harmonics=problem.harmonics,
-            samples=problem.samples, stability=False,
-        )  # fmt: skip
-        top = curve.top()
-        return top.value, curve.solution(top.index)
+    def _find_response_peak(self, problem: Problem) -> tuple[float, PeriodicSolution]:
+        """Return frequency and solution at the peak of the response curve.
 
-    def verdict(self, solution: PeriodicSolution) -> Found:
-        """Verdict on a solution, modulus of its leading multiplier, and a remark: why no orbit
-        decides it, or how more modes contradict it; empty without a law, and for a constraint of
-        crack faces with mass."""
+        The curve covers the nearest mode, from below the open to above the bonded frequency.
+
+        Returns
+        -------
+        omega : float
+            Frequency at the peak [rad/s].
+        solution : PeriodicSolution
+            Solution at the nearest curve point.
+        """
+        natural_frequencies = self._geometry.bilinear_frequencies
+        nearest_mode = natural_frequencies.nearest(problem.omega)
+        mode_damping_ratios = damping_ratios(
+            self._geometry.structure.whole, natural_frequencies.omega_open
+        )
+        damping_ratio = float(mode_damping_ratios[int(nearest_mode["mode"]) - 1])
+        if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
+            requirement = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
+            raise InputError("damping", damping_ratio, requirement)
+        start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_mode["omega_open"])
+        stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_mode["omega_tied"])
+        response_curve = continue_frequency(
+            problem.structure, start_omega, stop_omega, problem.contact,
+            harmonics=problem.harmonics, samples=problem.samples, stability=False,
+        )  # fmt: skip
+        peak = response_curve.top()
+        return peak.value, response_curve.solution(peak.index)
+
+    def assess_stability(self, solution: PeriodicSolution) -> CaseValues:
+        """Return "verdict", "multiplier" (largest modulus) and "remark" by name.
+
+        The remark says why stability is undecided, or how more modes contradict the verdict. The
+        dictionary is empty without a law, and for rigid contact between crack faces with mass.
+        """
         structure, law, remark = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
-            found = floquet(structure, solution)
+            stability = floquet(structure, solution)
         except REFUSALS:
-            return {"verdict": "undecided", "remark": f"; {UNSURE}no multipliers were found"}
-        if found.reason:
-            remark = f"; {found.verdict}: {found.reason}"
-        elif structure.light_lips and (more := solution.assessment.more_modes):
-            said = more.describe_contradiction(found.verdict)
-            remark = YET + said if said else ""
-        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0]), "remark": remark}
+            return {
+                "verdict": "undecided",
+                "remark": f"; {UNDECIDED_PREFIX}no multipliers were found",
+            }
+        if stability.reason:
+            remark = f"; {stability.verdict}: {stability.reason}"
+        elif structure.light_lips and (more_modes := solution.assessment.more_modes):
+            contradiction = more_modes.describe_contradiction(stability.verdict)
+            remark = CONTRADICTION_PREFIX + contradiction if contradiction else ""
+        return {
+            "verdict": stability.verdict,
+            "multiplier": abs(stability.multipliers[0]),
+            "remark": remark,
+        }
 
 
-def _at(omega: float, natural: BilinearFrequencies) -> Found:
-    """A load frequency, and the natural ones that it is next to."""
-    return with_frequency({"omega": omega}) | natural.nearest(omega)
+def _frequency_values(omega: float, natural_frequencies: BilinearFrequencies) -> CaseValues:
+    """Return the load frequency and the nearest natural frequencies by column name."""
+    return with_frequency({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
-def _numbered(natural: BilinearFrequencies) -> Found:
-    """Natural frequencies by the names of their columns; there may be fewer than these."""
-    rows = natural.omega_open, np.sort(natural.omega_tied), natural.omega_bilinear
-    kinds = zip(FREQUENCY_KIND_NAMES, rows, strict=True)
-    return {f"omega_{kind}_{n}": omega for kind, row in kinds for n, omega in enumerate(row, 1)}
+def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseValues:
+    """Return natural frequencies by column name; there may be fewer than columns."""
+    frequency_rows = (
+        natural_frequencies.omega_open,
+        np.sort(natural_frequencies.omega_tied),
+        natural_frequencies.omega_bilinear,
+    )
+    kinds_and_frequencies = zip(FREQUENCY_KIND_NAMES, frequency_rows, strict=True)
+    return {
+        f"omega_{kind}_{mode_number}": omega
+        for kind, frequencies in kinds_and_frequencies
+        for mode_number, omega in enumerate(frequencies, 1)
+    }
 
 
-def _observed(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
-    """Return the indicators at the load and at the watched points, and the quantities of places
-    with rows of their own."""
-    rows = _load_row(solution, case) | geometry.watched
-    stacked = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs))
-    points, found = solution.observe_rows(stacked, rows_requested(geometry.study))
-    for name, seen in zip(rows, points, strict=True):
-        values = {quantity: getattr(seen.indicators, quantity) for quantity in AT_POINTS}
-        values |= zip(PHASES, seen.real_fourier_coefficients[1:].tolist(), strict=False)
-        found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
-    return found
+def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeometry) -> CaseValues:
+    """Return all quantities of a solution by column name.
 
-
-def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
-    """The displacement of the load's point in the load's direction from the coordinates; nothing
-    without a load.
-
-    The direction is that of the largest of the sine and the cosine parts, of the mean if there is
-    none. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
+    They are indicators at the load, at named points, and quantities on request.
     """
-    sizes = np.linalg.norm(force_parts(case), axis=1)
-    row = len(sizes) - 1 - int(np.argmax(sizes[:0:-1])) if np.any(sizes[1:]) else 0
-    return {"": solution.structure.force[row] / sizes[row]} if sizes[row] else {}
+    row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
+    row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
+    observed_displacements, value_by_column = solution.observe_rows(
+        row_matrix, rows_requested(geometry.study)
+    )
+    for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
+        value_by_quantity = {
+            quantity: getattr(observed_displacement.indicators, quantity)
+            for quantity in UNIT_BY_POINT_QUANTITY
+        }
+        value_by_quantity |= zip(
+            UNIT_BY_HARMONIC_PART,
+            observed_displacement.real_fourier_coefficients[1:].tolist(),
+            strict=False,
+        )
+        value_by_column |= {
+            f"{point_name}.{quantity}" if point_name else load_column_name(quantity): quantity_value
+            for quantity, quantity_value in value_by_quantity.items()
+        }
+    return value_by_column
+
+
+def _find_load_direction_rows(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
+    """Return the row for the displacement in the load's direction, with the key "".
+
+    The direction follows the largest sine or cosine part, or the mean if both are zero. A force F
+    at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
+    """
+    force_norms = np.linalg.norm(force_parts(case), axis=1)
+    row_index = (
+        len(force_norms) - 1 - int(np.argmax(force_norms[:0:-1])) if np.any(force_norms[1:]) else 0
+    )
+    norm = force_norms[row_index]
+    return {"": solution.structure.force[row_index] / norm} if norm else {}

@@ -1,20 +1,20 @@
-"""The file of a sweep: filled in while the sweep runs, and valid whenever the program is killed.
+"""The file of a sweep: filled while the sweep runs, and valid after a kill at any time.
 
-HDF5 keeps metadata in memory and writes it at times of its own choice. A program killed in between
-leaves a file that cannot be opened, and a full disk ends HDF5 itself. So no metadata changes once
-the file has its name, and HDF5 writes to memory alone:
+HDF5 keeps metadata in memory and decides when to write them. A program killed in between
+leaves a file that cannot be opened, and a full disk ends HDF5 itself. So no metadata changes after
+the file has its name, and HDF5 writes to memory only:
 
-- the file is made under another name, closed, and renamed;
-- every dataset has its full size from the start, in one contiguous piece whose place is fixed
-  (early allocation), in the oldest file format, which does not mark a file as open;
-- a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
-  system, and only then its ``state``. A case with a state is complete, and not written again; one
-  that a kill or a full disk left half written has none and is computed again;
-- a case has a checksum of its numbers and its state, and it is what this confirms. A damaged case
-  is not read, and computed again if the sweep is continued.
+- The file is made under another name, closed, and renamed.
+- Each dataset has its full size from the start, in one contiguous block at a fixed offset (early
+  allocation). The oldest file format does not mark a file as open.
+- A finished case overwrites the case's bytes: first all numbers, then ``state``. A case with a
+  state is complete and not written again. A case that a kill left half written has no state and is
+  computed again.
+- Each case has a checksum for numbers and state. A damaged case is not read; a continued
+  sweep computes it again.
 
-Unwritten parts take no space if the file system supports sparse files. The file can be read while
-it is being written. A lock, the one that HDF5 takes too, keeps other sweeps from writing to it.
+Unwritten parts take no space if the file system supports sparse files. The file can be read while a
+sweep writes it. A lock, also used by HDF5, keeps other sweeps from writing.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from fenics_crack.basics.tables import UNITS
 from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
 from fenics_crack.files import store
 from fenics_crack.files.store import about
-from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
-from fenics_crack.scene.words import differences
+from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, quantities_on_request
+from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
 
 KIND = "sweep"
@@ -53,39 +53,52 @@ class State(IntEnum):
     FAILED = 2
 
 
-UNSURE = "undecided: "
-"""Beginning, in the status of a case, of the reason for undecided stability."""
-YET = "; yet "
-"""Beginning of the remark that more modes contradict the verdict."""
+UNDECIDED_PREFIX = "undecided: "
+"""Text in a case's status before the reason for undecided stability."""
+CONTRADICTION_PREFIX = "; yet "
+"""Text in a case's status before the remark that more modes contradict the verdict."""
 
 
-def of_load(quantity: str) -> str:
-    """The column of a quantity at the load's point in the load's direction."""
+def load_column_name(quantity: str) -> str:
+    """Return the column name for a quantity at the load, in the load's direction."""
     return "response" if quantity == "amplitude" else quantity
 
 
-NUMBERED = range(1, FEW_MODES + 1)
-"""Numbers of the modes whose natural frequencies are kept of each case."""
-NATURAL = {
+MODE_NUMBERS = range(1, FEW_MODES + 1)
+"""Numbers of the modes whose natural frequencies each case keeps."""
+FREQUENCY_COLUMN_LABELS_AND_UNITS = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
         ("open", "natural frequency {}, crack open"),
         ("tied", "natural frequency {}, crack bonded"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
-    for mode in NUMBERED
+    for mode in MODE_NUMBERS
 }
-"""Words and unit of these frequencies."""
-AT_POINTS = {name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"}
-"""Quantities kept of each point and direction, and their units: no case has a longer period."""
-KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
-"""Harmonics of which the parts are kept."""
-PHASES = {f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine", "sine")}
-"""Parts of the harmonics kept likewise, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
-COLUMNS: dict[str, tuple[str, str]] = {
-    **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
+"""Label and unit of natural frequencies, by column name."""
+UNIT_BY_POINT_QUANTITY = {
+    name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"
+}
+"""Units of the quantities at each point and direction, by quantity.
+
+``ratio_half_1`` is left out, since no case has a longer period.
+"""
+KEPT_HARMONIC_ORDERS = (1, 2, 3, 4, 5, 6)
+"""Orders of the harmonics whose cosine and sine parts are kept."""
+UNIT_BY_HARMONIC_PART = {
+    f"{part}_{order}": "m" for order in KEPT_HARMONIC_ORDERS for part in ("cosine", "sine")
+}
+"""Units of cosine and sine parts, by column name.
+
+``harmonic_1`` to ``harmonic_3`` are the amplitudes for these parts.
+"""
+UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
+    **{
+        load_column_name(name): (unit, "f8")
+        for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
+    },
     **{name: (UNITS[name], "f8") for name in names_of(Place.FACES, Place.MODES, without=FRICTION)},
-    **{name: (unit, "f8") for name, (_, unit) in NATURAL.items()},
+    **{name: (unit, "f8") for name, (_, unit) in FREQUENCY_COLUMN_LABELS_AND_UNITS.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
     **{f"{by}_error": ("1", "f8") for by in ("residual", "truncation", "sampling", "reduction")},
@@ -98,395 +111,603 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "seconds": ("s", "f8"),
     "status": ("", "S400"),  # and its remark on the verdict; cut where it is longer
 }
-"""Unit and type of the columns of each case beside its state and the motion at points."""
-UNUSED = dict.fromkeys(name for name in LOOKED_AT if name not in ("sweep", "output", "growth"))
-"""Tables that no case depends on; without them."""
-WAVES = {"gap": "m", "force": "N"}
-"""Coefficients kept of a case that converged, and their units."""
-WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
-"""Columns: CRC-32 of the waves of a case; and of all its columns and its state, never 0."""
-REQUIRED_COLUMNS = {"state", WAVES_CHECKSUM, CHECKSUM, "harmonics"}
-"""Columns without which no file is read; others may be missing in those of earlier versions."""
-BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
-"""Value of a case without one, by the kind of the type."""
+"""Unit and type of each column, without states, named points and quantities on request."""
+CHANGES_REMOVING_UNUSED_TABLES = dict.fromkeys(
+    name for name in RESULT_TABLE_NAMES if name not in ("sweep", "output", "growth")
+)
+"""Changes that remove the tables without effect on any case."""
+UNIT_BY_WAVE = {"gap": "m", "force": "N"}
+"""Units of the coefficients that converged cases keep."""
+WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME = "waves_checksum", "checksum"
+"""Columns with the CRC-32 of a case's waves, and of all columns and the state (never 0)."""
+REQUIRED_COLUMN_NAMES = {
+    "state",
+    WAVES_CHECKSUM_COLUMN_NAME,
+    CASE_CHECKSUM_COLUMN_NAME,
+    "harmonics",
+}
+"""Columns required in each file; files from earlier versions may lack further columns."""
+BLANK_VALUE_BY_TYPE_KIND: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
+"""Values that mean "no value", by the kind of the NumPy type."""
 
 
-def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
-    """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
-    tips and the clamp that it requests."""
-    asked = names_of(where=FRICTION) * scene.has_friction + asked_quantities(scene)
-    at_points = {
-        f"{point}.{name}": (unit, "f8")
-        for point in scene.point_names
-        for name, unit in (AT_POINTS | PHASES).items()
+def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Return unit and type of all columns for a scene's sweep, by name.
+
+    Named points have columns such as "tip.ux.ratio_2_1".
+    """
+    requested_quantities = (
+        *(names_of(where=FRICTION) if scene.has_friction else ()),
+        *quantities_on_request(scene),
+    )
+    unit_and_type_by_point_column = {
+        f"{point_name}.{column_name}": (unit, "f8")
+        for point_name in scene.point_names
+        for column_name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     }
-    return COLUMNS | {name: (UNITS[name], "f8") for name in asked} | at_points
+    return (
+        UNIT_AND_TYPE_BY_COLUMN
+        | {column_name: (UNITS[column_name], "f8") for column_name in requested_quantities}
+        | unit_and_type_by_point_column
+    )
 
 
 class SweepFile:
-    """A sweep's file, open for writing; continued if it exists, else made.
+    """File of a sweep, open for writing; an existing file is continued.
 
-    ``harmonics`` and ``rows`` are upper bounds for all cases, ``omitted`` names what is not asked
-    of them. Raises InputError if the file cannot be written, cases are left and another program is
-    writing it, it is not a sweep of this scene, or other cases would have other columns than those
-    in it.
+    Parameters
+    ----------
+    path : Path
+        File.
+    scene : Scene
+        Scene with its sweep.
+    harmonics_upper_bound, gap_rows_upper_bound : int
+        Upper bounds for all cases; without gap rows no waves are kept.
+    omitted_options : sequence of str
+        Options that the cases lack.
 
     Attributes
     ----------
-    made : bool
-        True if it is new.
-    stored : Stored
-        Where everything is in it.
-    state : array of int
-        In the shape of the axes; of damaged cases State.PENDING.
+    is_new : bool
+        True if the file did not exist.
+    sweep_header : Stored
+        Header with the offset of each dataset.
+    case_states : array of int
+        States in the shape of the axes; State.PENDING for damaged cases.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written, or holds another sweep or other columns.
+        Or cases are pending while another program writes the file.
     """
 
     def __init__(
-        self, path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str] = ()
+        self,
+        path: Path,
+        scene: Scene,
+        harmonics_upper_bound: int,
+        gap_rows_upper_bound: int,
+        omitted_options: Sequence[str] = (),
     ) -> None:
-        self._path, self._columns = path, columns_of(scene)
+        self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
         with reported(path, "path", "a file that can be written, by one sweep at a time"):
-            made = None if os.path.lexists(path) else _made(path, scene, harmonics, rows, omitted)
+            new_header = (
+                None
+                if os.path.lexists(path)
+                else _make_file(
+                    path, scene, harmonics_upper_bound, gap_rows_upper_bound, omitted_options
+                )
+            )
             bytes_of(path, None, links=False)  # nothing is written elsewhere
-            self._file = os.open(path, os.O_RDWR)
+            self._file_descriptor = os.open(path, os.O_RDWR)
             try:
-                busy = _lock(self._file)
-                self.stored = made or _of_scene(path, scene)
-                self.state = _whole_cases(self.stored, scene)
-                if np.any(self.state == State.PENDING):  # else nothing is written
-                    if busy:
-                        raise busy
-                    _check_omitted(self.stored, omitted)
+                lock_error = _lock_file(self._file_descriptor)
+                self.sweep_header = new_header or _read_matching_header(path, scene)
+                self.case_states = _read_intact_states(self.sweep_header, scene)
+                if np.any(self.case_states == State.PENDING):  # else nothing is written
+                    if lock_error:
+                        raise lock_error
+                    _check_omitted(self.sweep_header, omitted_options)
             except BaseException:
-                os.close(self._file)
+                os.close(self._file_descriptor)
                 raise
-        self.made = made is not None
+        self.is_new = new_header is not None
 
-    def record(self, numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
-        """Write those of some cases that are not complete: some of its columns each, and its waves
-        if it converged; by their numbers (n,).
+    def record(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+        """Write the given cases that are still pending.
+
+        Parameters
+        ----------
+        case_numbers : (n,) int
+            Numbers of the cases.
+        cases : sequence of mappings
+            Values by column name, with waves if a case converged.
 
         Raises
         ------
         InputError
-            The disk is full, or the file is no longer where it was; what was written before stays.
+            The disk is full, or the file was moved; earlier cases stay written.
         """
-        left = np.flatnonzero(self.state.flat[numbers] == State.PENDING)
-        if len(left):
-            self.write(numbers[left], [cases[place] for place in left])
+        pending_positions = np.flatnonzero(self.case_states.flat[case_numbers] == State.PENDING)
+        if len(pending_positions):
+            self.write(
+                case_numbers[pending_positions],
+                [cases[pending_position] for pending_position in pending_positions],
+            )
 
-    def write(self, places: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
-        """Write cases of some numbers (n,): all that is known of them, then their states."""
-        if not self._is_there():
-            allowed = "left alone while the sweep runs; it has been removed or replaced"
-            raise WriteError("path", str(self._path), allowed)
-        state = np.array([State.CONVERGED if "gap" in case else State.FAILED for case in cases])
-        waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
-        columns = {}
-        for name in self._columns:
-            kind = self.stored.columns[name].dtype
-            given = [_stored(case.get(name, BLANKS[kind.kind]), kind.itemsize) for case in cases]
-            columns[name] = np.array(given, kind)
-        checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
-        columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
-        columns[CHECKSUM] = _of_cases(columns, state)
+    def write(self, case_numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+        """Write cases by number (n,): all values first, then the states."""
+        if not self._is_at_path():
+            requirement = "left alone while the sweep runs; it has been removed or replaced"
+            raise WriteError("path", str(self._path), requirement)
+        case_states = np.array(
+            [State.CONVERGED if "gap" in case else State.FAILED for case in cases]
+        )
+        waves_by_name = {
+            wave_name: [case.get(wave_name, np.zeros((0, 0))) for case in cases]
+            for wave_name in UNIT_BY_WAVE
+        }
+        column_by_name = {}
+        for column_name in self._unit_and_type_by_column:
+            column_type = self.sweep_header.columns[column_name].dtype
+            encoded_column = [
+                _encode_value(
+                    case.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
+                    column_type.itemsize,
+                )
+                for case in cases
+            ]
+            column_by_name[column_name] = np.array(encoded_column, column_type)
+        wave_checksums = [
+            _compute_waves_checksum(*gap_and_force)
+            for gap_and_force in zip(*waves_by_name.values(), strict=True)
+        ]
+        column_by_name[WAVES_CHECKSUM_COLUMN_NAME] = np.array(wave_checksums, "u4")
+        column_by_name[CASE_CHECKSUM_COLUMN_NAME] = _compute_case_checksums(
+            column_by_name, case_states
+        )
         with reported(self._path, "path"):
-            self._put("state", places, np.full(len(state), State.PENDING))
-            for name, arrays in waves.items():
-                if name in self.stored.columns:
-                    self._put(name, places, _padded(arrays, self.stored.columns[name].shape[-1]))
-            for name, values in columns.items():  # the checksum last, which confirms a case
-                self._put(name, places, values)
-            self._put("state", places, state)
-        self.state.flat[places] = state
+            self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
+            for wave_name, waves in waves_by_name.items():
+                if wave_name in self.sweep_header.columns:
+                    self._write_column(
+                        wave_name,
+                        case_numbers,
+                        _pad_waves(waves, self.sweep_header.columns[wave_name].shape[-1]),
+                    )
+            # The checksum, which confirms a case, is the last column.
+            for column_name, column_values in column_by_name.items():
+                self._write_column(column_name, case_numbers, column_values)
+            self._write_column("state", case_numbers, case_states)
+        self.case_states.flat[case_numbers] = case_states
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, or remove it; raises InputError where that reports an error."""
+        """Close the file, or remove it too; raise InputError on failure."""
         with reported(self._path, "path"):
-            if remove and self._is_there():
+            if remove and self._is_at_path():
                 self._path.unlink()
-            os.close(self._file)
+            os.close(self._file_descriptor)
 
-    def _put(self, name: str, places: np.ndarray, values: np.ndarray) -> None:
-        """Write the first values of some cases in a column or a wave."""
-        column = self.stored.columns[name]
-        size = column.size // self.state.size
-        rows = np.ascontiguousarray(values, column.dtype).view("u1").reshape(len(values), -1)
-        for number, row in zip(places, rows, strict=True):  # a word by itself would lose its end
-            put(self._file, row.tobytes(), column.offset + int(number) * size)
+    def _write_column(self, column_name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
+        """Write values of cases into a column or a wave, from each case's offset on."""
+        stored_column = self.sweep_header.columns[column_name]
+        bytes_per_case = stored_column.size // self.case_states.size
+        byte_rows = (
+            np.ascontiguousarray(values, stored_column.dtype).view("u1").reshape(len(values), -1)
+        )
+        # Bytes of rows: NumPy drops trailing zeros from a single text.
+        for case_number, case_bytes in zip(case_numbers, byte_rows, strict=True):
+            put(
+                self._file_descriptor,
+                case_bytes.tobytes(),
+                stored_column.offset + int(case_number) * bytes_per_case,
+            )
 
-    def _is_there(self) -> bool:
-        """Return True if the name still leads to the file."""
+    def _is_at_path(self) -> bool:
+        """Return True if the path still leads to the open file."""
         try:
-            return os.path.samestat(os.fstat(self._file), os.stat(self._path))
+            return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
         except OSError:
             return False
 
 
-def _lock(file: int) -> OSError | None:
-    """Lock an open file, or return the error where another program has locked it."""
+def _lock_file(descriptor: int) -> OSError | None:
+    """Lock an open file; return the error if another program holds the lock."""
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         return error
     return None
 
 
-def _padded(arrays: list[np.ndarray], pairs: int) -> np.ndarray:
-    """Waves of some cases as one array, nan where one has fewer rows or pairs."""
-    found = np.full((len(arrays), max(map(len, arrays)), pairs), np.nan)
-    for whole, array in zip(found, arrays, strict=True):
-        whole[: array.shape[0], : array.shape[1]] = array
-    return found
+def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
+    """Return waves as one array (n_waves, n_rows, n_columns), padded with nan."""
+    padded_waves = np.full((len(waves), max(map(len, waves)), n_columns), np.nan)
+    for padded_wave, wave in zip(padded_waves, waves, strict=True):
+        padded_wave[: wave.shape[0], : wave.shape[1]] = wave
+    return padded_waves
 
 
-def _stored(value: Any, size: int) -> Any:
-    """A value for the file: words are encoded and cut to some bytes, between characters."""
+def _encode_value(value: Any, max_bytes: int) -> Any:
+    """Return a value for the file: texts as UTF-8, cut between characters."""
     if not isinstance(value, str):
         return value
-    return value.encode()[:size].decode("utf-8", "ignore").encode()
+    return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
 
 
-def _made(
-    path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str]
+def _make_file(
+    path: Path,
+    scene: Scene,
+    harmonics_upper_bound: int,
+    gap_rows_upper_bound: int,
+    omitted_options: Sequence[str],
 ) -> store.Stored | None:
-    """A new file; None where another program has been quicker."""
-    shape = scene.given("sweep").shape
-    sizes = {name: (unit, kind, shape) for name, (unit, kind) in _kept(scene).items()}
-    if rows:
-        wave = (*shape, 2 * harmonics + 1, rows)
-        sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
+    """Make a new file and return its header; None if another program made one first."""
+    axes_shape = scene.given("sweep").shape
+    unit_type_shape_by_dataset = {
+        dataset_name: (unit, type_name, axes_shape)
+        for dataset_name, (unit, type_name) in _unit_and_type_by_dataset(scene).items()
+    }
+    if gap_rows_upper_bound:
+        wave_shape = (*axes_shape, 2 * harmonics_upper_bound + 1, gap_rows_upper_bound)
+        unit_type_shape_by_dataset |= {
+            dataset_name: (unit, "f8", wave_shape) for dataset_name, unit in UNIT_BY_WAVE.items()
+        }
     with contextlib.suppress(FileExistsError):
         with (
-            whole_file(path, new=True) as partial,
-            open(partial, "wb", buffering=0) as whole,
+            whole_file(path, new=True) as hidden_path,
+            open(hidden_path, "wb", buffering=0) as new_file,
             open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
         ):
-            least = (math.prod(size) * np.dtype(kind).itemsize for _, kind, size in sizes.values())
-            whole.truncate(sum(least))  # OSError where files are limited, which HDF5 would meet
-            stored = _image(image, path, scene, sizes, omitted)
-            _copy_written(image.fileno(), whole.fileno())
-        return stored
+            dataset_bytes = (
+                math.prod(dataset_shape) * np.dtype(type_name).itemsize
+                for _, type_name, dataset_shape in unit_type_shape_by_dataset.values()
+            )
+            # OSError here if file sizes are limited; HDF5 would meet the limit later.
+            new_file.truncate(sum(dataset_bytes))
+            sweep_header = _write_image(
+                image, path, scene, unit_type_shape_by_dataset, omitted_options
+            )
+            _copy_written_parts(image.fileno(), new_file.fileno())
+        return sweep_header
     return None
 
 
-def _image(
-    image: BinaryIO,
+def _write_image(
+    memory_file: BinaryIO,
     path: Path,
     scene: Scene,
-    sizes: Mapping[str, tuple[str, str, tuple[int, ...]]],
-    omitted: Sequence[str],
+    unit_type_shape_by_dataset: Mapping[str, tuple[str, str, tuple[int, ...]]],
+    omitted_options: Sequence[str],
 ) -> store.Stored:
-    """Write a new file with datasets of some units, types and shapes; its header."""
+    """Write a new file's datasets to memory, and return the header.
+
+    ``unit_type_shape_by_dataset`` holds tuples by name.
+    """
     import h5py  # what only reads has its reader
 
-    with h5py.File(image, "w", libver="earliest") as file:
-        store.write_header(file, KIND, scene)
-        file.attrs["omitted"] = " ".join(omitted)
-        texts, columns = store.texts(file), {}  # kept as written: to read them takes longer
-        for name, (unit, kind, size) in sizes.items():
-            plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-            plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-            plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
-            column = file.create_dataset(name, size, kind, dcpl=plan)
-            said = {"unit": unit} | ({"about": words} if (words := _words(name)) else {})
-            for key, text in said.items():
-                column.attrs[key] = texts[f"{name}/{key}"] = text
-            columns[name] = store.column_of(column)
-        texts["digest"] = store.digest(texts, store.places(columns))
-        file.attrs["digest"] = texts["digest"]
-        return store.Stored(path, texts, {}, columns)
+    with h5py.File(memory_file, "w", libver="earliest") as hdf5_file:
+        store.write_header(hdf5_file, KIND, scene)
+        hdf5_file.attrs["omitted"] = " ".join(omitted_options)
+        # Kept as written, since reading them takes longer.
+        attribute_by_path, column_by_name = store.texts(hdf5_file), {}
+        for dataset_name, (unit, type_name, dataset_shape) in unit_type_shape_by_dataset.items():
+            creation_properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+            creation_properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+            # A new file has zeros: State.PENDING.
+            creation_properties.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+            column = hdf5_file.create_dataset(
+                dataset_name, dataset_shape, type_name, dcpl=creation_properties
+            )
+            description_text = _describe_column(dataset_name)
+            attribute_text_by_name = {"unit": unit} | (
+                {"about": description_text} if description_text else {}
+            )
+            for attribute_name, attribute_text in attribute_text_by_name.items():
+                column.attrs[attribute_name] = attribute_text
+                attribute_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
+            column_by_name[dataset_name] = store.column_of(column)
+        attribute_by_path["digest"] = store.digest(attribute_by_path, store.places(column_by_name))
+        hdf5_file.attrs["digest"] = attribute_by_path["digest"]
+        return store.Stored(path, attribute_by_path, {}, column_by_name)
 
 
-def _copy_written(image: int, whole: int) -> None:
-    """Copy what has been written of an open file to another, and its size; OSError."""
-    size, end = os.fstat(image).st_size, 0
-    os.truncate(whole, size)
-    while end < size:
+def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
+    """Copy the size and written parts of an open file to another; raises OSError."""
+    file_size, part_end = os.fstat(memory_descriptor).st_size, 0
+    os.truncate(target_descriptor, file_size)
+    while part_end < file_size:
         try:
-            first = os.lseek(image, end, os.SEEK_DATA)
+            part_start = os.lseek(memory_descriptor, part_end, os.SEEK_DATA)
         except OSError:  # zeros alone
             return
-        end = os.lseek(image, first, os.SEEK_HOLE)
-        put(whole, os.pread(image, end - first, first), first)
+        part_end = os.lseek(memory_descriptor, part_start, os.SEEK_HOLE)
+        put(
+            target_descriptor,
+            os.pread(memory_descriptor, part_end - part_start, part_start),
+            part_start,
+        )
 
 
-def _words(name: str) -> str:
-    """Describe a column or a wave; "" where its name does."""
-    if name in WAVES:
-        return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
-    quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
-    known = {name: row.words for name, row in QUANTITIES.items()}
-    return known.get(quantity) or NATURAL.get(quantity, ("",))[0]
+def _describe_column(column_name: str) -> str:
+    """Return a description of a column or wave; empty if unknown."""
+    if column_name in UNIT_BY_WAVE:
+        return f"axes of the sweep; {about(f'{column_name}_coefficients', {})['about']}"
+    quantity = "amplitude" if column_name == "response" else column_name.rpartition(".")[2]
+    words_by_quantity = {
+        column_name: observable.words for column_name, observable in QUANTITIES.items()
+    }
+    return (
+        words_by_quantity.get(quantity) or FREQUENCY_COLUMN_LABELS_AND_UNITS.get(quantity, ("",))[0]
+    )
 
 
-def _of_waves(gap: np.ndarray, force: np.ndarray) -> int:
-    """Checksum of the waves of a case."""
+def _compute_waves_checksum(gap: np.ndarray, force: np.ndarray) -> int:
+    """Return the checksum of a case's waves."""
     return zlib.crc32(force.tobytes(), zlib.crc32(gap.tobytes()))
 
 
-def _of_cases(columns: Mapping[str, np.ndarray], state: np.ndarray) -> np.ndarray:
-    """Checksums of cases (n,), of columns of theirs and a state each."""
-    found, count = np.zeros(len(state), dtype="u4"), 4096  # at once, for their rows take memory
-    for start in range(0, len(state), count):
-        block = slice(start, start + count)
-        parts = [column[block] for column in (*columns.values(), state.astype("u1"))]
-        rows = np.hstack([part.view("u1").reshape(len(part), -1) for part in parts])
-        found[block] = [zlib.crc32(row) or 1 for row in rows]
-    return found
+def _compute_case_checksums(
+    column_by_name: Mapping[str, np.ndarray], case_states: np.ndarray
+) -> np.ndarray:
+    """Return checksums of cases (n,) from their columns and states."""
+    # Rows of bytes take memory: make few at once.
+    checksums, n_block_cases = np.zeros(len(case_states), dtype="u4"), 4096
+    for block_start in range(0, len(case_states), n_block_cases):
+        block_slice = slice(block_start, block_start + n_block_cases)
+        block_columns = [
+            column[block_slice] for column in (*column_by_name.values(), case_states.astype("u1"))
+        ]
+        byte_rows = np.hstack(
+            [
+                block_column.view("u1").reshape(len(block_column), -1)
+                for block_column in block_columns
+            ]
+        )
+        checksums[block_slice] = [zlib.crc32(case_bytes) or 1 for case_bytes in byte_rows]
+    return checksums
 
 
-def _of_scene(path: Path, scene: Scene) -> store.Stored:
-    """The header of a file; InputError unless it is the sweep of a scene by this version of the
-    program."""
-    stored = store.header(path)
-    stored.fitting_argument(KIND)
-    begun = stored.scene()
-    asked = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
-    if begun is None or begun.replace(UNUSED) != asked.replace(UNUSED):
-        there = differences([begun, asked])[0] if begun is not None else ""
-        value = f"{path}{there and f', begun with {there}'}"
-        allowed = "the file of the same scene; for another one choose a new folder"
-        raise InputError("path", value, allowed)
-    if (version := stored.attributes["version"]) != VERSION:
-        raise stored.refused(f"a new name: it was begun by version {version}, this is {VERSION}")
-    stored.check_files(begun)
-    if not _kept(scene).keys() <= stored.columns.keys():
-        raise stored.refused("a whole sweep")
-    scene_of(stored)
-    return stored
+def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
+    """Return a file's header; raise InputError unless it fits the scene and version."""
+    sweep_header = store.header(path)
+    sweep_header.fitting_argument(KIND)
+    stored_scene = sweep_header.scene()
+    requested_scene = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
+    if stored_scene is None or stored_scene.replace(
+        CHANGES_REMOVING_UNUSED_TABLES
+    ) != requested_scene.replace(CHANGES_REMOVING_UNUSED_TABLES):
+        difference_text = (
+            describe_differences([stored_scene, requested_scene])[0]
+            if stored_scene is not None
+            else ""
+        )
+        path_text = f"{path}{difference_text and f', begun with {difference_text}'}"
+        requirement = "the file of the same scene; for another one choose a new folder"
+        raise InputError("path", path_text, requirement)
+    if (version := sweep_header.attributes["version"]) != VERSION:
+        raise sweep_header.refused(
+            f"a new name: it was begun by version {version}, this is {VERSION}"
+        )
+    sweep_header.check_files(stored_scene)
+    if not _unit_and_type_by_dataset(scene).keys() <= sweep_header.columns.keys():
+        raise sweep_header.refused("a whole sweep")
+    scene_of_sweep(sweep_header)
+    return sweep_header
 
 
-def _check_omitted(stored: store.Stored, omitted: Sequence[str]) -> None:
-    """Raise InputError where more or less was asked of the cases in a file than is of its others;
-    that is not known of older files."""
-    begun = stored.attributes.get("omitted", " ".join(omitted)).split()
-    differ = [f"{name}={name not in begun}" for name in sorted({*begun} ^ {*omitted})]
-    if differ:
-        value = f"{stored.path}, begun with {', '.join(differ)}"
-        allowed = "continued as it was begun; for other columns choose a new folder"
-        raise InputError("path", value, allowed)
+def _check_omitted(sweep_header: store.Stored, omitted_options: Sequence[str]) -> None:
+    """Raise InputError if a file was begun with other omitted options.
+
+    Files from earlier versions do not state the options and are accepted.
+    """
+    stored_options = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
+    changed_options = [
+        f"{option_name}={option_name not in stored_options}"
+        for option_name in sorted({*stored_options} ^ {*omitted_options})
+    ]
+    if changed_options:
+        path_text = f"{sweep_header.path}, begun with {', '.join(changed_options)}"
+        requirement = "continued as it was begun; for other columns choose a new folder"
+        raise InputError("path", path_text, requirement)
 
 
 # --- reading --------------------------------------------------------------------------------------
 
 
-def _kept(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Unit and type of all that is kept of each case beside its waves."""
-    checksums = dict.fromkeys((WAVES_CHECKSUM, CHECKSUM), ("", "u4"))
-    return {"state": ("", "u1")} | columns_of(scene) | checksums
+def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
+    """Return unit and type of all columns in a file, by name."""
+    checksum_formats = dict.fromkeys(
+        (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")
+    )
+    return {"state": ("", "u1")} | unit_and_type_by_column(scene) | checksum_formats
 
 
-def scene_of(stored: store.Stored) -> Scene:
-    """Return the scene of a sweep's file; InputError unless all its columns fit it."""
-    stored.fitting_argument(KIND)
-    scene = stored.scene()
+def scene_of_sweep(sweep_header: store.Stored) -> Scene:
+    """Return the scene in a sweep's file; raise InputError if columns do not fit."""
+    sweep_header.fitting_argument(KIND)
+    scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
-        raise stored.refused("a sweep with its scene")
-    total, column_formats = 0, _kept(scene)
-    for name in sorted(column_formats.keys() & (stored.columns.keys() | REQUIRED_COLUMNS)):
-        column = stored.columns.get(name)
-        if column is None:
-            requirement = f"a sweep with a column {name!r}: this one is of an older version"
-            raise stored.refused(f"{requirement}; solve it anew in another folder")
-        column_type = np.dtype(column_formats[name][1])
-        if column.shape != scene.given("sweep").shape or column.dtype != column_type:
-            raise stored.refused("a whole sweep")
-        total += column.size
-    if total > MOST_BYTES:
-        raise stored.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
+        raise sweep_header.refused("a sweep with its scene")
+    n_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
+    for column_name in sorted(
+        unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
+    ):
+        stored_column = sweep_header.columns.get(column_name)
+        if stored_column is None:
+            requirement = f"a sweep with a column {column_name!r}: this one is of an older version"
+            raise sweep_header.refused(f"{requirement}; solve it anew in another folder")
+        column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
+        if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
+            raise sweep_header.refused("a whole sweep")
+        n_bytes += stored_column.size
+    if n_bytes > MOST_BYTES:
+        raise sweep_header.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
     return scene
 
 
-def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """``state`` and the columns (n,) of all cases, and which of them are damaged.
+def _read_cases(
+    sweep_header: store.Stored, scene: Scene
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Read all cases, as flat columns, and find damaged ones.
 
-    The state is the one that the checksum confirms: with another one, or none, a case is pending.
+    A case whose state has no matching checksum is pending.
+
+    Returns
+    -------
+    column_by_name : dict of str to (n_cases,)
+        ``state`` and all columns.
+    is_damaged : (n_cases,) bool
+        True for cases whose stored state does not match the checksum.
     """
-    columns, damaged = _confirmed(_numbers(stored, scene))
-    if damaged.any():  # or is being written at this moment
-        columns, again = _confirmed(_numbers(stored, scene))
-        damaged &= again
-    return columns, damaged
+    column_by_name, is_damaged = _confirm_states(_read_flat_columns(sweep_header, scene))
+    if is_damaged.any():  # or is being written at this moment
+        column_by_name, is_damaged_again = _confirm_states(_read_flat_columns(sweep_header, scene))
+        is_damaged &= is_damaged_again
+    return column_by_name, is_damaged
 
 
-def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
-    """All that is kept of each case (n,), beside its waves."""
+def _read_flat_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+    """Read all stored columns, (n_cases,) each, by name."""
     try:  # the state first: what is written later counts as pending
-        names = [name for name in _kept(scene) if name in stored.columns]
-        return {name: stored.columns[name].of(stored.path).ravel() for name in names}
+        column_names = [
+            column_name
+            for column_name in _unit_and_type_by_dataset(scene)
+            if column_name in sweep_header.columns
+        ]
+        return {
+            column_name: sweep_header.columns[column_name].of(sweep_header.path).ravel()
+            for column_name in column_names
+        }
     except (OSError, ValueError):
-        raise stored.refused("a whole sweep") from None
+        raise sweep_header.refused("a whole sweep") from None
 
 
-def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """The columns of all cases with the state that the checksum confirms, and which it does not."""
-    stated, known = found.pop("state"), found.pop(CHECKSUM)
-    begun, state = np.flatnonzero(known), np.full(len(stated), State.PENDING, stated.dtype)
-    own = {name: values[begun] for name, values in found.items()}
-    for one in (State.CONVERGED, State.FAILED):
-        same = _of_cases(own, np.full(len(begun), one)) == known[begun]
-        state[begun[same]] = one
-    return {"state": state} | found, (state == State.PENDING) & (stated != State.PENDING)
+def _confirm_states(
+    column_by_name: dict[str, np.ndarray],
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Replace stored states by states that match the checksums.
 
-
-def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
-    """The state of each case in the shape of the axes; of damaged ones State.PENDING."""
-    state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(scene.given("sweep").shape)
-    for index in np.argwhere(state == State.CONVERGED):
-        if _waves(stored, tuple(map(int, index))) is None:
-            state[tuple(index)] = State.PENDING
-    return state
-
-
-def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
-    """``state`` and the columns in the shape of the axes.
-
-    Pending cases, and columns that an earlier version did not write, have nan, 0 in columns of
-    whole numbers, and empty words.
+    Returns
+    -------
+    column_by_name : dict of str to (n_cases,)
+        ``state`` and the columns, without the checksum.
+    is_damaged : (n_cases,) bool
+        True for cases with a state that no checksum confirms.
     """
-    columns, damaged = _cases(stored, scene)
-    shape, found = scene.given("sweep").shape, {}
-    if damaged.any():
-        first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
-        cases = f"{damaged.sum()} of its cases are damaged, the first at {first}"
-        raise stored.refused(f"a whole sweep: {cases}; the command sweep computes them again")
-    for name, (_, kind) in ({"state": ("", "u1")} | columns_of(scene)).items():
-        values = columns.get(name, np.full(math.prod(shape), BLANKS.get(kind[0], 0), kind))
-        if name != "state":
-            values[columns["state"] == State.PENDING] = BLANKS[values.dtype.kind]
-        words = values.dtype.kind == "S"
-        found[name] = np.char.decode(values, "utf-8", "replace") if words else values
-        found[name] = found[name].reshape(shape)
-    return found
+    stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
+    written_case_numbers = np.flatnonzero(stored_checksums)
+    case_states = np.full(len(stored_states), State.PENDING, stored_states.dtype)
+    written_column_by_name = {
+        column_name: column_values[written_case_numbers]
+        for column_name, column_values in column_by_name.items()
+    }
+    for candidate_state in (State.CONVERGED, State.FAILED):
+        is_confirmed = (
+            _compute_case_checksums(
+                written_column_by_name, np.full(len(written_case_numbers), candidate_state)
+            )
+            == stored_checksums[written_case_numbers]
+        )
+        case_states[written_case_numbers[is_confirmed]] = candidate_state
+    is_damaged = (case_states == State.PENDING) & (stored_states != State.PENDING)
+    return {"state": case_states} | column_by_name, is_damaged
+
+
+def _read_intact_states(sweep_header: store.Stored, scene: Scene) -> np.ndarray:
+    """Return states in the shape of the axes; State.PENDING for damaged cases."""
+    case_states: np.ndarray = _read_cases(sweep_header, scene)[0]["state"].reshape(
+        scene.given("sweep").shape
+    )
+    for index in np.argwhere(case_states == State.CONVERGED):
+        if _read_intact_waves(sweep_header, tuple(map(int, index))) is None:
+            case_states[tuple(index)] = State.PENDING
+    return case_states
+
+
+def read_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+    """Read ``state`` and all columns, in the shape of the axes.
+
+    Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
+    """
+    flat_column_by_name, is_damaged = _read_cases(sweep_header, scene)
+    axes_shape, column_by_name = scene.given("sweep").shape, {}
+    if is_damaged.any():
+        first_damaged_index = tuple(
+            map(int, np.unravel_index(int(np.argmax(is_damaged)), axes_shape))
+        )
+        damage_text = (
+            f"{is_damaged.sum()} of its cases are damaged, the first at {first_damaged_index}"
+        )
+        raise sweep_header.refused(
+            f"a whole sweep: {damage_text}; the command sweep computes them again"
+        )
+    for column_name, (_, type_name) in (
+        {"state": ("", "u1")} | unit_and_type_by_column(scene)
+    ).items():
+        column_values = flat_column_by_name.get(
+            column_name,
+            np.full(
+                math.prod(axes_shape), BLANK_VALUE_BY_TYPE_KIND.get(type_name[0], 0), type_name
+            ),
+        )
+        if column_name != "state":
+            column_values[flat_column_by_name["state"] == State.PENDING] = BLANK_VALUE_BY_TYPE_KIND[
+                column_values.dtype.kind
+            ]
+        is_text = column_values.dtype.kind == "S"
+        column_by_name[column_name] = (
+            np.char.decode(column_values, "utf-8", "replace") if is_text else column_values
+        )
+        column_by_name[column_name] = column_by_name[column_name].reshape(axes_shape)
+    return column_by_name
 
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Gap [m] and force [N] coefficients of a case that converged, with friction tangential ones
-    behind the normal ones: (2H+1, n_rows) each."""
-    stored = store.header(path)
-    stored.fitting_argument(KIND)
-    found = _waves(stored, index)
-    if found is None:
-        allowed = f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
-        raise stored.refused(allowed)
-    return found
+    """Read the gap [m] and force [N] coefficients of a converged case: (2H+1, n_rows) each.
+
+    With friction, tangential rows follow the normal ones.
+    """
+    sweep_header = store.header(path)
+    sweep_header.fitting_argument(KIND)
+    waves = _read_intact_waves(sweep_header, index)
+    if waves is None:
+        requirement = (
+            f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
+        )
+        raise sweep_header.refused(requirement)
+    return waves
 
 
-def _waves(stored: store.Stored, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
-    """The same, or None if they are damaged."""
-    columns, path, found = stored.columns, stored.path, []
+def _read_intact_waves(
+    sweep_header: store.Stored, index: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Read the same coefficients; None if they are damaged."""
+    stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:
-        case = int(np.ravel_multi_index(index, columns["state"].shape))
-        rows = 2 * int(columns["harmonics"].of(path, case, 1)[0]) + 1
-        known = columns[WAVES_CHECKSUM].of(path, case, 1)[0]
-        for name in WAVES:
-            most, pairs = columns[name].shape[-2:] if name in columns else (rows, 0)
-            first = case * most * pairs
-            wave = columns[name].of(path, first, rows * pairs) if pairs else np.zeros(0)
-            found.append(wave.reshape(rows, pairs))
+        case_number = int(np.ravel_multi_index(index, stored_column_by_name["state"].shape))
+        n_rows = 2 * int(stored_column_by_name["harmonics"].of(file_path, case_number, 1)[0]) + 1
+        stored_checksum = stored_column_by_name[WAVES_CHECKSUM_COLUMN_NAME].of(
+            file_path, case_number, 1
+        )[0]
+        for wave_name in UNIT_BY_WAVE:
+            max_rows, n_columns = (
+                stored_column_by_name[wave_name].shape[-2:]
+                if wave_name in stored_column_by_name
+                else (n_rows, 0)
+            )
+            wave_start = case_number * max_rows * n_columns
+            n_values = n_rows * n_columns
+            wave = (
+                stored_column_by_name[wave_name].of(file_path, wave_start, n_values)
+                if n_values
+                else np.zeros(0)
+            )
+            waves.append(wave.reshape(n_rows, n_columns))
     except (OSError, ValueError, KeyError):
         return None
-    own = np.isfinite(found[0][0])
-    gap, force = (np.ascontiguousarray(wave[:, own]) for wave in found)
-    return (gap, force) if rows <= most and _of_waves(gap, force) == known else None
+    is_finite_column = np.isfinite(waves[0][0])
+    gap, force = (np.ascontiguousarray(wave[:, is_finite_column]) for wave in waves)
+    is_intact = n_rows <= max_rows and _compute_waves_checksum(gap, force) == stored_checksum
+    return (gap, force) if is_intact else None

@@ -1,10 +1,11 @@
-"""The jobs of a sweep: rank 0 hands them out, does some itself, and writes what is found.
+"""Share the jobs of a sweep among ranks; rank 0 writes the results.
 
-Every rank has one job to do and one to go on with, so that none waits for rank 0, which hears what
-the others have found between two chunks of its own. Messages to a rank are jobs, numbers of cases
-that are short enough to arrive at once while it computes, and one with the
-tag ``END``, on which it stops after the present chunk; those from it are what it has found of each
-chunk, and None behind a job.
+Each rank has a present and a next job, so that no rank waits for rank 0. Rank 0 solves chunks, too,
+and receives results between two chunks.
+
+Messages to a rank are short jobs, which arrive while the rank computes, and a message with the tag
+``END``. After ``END`` a rank stops behind its present chunk. Messages from a rank are the outcomes
+of chunks, and None behind each job.
 """
 
 from __future__ import annotations
@@ -23,265 +24,351 @@ from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
 from fenics_crack.files.store import Stored
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
-from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk
+from fenics_crack.sweep.case import (
+    FREQUENCIES_ONLY_STATUS,
+    CaseRequest,
+    CaseValues,
+    SweepGeometry,
+    build_geometry,
+    solve_chunk,
+)
 from fenics_crack.sweep.file import State, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
 
 
 class Tag(IntEnum):
-    """Tag of a message to a rank."""
+    """Tags of messages to a rank."""
 
     JOB = 0
     END = 1
 
 
-Outcome = list[Found] | Exception
-"""Values of the cases of a chunk, or the error that ends the sweep."""
+ChunkOutcome = list[CaseValues] | Exception
+"""Values of the cases in a chunk, or the error that ends the sweep."""
 
 
 class Job(NamedTuple):
-    """Some chunks of a geometry, as numbers of their cases."""
+    """Chunks of one geometry for a rank.
 
-    geometry: int
-    chunks: tuple[np.ndarray, ...]
+    Attributes
+    ----------
+    geometry_number : int
+        Position of the geometry in the plan.
+    chunk_case_numbers : tuple of (n,) int
+        Case numbers in each chunk.
+    """
+
+    geometry_number: int
+    chunk_case_numbers: tuple[np.ndarray, ...]
 
 
 class Worker:
-    """A rank that does jobs; it builds the geometries itself.
+    """Solver for jobs on one rank; builds the geometries itself.
 
     Parameters
     ----------
-    asked : Asked
-        Request for each case.
+    request : CaseRequest
+        Options that all cases share.
     plan : Plan
-        Of the cases.
+        Plan of the sweep.
     """
 
-    def __init__(self, asked: Asked, plan: Plan) -> None:
-        self._asked, self._plan = asked, plan
-        self._number = -1
-        self._built: Geometry | Exception | None = None
-        """Geometry of that number, or the error that prevents it."""
+    def __init__(self, request: CaseRequest, plan: Plan) -> None:
+        self._request, self._plan = request, plan
+        self._geometry_number = -1
+        self._geometry_or_error: SweepGeometry | Exception | None = None
+        """Last geometry, or the error from building it."""
 
-    def free(self, *, stopped: bool) -> None:
-        """Let go of what was built."""
-        self._built = None
+    def release_geometry(self, *, stopped: bool) -> None:
+        """Release the memory of the last geometry."""
+        self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
         collect_garbage(MPI.COMM_SELF, stopped=stopped)
 
-    def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
-        """Do a job, and yield what is found of each chunk; ``go_on`` is called before each of
-        them, and before each of its cases."""
-        chunks = list(map(self._plan.chunk, job.chunks))
+    def run_job(
+        self, job: Job, may_continue: Callable[[], bool]
+    ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
+        """Solve a job's chunks, and yield case numbers and outcome of each.
+
+        ``may_continue`` is called before each chunk and each case.
+        """
+        chunks = list(map(self._plan.make_chunk, job.chunk_case_numbers))
         for chunk in chunks:
-            if not go_on():
+            if not may_continue():
                 return
-            self._build(job.geometry, chunks)
-            yield self._outcome(chunk, go_on)
+            self._build_geometry(job.geometry_number, chunks)
+            yield self._solve_chunk(chunk, may_continue)
 
-    def _build(self, number: int, chunks: list[Chunk]) -> None:
-        """Build the geometry of a job, unless it is at hand or none of the cases is a scene."""
-        every = (case for chunk in chunks for case in chunk.cases)
-        scene = next((case for case in every if isinstance(case, Scene)), None)
-        if scene is None or number == self._number:
+    def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
+        """Build a job's geometry, unless already built or all cases are refused."""
+        scenes_and_reasons = (
+            scene_or_reason for chunk in chunks for scene_or_reason in chunk.scenes_or_reasons
+        )
+        scene = next(
+            (
+                scene_or_reason
+                for scene_or_reason in scenes_and_reasons
+                if isinstance(scene_or_reason, Scene)
+            ),
+            None,
+        )
+        if scene is None or geometry_number == self._geometry_number:
             return
-        known = self._built if scene.speed and isinstance(self._built, Geometry) else None
+        last_geometry = (
+            self._geometry_or_error
+            if scene.speed and isinstance(self._geometry_or_error, SweepGeometry)
+            else None
+        )
         try:
-            self._built = build(scene, MPI.COMM_SELF, self._asked, known)
+            self._geometry_or_error = build_geometry(
+                scene, MPI.COMM_SELF, self._request, last_geometry
+            )
         except REFUSALS as error:
-            self._built = error
+            self._geometry_or_error = error
         except Exception:
-            self._built = _unforeseen()
-        self._number = number
+            self._geometry_or_error = _make_unforeseen_error()
+        self._geometry_number = geometry_number
 
-    def _outcome(self, chunk: Chunk, go_on: Callable[[], bool]) -> tuple[np.ndarray, Outcome]:
-        """Numbers of the cases that were done, and what was found of them."""
-        built = self._built
-        if isinstance(built, Geometry):
+    def _solve_chunk(
+        self, chunk: Chunk, may_continue: Callable[[], bool]
+    ) -> tuple[np.ndarray, ChunkOutcome]:
+        """Return the numbers of tried cases (n,) and their outcome."""
+        geometry_or_error = self._geometry_or_error
+        if isinstance(geometry_or_error, SweepGeometry):
             try:
-                found = solve_chunk(built, chunk, self._asked, go_on)
-                return chunk.numbers[: len(found)], found
+                chunk_case_values = solve_chunk(
+                    geometry_or_error, chunk, self._request, may_continue
+                )
+                return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
             except Exception:
-                return chunk.numbers, _unforeseen()
-        large = isinstance(built, InputError) and built.key == "reduction.method"
-        if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
-            reasons = [case if isinstance(case, str) else str(built) for case in chunk.cases]
-            return chunk.numbers, [{"status": status} for status in reasons]
-        return chunk.numbers, built
+                return chunk.case_numbers, _make_unforeseen_error()
+        is_too_large = (
+            isinstance(geometry_or_error, InputError)
+            and geometry_or_error.key == "reduction.method"
+        )
+        if geometry_or_error is None or (
+            isinstance(geometry_or_error, REFUSALS)
+            and not (is_too_large and self._request.ends_at_large_structure)
+        ):
+            reasons = [
+                scene_or_reason if isinstance(scene_or_reason, str) else str(geometry_or_error)
+                for scene_or_reason in chunk.scenes_or_reasons
+            ]
+            return chunk.case_numbers, [{"status": reason} for reason in reasons]
+        return chunk.case_numbers, geometry_or_error
 
 
-def _unforeseen() -> RuntimeError:
-    """An error that is none of the input's, with its place."""
+def _make_unforeseen_error() -> RuntimeError:
+    """Return an error with the traceback of the present exception."""
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
 
-def serve(worker: Worker, comm: MPI.Comm) -> None:
-    """Do the jobs that rank 0 sends, until the end."""
-    sent: list[MPI.Request] = []
+def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
+    """Solve the jobs that rank 0 sends, until a message with the tag END."""
+    send_requests: list[MPI.Request] = []
 
-    def go_on() -> bool:
-        sent[:] = [request for request in sent if not request.Test()]
+    def may_continue() -> bool:
+        send_requests[:] = [request for request in send_requests if not request.Test()]
         return not comm.iprobe(source=0, tag=Tag.END)
 
-    status = MPI.Status()
-    while status.tag != Tag.END:
-        job = _received(comm, status)
-        if status.tag == Tag.JOB:
-            sent += [comm.isend(found, 0) for found in worker.work(job, go_on)]
-            sent.append(comm.isend(None, 0))
-    MPI.Request.waitall(sent)
+    message_status = MPI.Status()
+    while message_status.tag != Tag.END:
+        job = _receive_message(comm, message_status)
+        if message_status.tag == Tag.JOB:
+            send_requests += [
+                comm.isend(outcome, 0) for outcome in worker.run_job(job, may_continue)
+            ]
+            send_requests.append(comm.isend(None, 0))
+    MPI.Request.waitall(send_requests)
 
 
-def _received(comm: MPI.Comm, status: MPI.Status) -> Any:
-    """The next message; MPI itself would wait with all of a processor, also for the end of a long
-    one."""
-    wait_until(lambda: comm.iprobe(status=status))
-    room = bytearray(status.Get_count(MPI.BYTE))
-    request, arrived = comm.irecv(room, status.source, status.tag), list[Any]()
+def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
+    """Wait for the next message and return it.
+
+    MPI's own wait keeps a processor busy; this one does not.
+    """
+    wait_until(lambda: comm.iprobe(status=message_status))
+    message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
+    receive_request, test_result = (
+        comm.irecv(message_buffer, message_status.source, message_status.tag),
+        list[Any](),
+    )
 
     def has_arrived() -> bool:
-        arrived[:] = request.test()
-        return bool(arrived[0])
+        test_result[:] = receive_request.test()
+        return bool(test_result[0])
 
     wait_until(has_arrived)
-    return arrived[1]
+    return test_result[1]
 
 
 class Manager:
-    """Remaining cases of a sweep, and its file; on rank 0."""
+    """Owner of a sweep's jobs and file, on rank 0."""
 
-    def __init__(self, plan: Plan, file: SweepFile, ranks: int, *, progress: bool) -> None:
+    def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
         self._error: BaseException | None = None
-        self.plan, self._file, self._ranks = plan, file, ranks
-        left = {
-            number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == State.PENDING)]
-            for number, chunks in enumerate(plan.geometries)
+        self.plan, self._sweep_file, self._n_ranks = plan, sweep_file, n_ranks
+        chunks_by_geometry = {
+            geometry_number: [
+                case_numbers
+                for case_numbers in chunks
+                if np.any(sweep_file.case_states.flat[case_numbers] == State.PENDING)
+            ]
+            for geometry_number, chunks in enumerate(plan.chunks_by_geometry)
         }
         # The longest jobs first: the last ones are what ranks wait for.
-        largest = sorted(left, key=plan.sizes.__getitem__, reverse=True)
-        self._left = {number: left[number] for number in largest if left[number]}
-        self._given: dict[int, int] = {}
-        """Geometry that each rank has, or will have built."""
-        self._given_out, self._recorded = 0, 0
+        ordered_geometry_numbers = sorted(
+            chunks_by_geometry, key=plan.pair_bounds_and_lengths.__getitem__, reverse=True
+        )
+        self._remaining_chunks_by_geometry = {
+            geometry_number: chunks_by_geometry[geometry_number]
+            for geometry_number in ordered_geometry_numbers
+            if chunks_by_geometry[geometry_number]
+        }
+        self._geometry_by_rank: dict[int, int] = {}
+        """Number of the present or next geometry, by rank."""
+        self._n_jobs_sent, self._n_recorded_chunks = 0, 0
         """Jobs at the other ranks, and chunks written."""
-        self._failed = int(np.count_nonzero(file.state == State.FAILED))
+        self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == State.FAILED))
         from tqdm import tqdm
 
-        how = {"desc": "sweep", "unit": "case", "disable": not progress}
-        self._bar = tqdm(total=file.state.size, initial=self._done, **how)
+        bar_options = {"desc": "sweep", "unit": "case", "disable": not progress}
+        self._progress_bar = tqdm(
+            total=sweep_file.case_states.size, initial=self._n_finished_cases, **bar_options
+        )
 
     @property
-    def _done(self) -> int:
-        return int(np.count_nonzero(self._file.state != State.PENDING))
+    def _n_finished_cases(self) -> int:
+        """Number of converged and failed cases."""
+        return int(np.count_nonzero(self._sweep_file.case_states != State.PENDING))
 
-    def how_far(self) -> str:
-        """Cases that are done, and all."""
-        return f"{self._done} of {self._file.state.size} cases of the sweep"
+    def progress_text(self) -> str:
+        """Return how many cases are finished, as a text."""
+        return f"{self._n_finished_cases} of {self._sweep_file.case_states.size} cases of the sweep"
 
     @property
-    def stored(self) -> Stored:
-        """The file's header, when all is done; raises the error that has ended the sweep."""
+    def sweep_header(self) -> Stored:
+        """Header of the finished file; raises the error that ended the sweep."""
         if self._error is not None:
             raise self._error
-        return self._file.stored
+        return self._sweep_file.sweep_header
 
-    def run(self, worker: Worker, comm: MPI.Comm, stop: StopRequest) -> None:
-        """See that all jobs are done, and close the file; an error is kept, and removes a file that
-        is new and empty."""
-        others = range(1, comm.size)
+    def run(self, worker: Worker, comm: MPI.Comm, stop_request: StopRequest) -> None:
+        """Have all jobs done, then close the file.
 
-        def go_on() -> bool:
-            while self._given_out and comm.iprobe():
-                if stop.asked(MPI.COMM_SELF):
-                    self._left.clear()  # no job is handed out any more
-                self._hear(comm)
-            return self._error is None and not stop.asked(MPI.COMM_SELF)
+        The first error is kept for :attr:`sweep_header`. An error removes a new file without
+        results.
+        """
+        other_ranks = range(1, comm.size)
+
+        def may_continue() -> bool:
+            while self._n_jobs_sent and comm.iprobe():
+                if stop_request.asked(MPI.COMM_SELF):
+                    self._remaining_chunks_by_geometry.clear()  # no job is handed out any more
+                self._receive_outcome(comm)
+            return self._error is None and not stop_request.asked(MPI.COMM_SELF)
 
         try:
-            for rank in others:
-                self._send(comm, rank)
+            for rank in other_ranks:
+                self._send_job(comm, rank)
             job = self._next_job(0)
-            for rank in others:  # to go on with
-                self._send(comm, rank)
-            while job is not None and go_on():
-                for numbers, outcome in worker.work(job, go_on):
-                    self._record(numbers, outcome)
+            for rank in other_ranks:  # a second job, to go on with
+                self._send_job(comm, rank)
+            while job is not None and may_continue():
+                for case_numbers, outcome in worker.run_job(job, may_continue):
+                    self._record_outcome(case_numbers, outcome)
                 job = self._next_job(0)
-            while go_on() and self._given_out:
-                self._hear(comm)
+            while may_continue() and self._n_jobs_sent:
+                self._receive_outcome(comm)
         except BaseException as error:
-            second = isinstance(error, KeyboardInterrupt) and stop.asked(MPI.COMM_SELF)
-            if not second:  # else what is written is all
-                self._fail(error)
-        self._left.clear()
-        for rank in others:
+            is_second_interrupt = isinstance(error, KeyboardInterrupt) and stop_request.asked(
+                MPI.COMM_SELF
+            )
+            if not is_second_interrupt:  # else what is written is all
+                self._end_with_error(error)
+        self._remaining_chunks_by_geometry.clear()
+        for rank in other_ranks:
             comm.send(None, rank, tag=Tag.END)
-        while self._given_out:
-            self._hear(comm)
-        self._bar.close()
-        useless = self._file.made and self._recorded == 0 and self._error is not None
+        while self._n_jobs_sent:
+            self._receive_outcome(comm)
+        self._progress_bar.close()
+        is_useless_file = (
+            self._sweep_file.is_new and self._n_recorded_chunks == 0 and self._error is not None
+        )
         try:
-            self._file.close(remove=useless)
+            self._sweep_file.close(remove=is_useless_file)
         except InputError as error:
-            self._fail(error)
+            self._end_with_error(error)
 
-    def _send(self, comm: MPI.Comm, rank: int) -> None:
-        """Send a rank a job, if there is one."""
+    def _send_job(self, comm: MPI.Comm, rank: int) -> None:
+        """Send a job to a rank if one remains."""
         job = self._next_job(rank)
         if job is not None:
             comm.send(job, rank, tag=Tag.JOB)
-            self._given_out += 1
+            self._n_jobs_sent += 1
 
-    def _hear(self, comm: MPI.Comm) -> None:
-        """Write what a rank has found of a chunk, or send it a job where one is done."""
-        status = MPI.Status()
-        found = _received(comm, status)
-        if found is not None:
-            self._record(*found)
+    def _receive_outcome(self, comm: MPI.Comm) -> None:
+        """Receive a rank's message: record an outcome, or answer a finished job."""
+        message_status = MPI.Status()
+        numbers_and_outcome = _receive_message(comm, message_status)
+        if numbers_and_outcome is not None:
+            self._record_outcome(*numbers_and_outcome)
             return
-        self._given_out -= 1
-        self._send(comm, status.source)
+        self._n_jobs_sent -= 1
+        self._send_job(comm, message_status.source)
 
     def _next_job(self, rank: int) -> Job | None:
-        """Chunks of the geometry that a rank has, or else of one that nobody has, or of the one of
-        which most is left; None where there is nothing left.
+        """Choose the next job for a rank; None if no chunk remains.
 
-        A geometry is one job as long as the others have something to do meanwhile, and then is
-        shared in jobs that shrink towards the end.
+        First comes the rank's geometry, then a geometry without a rank, then the geometry with most
+        chunks. A geometry is a single job with one rank, or while more geometries than ranks are
+        unassigned. Otherwise jobs shrink so that ranks finish together.
         """
-        if not self._left:
+        if not self._remaining_chunks_by_geometry:
             return None
-        fresh = [number for number in self._left if number not in self._given.values()]
-        number = self._given.get(rank, -1)
-        if number not in self._left:
-            number = fresh[0] if fresh else max(self._left, key=lambda one: len(self._left[one]))
-        self._given[rank] = number
-        places = self._left[number]
-        alone = self._ranks == 1 or len(fresh) > self._ranks
-        count = len(places) if alone else -(-len(places) // (2 * self._ranks))
-        self._left[number] = places[count:]
-        if not self._left[number]:
-            del self._left[number]
-        return Job(number, tuple(places[:count]))
+        unassigned_geometry_numbers = [
+            geometry_number
+            for geometry_number in self._remaining_chunks_by_geometry
+            if geometry_number not in self._geometry_by_rank.values()
+        ]
+        geometry_number = self._geometry_by_rank.get(rank, -1)
+        if geometry_number not in self._remaining_chunks_by_geometry:
+            geometry_number = max(
+                unassigned_geometry_numbers[:1] or self._remaining_chunks_by_geometry,
+                key=lambda number: len(self._remaining_chunks_by_geometry[number]),
+            )
+        self._geometry_by_rank[rank] = geometry_number
+        chunks = self._remaining_chunks_by_geometry[geometry_number]
+        is_one_job = self._n_ranks == 1 or len(unassigned_geometry_numbers) > self._n_ranks
+        n_job_chunks = len(chunks) if is_one_job else -(-len(chunks) // (2 * self._n_ranks))
+        self._remaining_chunks_by_geometry[geometry_number] = chunks[n_job_chunks:]
+        if not self._remaining_chunks_by_geometry[geometry_number]:
+            del self._remaining_chunks_by_geometry[geometry_number]
+        return Job(geometry_number, tuple(chunks[:n_job_chunks]))
 
-    def _record(self, numbers: np.ndarray, outcome: Outcome) -> None:
-        """Write the cases of a chunk; what cannot be written or solved ends the sweep."""
+    def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
+        """Write a chunk's cases; an error ends the sweep."""
         if isinstance(outcome, Exception):
-            self._fail(outcome)
+            self._end_with_error(outcome)
             return
         try:
-            self._file.record(numbers, outcome)
+            self._sweep_file.record(case_numbers, outcome)
         except InputError as error:
-            self._fail(error)
+            self._end_with_error(error)
             return
-        self._recorded += 1
-        lost = (found for found in outcome if "gap" not in found)
-        self._failed += sum(found["status"] != ALONE for found in lost)
-        if self._failed:
-            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
-        self._bar.update(len(outcome))
+        self._n_recorded_chunks += 1
+        cases_without_solution = (
+            value_by_column for value_by_column in outcome if "gap" not in value_by_column
+        )
+        self._n_failed_cases += sum(
+            value_by_column["status"] != FREQUENCIES_ONLY_STATUS
+            for value_by_column in cases_without_solution
+        )
+        if self._n_failed_cases:
+            self._progress_bar.set_postfix_str(f"{self._n_failed_cases} failed", refresh=False)
+        self._progress_bar.update(len(outcome))
 
-    def _fail(self, error: BaseException) -> None:
-        """End the sweep with an error; the first one counts."""
+    def _end_with_error(self, error: BaseException) -> None:
+        """Discard all remaining jobs and keep the first error."""
         self._error = self._error or error
-        self._left.clear()
+        self._remaining_chunks_by_geometry.clear()

@@ -1,4 +1,4 @@
-"""The cases of a sweep: its geometries, and chunks of neighbouring cases of each."""
+"""Plan a sweep: geometries, and chunks with neighbouring cases."""
 
 from __future__ import annotations
 
@@ -18,130 +18,204 @@ from fenics_crack.fem.blocks import plate_pair_upper_bound
 from fenics_crack.fem.matrix_files import table_pair_upper_bound
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import FORCES, Contact
+from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
-FREQUENCIES = ("excitation.omega", "excitation.frequency")
-OF_FORCES = {f"excitation.{name}" for name in FORCES}
-SAME_GEOMETRY = {
-    *FREQUENCIES, *OF_FORCES, *map(Contact.name_of, Contact.keys().keys() - {"pairs"}),
+FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
+"""Keys that set the load frequency directly."""
+FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
+"""Full keys of the excitation's force."""
+GEOMETRY_INDEPENDENT_KEYS = {
+    *FREQUENCY_KEYS, *FULL_FORCE_KEYS,
+    *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
-"""Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
+"""Keys that change neither mesh, matrices and modes nor the load's position."""
 
 
 class Chunk(NamedTuple):
-    """Neighbouring cases along one axis."""
+    """Neighbouring cases along one axis.
 
-    numbers: np.ndarray  # of the cases
-    cases: tuple[Scene | str, ...]  # what to solve, or why it cannot be
+    Attributes
+    ----------
+    case_numbers : (n,) int
+        Numbers of the cases, last axis fastest.
+    scenes_or_reasons : tuple of Scene or str
+        Scene of each case, or the reason why the case is refused.
+    """
+
+    case_numbers: np.ndarray
+    scenes_or_reasons: tuple[Scene | str, ...]
 
 
 class Plan:
-    """Geometries and chunks of a scene."""
+    """Geometries and chunks for a scene's sweep.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Number of values on each axis.
+    sweeps_reduction : bool
+        True if the sweep changes ``reduction.method``.
+    has_unit_loads : bool
+        True if geometries are built with unit loads, since the sweep changes the force.
+    chunks_by_geometry : list of list of (n,) int
+        Case numbers in each chunk of each geometry.
+    harmonics_upper_bound : int
+        Upper bound for the harmonics in all cases.
+
+    Raises
+    ------
+    InputError
+        No combination of values is a scene.
+    """
 
     def __init__(self, scene: Scene) -> None:
-        table, self._swept = scene.given("sweep"), scene.swept
-        self._base = scene.replace({"sweep": None})
-        self._rows = 2 if scene.has_friction else 1  # of each pair
-        self.shape: tuple[int, ...] = table.shape  # of the table of cases
-        self.reduction_swept = "reduction.method" in self._swept
-        free = _free_keys(scene, self._swept)
+        sweep_table, self._swept_values_by_key = scene.given("sweep"), scene.swept
+        self._scene_without_sweep = scene.replace({"sweep": None})
+        self._gap_rows_per_pair = 2 if scene.has_friction else 1
+        self.shape: tuple[int, ...] = sweep_table.shape
+        self.sweeps_reduction = "reduction.method" in self._swept_values_by_key
+        free_keys = _find_free_keys(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
-        self.unit_loads = not free.isdisjoint(OF_FORCES & self._swept.keys())
-        self.geometries = self._chunks(free)
-        """Chunks of each geometry, as numbers of their cases."""
-        base = scene.harmonic_balance  # upper bounds for all cases:
-        self.harmonics = max(self._swept.get("harmonic_balance.harmonics", (base.harmonics,)))
-        if base.tolerance is not None or "harmonic_balance.tolerance" in self._swept:
-            self.harmonics = max(self.harmonics, MOST_HARMONICS)
-        if not any(isinstance(self._case(n), Scene) for n in range(math.prod(self.shape))):
-            reason = self._case(0)
+        self.has_unit_loads = not free_keys.isdisjoint(
+            FULL_FORCE_KEYS & self._swept_values_by_key.keys()
+        )
+        self.chunks_by_geometry = self._split_into_chunks(free_keys)
+        """Case numbers (n,) of each chunk, by geometry."""
+        balance_table = scene.harmonic_balance
+        self.harmonics_upper_bound = max(
+            self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
+        )
+        """Upper bound for the harmonics of all cases."""
+        if (
+            balance_table.tolerance is not None
+            or "harmonic_balance.tolerance" in self._swept_values_by_key
+        ):
+            self.harmonics_upper_bound = max(self.harmonics_upper_bound, MOST_HARMONICS)
+        if not any(
+            isinstance(self._case_by_number(case_number), Scene)
+            for case_number in range(math.prod(self.shape))
+        ):
+            reason = self._case_by_number(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")
 
-    def _chunks(self, free: set[str]) -> list[list[np.ndarray]]:
-        """The cases by their geometries, cut along the frequency, or else along the last axis that
-        leaves a geometry alone."""
-        keys = list(self._swept)
-        same = [place for place, key in enumerate(keys) if key in free]
-        along = ([place for place in same if keys[place] in FREQUENCIES] or same)[-1:]
-        inner = [place for place in same if place not in along]
-        fixed = [place for place in range(len(keys)) if place not in same]
-        length = self.shape[along[0]] if along else 1
-        numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
-        numbers = numbers.transpose([*fixed, *inner, *along])
-        rows = numbers.reshape(math.prod(self.shape[place] for place in fixed), -1, length)
-        pieces = -(-length // 16)  # cases of a chunk at most
-        return [[c for row in of_one for c in np.array_split(row, pieces)] for of_one in rows]
+    def _split_into_chunks(self, free_keys: set[str]) -> list[list[np.ndarray]]:
+        """Split case numbers by geometry, then into chunks with at most 16 cases.
+
+        Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
+        axis without effect on the geometry.
+        """
+        swept_keys = list(self._swept_values_by_key)
+        free_axes = [axis for axis, swept_key in enumerate(swept_keys) if swept_key in free_keys]
+        frequency_axes = [axis for axis in free_axes if swept_keys[axis] in FREQUENCY_KEYS]
+        chunk_axes = (frequency_axes or free_axes)[-1:]
+        inner_axes = [axis for axis in free_axes if axis not in chunk_axes]
+        geometry_axes = [axis for axis in range(len(swept_keys)) if axis not in free_axes]
+        chunk_axis_length = self.shape[chunk_axes[0]] if chunk_axes else 1
+        case_numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
+        case_numbers = case_numbers.transpose([*geometry_axes, *inner_axes, *chunk_axes])
+        case_numbers_by_geometry = case_numbers.reshape(
+            math.prod(self.shape[axis] for axis in geometry_axes), -1, chunk_axis_length
+        )
+        n_chunks = -(-chunk_axis_length // 16)  # cases of a chunk at most
+        return [
+            [
+                chunk
+                for case_number_row in geometry_case_numbers
+                for chunk in np.array_split(case_number_row, n_chunks)
+            ]
+            for geometry_case_numbers in case_numbers_by_geometry
+        ]
 
     @property
-    def rows(self) -> int:
-        """Bound of the gaps of all geometries: of pairs, and with friction tangential ones."""
-        return self._rows * max(pairs for pairs, _ in self.sizes)
+    def gap_rows_upper_bound(self) -> int:
+        """Upper bound for the gap rows in all geometries; friction doubles them."""
+        return self._gap_rows_per_pair * max(n_pairs for n_pairs, _ in self.pair_bounds_and_lengths)
 
     @cached_property
-    def sizes(self) -> list[tuple[int, float]]:
-        """Expected cost of each geometry: bound of the pairs, for which solids are meshed, and the
-        first crack's length [m]."""
-        bounds: dict[Any, int] = {}
-        found: list[tuple[int, float]] = []
-        for chunks in self.geometries:
-            cases = map(self._case, itertools.chain(*chunks))
-            case = next((case for case in cases if not isinstance(case, str)), None)
-            if case is None:
-                found.append((0, 0.0))
-                continue
-            pairs = case.contact and case.contact.pairs
-            cracks = tuple(replace(crack, clearance=0.0) for crack in case.all_cracks.values())
-            key = case.structure, case.mesh, pairs, cracks, case.geometry
-            if key not in bounds:
-                bounds[key] = _most_pairs(case)
-            found.append((bounds[key], cracks[0].length or 0.0 if cracks else 0.0))
-        return found
+    def pair_bounds_and_lengths(self) -> list[tuple[int, float]]:
+        """Upper bound for contact pairs and length of the first crack [m], by geometry.
 
-    def case(self, index: Sequence[int]) -> Scene | str:
-        """The scene of a case, or why there is none."""
-        places = zip(self._swept.items(), index, strict=True)
-        changes = {key: values[at] for (key, values), at in places}
+        Solids are meshed for the bound and mesh files read. Both are 0 if all cases are refused.
+        """
+        pair_bound_by_mesh: dict[Any, int] = {}
+        bounds_and_lengths: list[tuple[int, float]] = []
+        for chunks in self.chunks_by_geometry:
+            scenes_and_reasons = map(self._case_by_number, itertools.chain(*chunks))
+            scene = next(
+                (scene for scene in scenes_and_reasons if not isinstance(scene, str)), None
+            )
+            if scene is None:
+                bounds_and_lengths.append((0, 0.0))
+                continue
+            pair_selection = scene.contact and scene.contact.pairs
+            cracks = tuple(replace(crack, clearance=0.0) for crack in scene.all_cracks.values())
+            mesh_key = scene.structure, scene.mesh, pair_selection, cracks, scene.geometry
+            if mesh_key not in pair_bound_by_mesh:
+                pair_bound_by_mesh[mesh_key] = _find_pair_upper_bound(scene)
+            bounds_and_lengths.append(
+                (pair_bound_by_mesh[mesh_key], cracks[0].length or 0.0 if cracks else 0.0)
+            )
+        return bounds_and_lengths
+
+    def case_at(self, index: Sequence[int]) -> Scene | str:
+        """Return the scene at an index, or the reason why it is refused."""
+        axes_and_positions = zip(self._swept_values_by_key.items(), index, strict=True)
+        changes = {
+            swept_key: axis_values[position]
+            for (swept_key, axis_values), position in axes_and_positions
+        }
         try:
-            return self._base.replace(changes)
+            return self._scene_without_sweep.replace(changes)
         except InputError as error:
             return str(error)
 
-    def _case(self, number: int) -> Scene | str:
-        return self.case(np.unravel_index(number, self.shape))
+    def _case_by_number(self, case_number: int) -> Scene | str:
+        """Return the scene of a case, or the reason why it is refused."""
+        return self.case_at(np.unravel_index(case_number, self.shape))
 
-    def chunk(self, numbers: np.ndarray) -> Chunk:
-        """The cases of some numbers."""
-        return Chunk(numbers, tuple(map(self._case, numbers)))
+    def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
+        """Return the chunk with the given case numbers (n,)."""
+        return Chunk(case_numbers, tuple(map(self._case_by_number, case_numbers)))
 
 
-def _most_pairs(scene: Scene) -> int:
-    """Upper bound of the contact pairs of a scene; the mesh is made of a solid alone, or read."""
+def _find_pair_upper_bound(scene: Scene) -> int:
+    """Return an upper bound for the number of contact pairs in a scene.
+
+    A solid is meshed, a mesh file is read; other plates need neither.
+    """
     if scene.structure is not None:
         return table_pair_upper_bound(scene.structure)
-    mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
-    each = 1 if mouth else mesh.patches or math.inf
-    if mesh.layout == "file" or scene.dimension == 3:
+    mesh_table = scene.mesh
+    has_mouth_pairs = scene.contact is not None and scene.contact.pairs == "mouth"
+    max_pairs_per_crack = 1 if has_mouth_pairs else mesh_table.patches or math.inf
+    if mesh_table.layout == "file" or scene.dimension == 3:
         try:
-            plate = build_mesh(scene, MPI.COMM_SELF)
+            plate_mesh = build_mesh(scene, MPI.COMM_SELF)
         except InputError:
             return 0  # its cases will fail
-        if not plate.has_cracks:
+        if not plate_mesh.has_cracks:
             return 0
-        cracks = len(plate.crack_geometries)
-        nodes = len(plate.facets("lower_lip")) * mesh.order + cracks
+        n_cracks = len(plate_mesh.crack_geometries)
+        n_face_nodes = len(plate_mesh.facets("lower_lip")) * mesh_table.order + n_cracks
     else:
-        cracks = len(scene.all_cracks)
-        nodes = plate_pair_upper_bound(scene) if cracks else 0
-    return int(min(each * cracks, nodes)) if cracks else 0
+        n_cracks = len(scene.all_cracks)
+        n_face_nodes = plate_pair_upper_bound(scene) if n_cracks else 0
+    return int(min(max_pairs_per_crack * n_cracks, n_face_nodes)) if n_cracks else 0
 
 
-def _free_keys(scene: Scene, swept: Collection[str]) -> set[str]:
-    """Keys whose values share a geometry; loads beside the force at ``excitation.point`` are part
-    of it, and so are clearances of matrices."""
-    free = SAME_GEOMETRY | {key for key in swept if re.fullmatch(r"crack.*\.clearance", key)}
-    more = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
-    others = scene.has_other_loads or scene.rotation is not None or more
-    if others or any(key.startswith(("base.", "loads.", "rotation.")) for key in swept):
-        free -= OF_FORCES
-    return free
+def _find_free_keys(scene: Scene, swept_keys: Collection[str]) -> set[str]:
+    """Return the keys whose values can share a geometry.
+
+    Forces are not among them if a geometry contains other loads, harmonics or rotation.
+    """
+    free_keys = GEOMETRY_INDEPENDENT_KEYS | {
+        swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)
+    }
+    has_harmonics = bool(scene.excitation.harmonics) or scene.excitation.wave is not None
+    has_fixed_load = scene.has_other_loads or scene.rotation is not None or has_harmonics
+    if has_fixed_load or any(
+        swept_key.startswith(("base.", "loads.", "rotation.")) for swept_key in swept_keys
+    ):
+        free_keys -= FULL_FORCE_KEYS
+    return free_keys

@@ -1,22 +1,22 @@
-"""Sweeps: many cases of a scene, spread over ranks, in a file from which a killed run continues.
+"""Sweeps: many cases for a scene, shared by ranks, in a file that a later run continues.
 
 The cases are the product of the axes in ``[sweep.over]``, numbered with the last axis fastest.
 
-*Geometries.* Each combination of mesh, matrices, modes, damping and place of the load is a
-geometry; frequency, force, contact law, clearance and truncation do not change it. A geometry is
-built once and is then a small structure in plain arrays that any rank can solve.
+*Geometries.* A geometry is a combination of mesh, matrices, modes, damping and load position.
+Frequency, force, contact law, clearance and truncation do not change it. A geometry is built once,
+as a small structure in plain arrays for any rank.
 
-*Chunks.* The cases of a geometry are cut into chunks of up to 16 along the frequency (if it is not
-swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
-the linear solution, each further one from its neighbour; along the frequency they share their
-equations (:class:`fenics_crack.sweep.case.Cases`). Chunks depend on the scene alone, and so do the
-results, to the bit with the same number of BLAS threads: neither interruptions nor the number of
-ranks change them, as long as the ranks share the cases and not a mesh.
+*Chunks.* The cases for a geometry are cut into chunks of up to 16 along the frequency. Without a
+swept frequency they are cut along the last axis without effect on the geometry. The first case in a
+chunk starts from the linear solution, each further case from its neighbour. Cases along the
+frequency share their equations (:class:`fenics_crack.sweep.case.CaseSolver`). Chunks depend on the
+scene alone, and so do the results, to the bit with the same number of BLAS threads. Neither
+interruptions nor the number of ranks change them, if the ranks share cases and not a mesh.
 
-*Jobs.* A job is some chunks of a geometry. Rank 0 hands jobs to the other ranks, does some itself
-and writes what is found (:mod:`fenics_crack.sweep.jobs`). Geometries with many pairs and long
-cracks come first, a rank goes on with the geometry that it has built, and towards the end the ranks
-share what is left, so that all of them finish together.
+*Jobs.* A job is a few chunks of one geometry. Rank 0 sends jobs to all ranks, solves jobs too and
+writes the results (:mod:`fenics_crack.sweep.jobs`). Geometries with many pairs and long cracks come
+first. A rank goes on with its present geometry. Towards the end the ranks share the remaining
+chunks, so that all finish together.
 """
 
 from __future__ import annotations
@@ -50,29 +50,29 @@ from fenics_crack.files.store import Stored, header
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.conclusion import report_linearity
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Asked, with_any_modes
+from fenics_crack.sweep.case import CaseRequest, build_possible_geometries
 from fenics_crack.sweep.file import (
+    CONTRADICTION_PREFIX,
     KIND,
-    UNSURE,
-    YET,
+    UNDECIDED_PREFIX,
     State,
     SweepFile,
-    columns_of,
-    of_load,
+    load_column_name,
     read_columns,
     read_waves,
-    scene_of,
+    scene_of_sweep,
+    unit_and_type_by_column,
 )
-from fenics_crack.sweep.jobs import Manager, Worker, serve
+from fenics_crack.sweep.jobs import Manager, Worker, serve_jobs
 from fenics_crack.sweep.plan import Plan
 
-NO_PEAK_SOUGHT = "without contact, and with [rotation]"
-"""Scenes whose largest response over the load's frequency is not sought."""
+SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
+"""Describes scenes for which no largest response over the frequency is sought."""
 STATE_NAMES = np.array([state.name.lower() for state in State])
-"""Words for the states."""
+"""Names of the states, by state."""
 
 
 def run_sweep(
@@ -88,34 +88,34 @@ def run_sweep(
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
     A case that cannot be solved is recorded with the reason. Ctrl-C stops after the present cases;
-    the same call continues with the cases that are missing.
+    the same call continues with the missing cases.
 
     Parameters
     ----------
     scene : Scene
-        With its table ``[sweep]``.
+        Scene with a table ``[sweep]``.
     path : path, optional
-        The file for the results. If it exists, it must be of the same scene and mesh files; its
-        cases are kept, failed ones too; where some are missing, with the same ``verdicts``,
-        ``judged`` and ``natural``. Default: a file that lasts as long as the program.
+        File for the results. Default: a file that lasts as long as the program.
+        An existing file must have the same scene and mesh files. All its tried cases are kept.
+        If cases are missing, ``verdicts``, ``judged`` and ``natural`` must be the same, too.
     comm : MPI.Comm
-        The ranks that share the cases.
+        Ranks that share the cases.
     progress : bool
         Show a bar.
     verdicts : bool
-        Assess the stability of each case. It takes a tenth to a third of the time where a geometry
-        has many cases; without, the columns ``verdict`` and ``multiplier`` are empty.
+        Assess the stability of each case. It takes a tenth to a third of the time if a geometry has
+        many cases. Otherwise the columns ``verdict`` and ``multiplier`` are empty.
     judged : bool
-        Estimate the error of the reduction, which takes twice the modes; without, the column
-        ``reduction_error`` is empty.
+        Estimate the reduction error, with twice the modes. Otherwise the column ``reduction_error``
+        is empty.
     natural : collection of int
-        Places on the last axis, from 0, at which nothing but natural frequencies is found: the
-        state of these cases is that of failed ones.
+        Positions on the last axis, from 0, for which only natural frequencies are computed. These
+        cases have the state of failed cases.
 
     Returns
     -------
     SweepResult
-        On every rank; not complete after Ctrl-C.
+        On every rank; incomplete after Ctrl-C.
 
     Raises
     ------
@@ -128,82 +128,97 @@ def run_sweep(
     >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
     >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
-    table: Sweep = scene.given("sweep")
-    if table.at_resonance and not resonates(scene):
-        raise InputError("sweep.at_resonance", True, f"false {NO_PEAK_SOUGHT}")
-    count = table.shape[-1]
-    if outside := [place for place in natural if place not in range(count)]:
-        raise InputError("natural", outside, f"places on the last axis, 0 to {count - 1}")
+    sweep_table: Sweep = scene.given("sweep")
+    if sweep_table.at_resonance and not can_seek_resonance(scene):
+        raise InputError("sweep.at_resonance", True, f"false {SCENES_WITHOUT_PEAK_TEXT}")
+    last_axis_length = sweep_table.shape[-1]
+    if wrong_positions := [
+        position for position in natural if position not in range(last_axis_length)
+    ]:
+        raise InputError(
+            "natural", wrong_positions, f"places on the last axis, 0 to {last_axis_length - 1}"
+        )
     managers: list[Manager] = []
 
-    def start() -> Asked:
+    def start() -> CaseRequest:
         plan = Plan(scene)
-        wanted = {"verdicts": verdicts, "judged": judged}
-        omitted = [name for name, yes in wanted.items() if not yes]
-        omitted += [f"vibration_{place}" for place in sorted(natural)]
-        where = Path(path or passing_folder() / "sweep.h5")
-        file = SweepFile(where, scene, plan.harmonics, plan.rows, omitted)
-        managers.append(Manager(plan, file, comm.size, progress=progress))
-        return Asked(
-            plan.unit_loads,
-            hopeless=not plan.reduction_swept,
-            at_resonance=table.at_resonance,
-            **wanted,
-            natural=tuple(place in natural for place in range(count)),
+        option_by_name = {"verdicts": verdicts, "judged": judged}
+        omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
+        omitted_options += [f"vibration_{position}" for position in sorted(natural)]
+        file_path = Path(path or passing_folder() / "sweep.h5")
+        sweep_file = SweepFile(
+            file_path, scene, plan.harmonics_upper_bound, plan.gap_rows_upper_bound, omitted_options
+        )
+        managers.append(Manager(plan, sweep_file, comm.size, progress=progress))
+        return CaseRequest(
+            plan.has_unit_loads,
+            ends_at_large_structure=not plan.sweeps_reduction,
+            at_resonance=sweep_table.at_resonance,
+            with_verdicts=verdicts,
+            with_reduction_error=judged,
+            frequencies_only_by_position=tuple(
+                position in natural for position in range(last_axis_length)
+            ),
         )
 
-    asked = on_root(comm, start)
-    worker, shared = Worker(asked, managers[0].plan if managers else Plan(scene)), comm.Dup()
-    with StopRequest() as stop:
+    request = on_root(comm, start)
+    worker, job_comm = Worker(request, managers[0].plan if managers else Plan(scene)), comm.Dup()
+    with StopRequest() as stop_request:
         if managers:
-            with reaching(managers[0].how_far):
-                managers[0].run(worker, shared, stop)
+            with reaching(managers[0].progress_text):
+                managers[0].run(worker, job_comm, stop_request)
         else:
-            serve(worker, shared)
-    worker.free(stopped=stop.asked(comm))
-    shared.Free()
-    return on_root(comm, lambda: SweepResult.of(managers[0].stored))
+            serve_jobs(worker, job_comm)
+    worker.release_geometry(stopped=stop_request.asked(comm))
+    job_comm.Free()
+    return on_root(comm, lambda: SweepResult.of(managers[0].sweep_header))
 
 
-def resonates(scene: Scene) -> bool:
-    """Return True if the largest response over the load's frequency can be sought; else a scene is
-    as :data:`NO_PEAK_SOUGHT` says."""
+def can_seek_resonance(scene: Scene) -> bool:
+    """Return True if the largest response over the load frequency can be sought.
+
+    Other scenes are as :data:`SCENES_WITHOUT_PEAK_TEXT` says.
+    """
     return scene.contact is not None and scene.speed == 0.0
 
 
 # --- the result -----------------------------------------------------------------------------------
 
-NOT_STABLE = "unstable", "irregular", "undecided"
-"""Verdicts of cases whose solution may not be what is seen."""
+VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
+"""Verdicts of cases whose solution may not appear in reality."""
 
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
-    """The table of a sweep; its waves are read from the file on request.
+    """Table of a sweep; waves are read from the file on request.
 
     Attributes
     ----------
     path : Path
-        The file.
+        File.
     scene : Scene
-        With the axes of the sweep.
+        Scene with the sweep's axes.
     columns : dict of str to array
-        Numbers and words by name, in the shape of the axes, nan where there is no value:
-        ``response``, half the peak-to-peak displacement of the load's point in the load's direction
-        [m], ``mean`` to ``mean_shift`` there, and ``cosine_1`` to ``sine_6``, the parts of its
-        harmonics [m], the same of each point of ``[output.points]`` by
-        names like ``tip.ux.ratio_2_1``, and ``opening`` to ``closed_share``: as in
-        :class:`Indicators`; ``omega_open`` to ``over_bilinear``: as in
-        :meth:`BilinearFrequencies.nearest`; ``omega_open_1`` to ``omega_tied_6``, the lowest
-        natural frequencies with the crack open and bonded, and ``omega_bilinear_1`` to
-        ``omega_bilinear_6`` of the open modes and the bonded ones of their shapes [rad/s];
-        ``multiplier``, largest modulus, and the ``verdict``, empty without a contact law, as in
-        :class:`Stability`;
-        ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
-        :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length`` of the first
-        crack, given or found [m]; ``seconds`` of wall-clock time; ``status``, how the case was
-        solved or why not; ``state``: 0 pending, 1 converged, 2 failed; ``omega`` [rad/s] and
-        ``frequency`` [Hz] of the load.
+        Numbers and texts by name, in the shape of the axes; nan without a value.
+
+        - ``response``: half the peak-to-peak displacement at the load, in its direction [m]
+        - ``mean`` to ``mean_shift``: indicators of the same displacement, as in :class:`Indicators`
+        - ``cosine_1`` to ``sine_6``: parts of its harmonics [m]
+        - ``tip.ux.ratio_2_1``: the same for points in ``[output.points]``
+        - ``opening`` to ``closed_share``: indicators of the crack faces, as in :class:`Indicators`
+        - ``omega_open`` to ``over_bilinear``: as in :meth:`BilinearFrequencies.nearest`
+        - ``omega_open_1`` to ``omega_tied_6``: natural frequencies, crack open or bonded [rad/s]
+        - ``omega_bilinear_1`` to ``omega_bilinear_6``: of open modes and bonded modes of like shape
+        - ``multiplier``: largest modulus, as in :class:`Stability`
+        - ``verdict``: as in :class:`Stability`; empty without a contact law
+        - ``residual_error`` to ``reduction_error``: as in :class:`ErrorReport`
+        - ``penetration_share``: as in :class:`ErrorReport`
+        - ``harmonics``, ``iterations``: kept harmonics, Newton iterations
+        - ``crack_length``: length of the first crack, given or found [m]
+        - ``seconds``: wall-clock time
+        - ``status``: how the case was solved, or why not
+        - ``state``: 0 pending, 1 converged, 2 failed
+        - ``omega``, ``frequency``: load frequency [rad/s], [Hz]
     """
 
     path: Path
@@ -225,17 +240,17 @@ class SweepResult(Tabular):
         return cls.of(header(Path(path)))
 
     @classmethod
-    def of(cls, stored: Stored) -> SweepResult:
-        """The same of a file whose header is at hand."""
-        scene = scene_of(stored)
-        return cls(stored.path, scene, read_columns(stored, scene))
+    def of(cls, sweep_header: Stored) -> SweepResult:
+        """Return the table from a file's header."""
+        scene = scene_of_sweep(sweep_header)
+        return cls(sweep_header.path, scene, read_columns(sweep_header, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """The axes of the table."""
+        """Axes of the table."""
         return tuple(self.scene.given("sweep").over)
 
     @property
@@ -245,239 +260,328 @@ class SweepResult(Tabular):
 
     @property
     def complete(self) -> bool:
-        """True if every case was tried."""
+        """True if all cases were tried."""
         return not np.any(self["state"] == State.PENDING)
 
     @property
     def converged(self) -> np.ndarray:
-        """Cases that were solved: bool in the shape of the axes."""
+        """True for cases that were solved: bool in the shape of the axes."""
         return self["state"] == State.CONVERGED
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimated errors of the cases, by truncation, reduction, sampling and residual as in
-        :class:`ErrorReport`: (4, ...), then the shape of the axes; 0 where there is no value."""
-        return np.nan_to_num([self[f"{part}_error"] for part in ERROR_PARTS])
+        """Estimated errors: (4, ...), then the shape of the axes; 0 without a value.
+
+        The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`.
+        """
+        return np.nan_to_num([self[f"{error_part}_error"] for error_part in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
-        """Cases that have a large estimated error, likewise."""
+        """True for cases with a large estimated error: bool in the shape of the axes."""
         return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
 
     @property
     def not_stable(self) -> np.ndarray:
-        """Cases that are unstable, irregular or undecided, likewise."""
-        return np.isin(self["verdict"], NOT_STABLE)
+        """True for unstable, irregular or undecided cases: bool in the shape of the axes."""
+        return np.isin(self["verdict"], VERDICTS_NOT_STABLE)
 
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and reason of each case that could not be solved."""
-        return self._status_where(self["state"] == State.FAILED)
+        """Index and reason for each case that could not be solved."""
+        return self._find_cases_and_statuses(self["state"] == State.FAILED)
 
     @property
     def undecided(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and reason of each case whose stability is undecided."""
-        cases = self._status_where(self.converged & (self["verdict"] == "undecided"))
-        return [(at, text.partition(UNSURE)[2] or "its reason is not kept") for at, text in cases]
+        """Index and reason for each case with undecided stability."""
+        indices_and_statuses = self._find_cases_and_statuses(
+            self.converged & (self["verdict"] == "undecided")
+        )
+        return [
+            (index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
+            for index, status in indices_and_statuses
+        ]
 
     @property
     def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index of each case whose verdict on stability is known to depend on truncated modes, and
-        the verdict with twice the modes.
+        """Index of each case whose verdict changes with more modes, and the verdict then.
 
-        It is known for crack faces without mass, where one step of Newton's method with these
-        modes shows it, for two cases in three; of each one :func:`fenics_crack.solve` finds the
-        orbit.
+        A step of Newton's method with twice the modes finds such cases, for crack faces without
+        mass. This step finds two in three. :func:`fenics_crack.solve` finds the orbit of a single
+        case.
         """
-        cases = self._status_where(self.converged & (self["verdict"] != "undecided"))
-        return [(at, said) for at, status in cases if (said := status.partition(YET)[2])]
+        indices_and_statuses = self._find_cases_and_statuses(
+            self.converged & (self["verdict"] != "undecided")
+        )
+        return [
+            (index, contradiction)
+            for index, status in indices_and_statuses
+            if (contradiction := status.partition(CONTRADICTION_PREFIX)[2])
+        ]
 
-    def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
-        return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in np.argwhere(which)]
+    def _find_cases_and_statuses(
+        self, is_selected: np.ndarray
+    ) -> list[tuple[tuple[int, ...], str]]:
+        """Return index and status of each selected case."""
+        return [
+            (tuple(map(int, index)), str(self["status"][tuple(index)]))
+            for index in np.argwhere(is_selected)
+        ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
-        """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
+        """Return the gap coefficients of a converged case: (2H+1, n_pairs) [m].
 
         Parameters
         ----------
         index : tuple of int, or int
-            Its place on each axis, or its number.
+            Position on each axis, or number of the case.
 
         Raises
         ------
         InputError
             There is no such case, or it was not solved.
         """
-        place = self._place(index)
-        rows, case = read_waves(self.path, place)[0], Plan(self.scene).case(place)
+        case_index = self._find_converged_index(index)
+        gap_rows, case = read_waves(self.path, case_index)[0], Plan(self.scene).case_at(case_index)
         assert isinstance(case, Scene)
-        return rows[:, : rows.shape[1] // 2] if case.has_friction else rows
+        return gap_rows[:, : gap_rows.shape[1] // 2] if case.has_friction else gap_rows
 
     def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
-        """The solution of a case that converged; its structure is built again.
+        """Return the solution of a converged case; its structure is built again.
 
         Raises
         ------
         InputError
             As :meth:`gap`; or a mesh file has changed.
         """
-        place = self._place(index)
+        case_index = self._find_converged_index(index)
         header(self.path).check_files(self.scene)
         plan = Plan(self.scene)
-        case = plan.case(place)
+        case = plan.case_at(case_index)
         assert isinstance(case, Scene)
-        length = float(self["crack_length"][place])
+        crack_length = float(self["crack_length"][case_index])
         if case.crack is not None and case.crack.first_omega is not None:
-            case = case.replace({"crack.length": length, "crack.first_omega": None})
-        for geometry in with_any_modes(case, Asked(plan.unit_loads)):
+            case = case.replace({"crack.length": crack_length, "crack.first_omega": None})
+        for geometry in build_possible_geometries(case, CaseRequest(plan.has_unit_loads)):
             try:
-                return self._solution_in(geometry.of_case(case), case, place)
+                return self._restore_solution(geometry.structure_of_case(case), case, case_index)
             except InputError as error:  # the file's waves may be of other modes
-                refused = error
-        raise refused
+                last_error = error
+        raise last_error
 
-    def _solution_in(
-        self, structure: Structure, case: Scene, place: tuple[int, ...]
+    def _restore_solution(
+        self, structure: Structure, case: Scene, case_index: tuple[int, ...]
     ) -> PeriodicSolution:
-        """The solution of a case in its structure; InputError where it is of another one."""
-        omega = float(self["omega"][place])
+        """Return the solution of a case in its structure.
+
+        Raises InputError if the stored waves do not fit the structure.
+        """
+        omega = float(self["omega"][case_index])
         law = law_of(case, structure)
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
-        gap, force = read_waves(self.path, place)
-        problem = Problem(structure, omega, law, len(gap) // 2)
-        wave = problem.wave_of(np.zeros((len(gap), 0)), gap, force)  # u follows from the forces
-        parts = vars(wave) | {
-            "status": str(self["status"][place]),
-            "iterations": int(self["iterations"][place]),
-            "error_penetration": float(self["penetration_share"][place]),
+        gap_rows, force_rows = read_waves(self.path, case_index)
+        problem = Problem(structure, omega, law, len(gap_rows) // 2)
+        # Without displacements: they follow from the forces.
+        wave = problem.wave_of(np.zeros((len(gap_rows), 0)), gap_rows, force_rows)
+        value_by_field = vars(wave) | {
+            "status": str(self["status"][case_index]),
+            "iterations": int(self["iterations"][case_index]),
+            "error_penetration": float(self["penetration_share"][case_index]),
             "error_displacement": 0.0,
         }
-        parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
+        value_by_field |= {
+            f"error_{error_part}": float(self[f"{error_part}_error"][case_index])
+            for error_part in ERROR_PARTS
+        }
         if problem.has_projected_constraint:
-            parts["weight"] = default_projection_weight(problem.compliance())
-        return solution_from(parts, structure, law)
+            value_by_field["weight"] = default_projection_weight(problem.compliance())
+        return solution_from(value_by_field, structure, law)
 
-    def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
-        """The place of a case that converged."""
+    def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
+        """Return the index of a converged case; raise InputError for other cases."""
         try:
-            given = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
-            place = tuple(map(operator.index, given))
-            solved = len(place) == len(self.shape) and min(place) >= 0
-            solved = solved and bool(self.converged[place])
+            raw_index = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
+            case_index = tuple(map(operator.index, raw_index))
+            is_converged = len(case_index) == len(self.shape) and min(case_index) >= 0
+            is_converged = is_converged and bool(self.converged[case_index])
         except (IndexError, ValueError, TypeError):
-            solved = False
-        if not solved:
+            is_converged = False
+        if not is_converged:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
-        return place
+        return case_index
 
     # --- shown ------------------------------------------------------------------------------------
 
     @property
     def quantities(self) -> dict[str, tuple[str, str]]:
-        """The columns that are drawn and printed, in words and with units: those that the scene's
-        ``[output] quantities`` chooses, or a few."""
-        seen, found = self.scene.point_names, {}
-        for name in self.scene.quantities or names_of(where=DRAWN):
-            words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
-            if QUANTITIES[name].of is not Place.POINT:
-                found[name] = words, unit
-            elif seen:
-                found |= {f"{at}.{name}": (f"{words}, {where}", unit) for at, where in seen.items()}
+        """Label and unit of the columns that are drawn and printed, by name.
+
+        The scene's ``[output] quantities`` chooses them; otherwise there are a few.
+        """
+        label_by_point, label_and_unit_by_column = self.scene.point_names, {}
+        for quantity_name in self.scene.quantities or names_of(where=DRAWN):
+            label, unit = QUANTITIES[quantity_name].words, QUANTITIES[quantity_name].unit
+            if QUANTITIES[quantity_name].of is not Place.POINT:
+                label_and_unit_by_column[quantity_name] = label, unit
+            elif label_by_point:
+                label_and_unit_by_column |= {
+                    f"{point}.{quantity_name}": (f"{label}, {point_label}", unit)
+                    for point, point_label in label_by_point.items()
+                }
             else:
-                found[of_load(name)] = f"{words} at the load's point", unit
-        return {name: how for name, how in found.items() if name in self.columns}
+                label_and_unit_by_column[load_column_name(quantity_name)] = (
+                    f"{label} at the load's point",
+                    unit,
+                )
+        return {
+            quantity_name: label_and_unit
+            for quantity_name, label_and_unit in label_and_unit_by_column.items()
+            if quantity_name in self.columns
+        }
 
     def to_dict(self) -> dict[str, Any]:
-        """The values of the axes by their keys, then the columns; a row for each case."""
-        values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
-        found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
-        found["state"] = STATE_NAMES[self["state"]].ravel().tolist()
-        columns = (name for name in self.columns if name != "state")
-        return found | {name: self[name].ravel().tolist() for name in columns}
+        """Return values by column: the swept keys first, one row for each case."""
+        axis_columns = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
+        values_by_column = {
+            axis.key: list(axis_column)
+            for axis, axis_column in zip(self.axes, axis_columns, strict=True)
+        }
+        values_by_column["state"] = STATE_NAMES[self["state"]].ravel().tolist()
+        column_names = (column_name for column_name in self.columns if column_name != "state")
+        return values_by_column | {
+            column_name: self[column_name].ravel().tolist() for column_name in column_names
+        }
 
     def to_xarray(self) -> Any:
-        """The columns of :meth:`to_dict` over the swept keys, as an ``xarray.Dataset`` with units.
+        """Return the columns of :meth:`to_dict` as an ``xarray.Dataset`` with units.
+
+        The dimensions are the swept keys.
 
         Raises
         ------
         ImportError
             xarray is not installed: the package does without it.
         """
-        dataset, units = optional("xarray", "to_xarray").Dataset, self._units()
-        swept = {a.key: [v if np.isscalar(v) else str(v) for v in a.values] for a in self.axes}
-        columns = {
-            name: ([*swept], np.reshape(values, self.shape), {"units": units.get(name, "")})
-            for name, values in self.to_dict().items()
-            if name not in swept
+        dataset_class, unit_by_column = optional("xarray", "to_xarray").Dataset, self._units()
+        values_by_key = {
+            axis.key: [
+                axis_value if np.isscalar(axis_value) else str(axis_value)
+                for axis_value in axis.values
+            ]
+            for axis in self.axes
         }
-        return dataset(columns, swept)
+        variable_by_name = {
+            column_name: (
+                [*values_by_key],
+                np.reshape(column_values, self.shape),
+                {"units": unit_by_column.get(column_name, "")},
+            )
+            for column_name, column_values in self.to_dict().items()
+            if column_name not in values_by_key
+        }
+        return dataset_class(variable_by_name, values_by_key)
 
     def _units(self) -> dict[str, str]:
-        swept = {axis.key: unit_of(axis.key) for axis in self.axes}
-        return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
+        """Return the units of swept keys and columns, by name."""
+        unit_by_key = {axis.key: unit_of_key(axis.key) for axis in self.axes}
+        return unit_by_key | {
+            column_name: unit
+            for column_name, (unit, _) in unit_and_type_by_column(self.scene).items()
+        }
 
     def said(self) -> Said:
-        """What the last sentence on the sweep says."""
-        solved, known = self.converged, []
-        total, cases = self.errors.sum(axis=0)[solved], counted(solved.size, "case")
-        if np.any(np.isfinite(height := np.where(solved, self["response"], np.nan))):
-            place = np.unravel_index(int(np.nanargmax(height)), height.shape)
-            size = quantity(float(height[place]), "m")
-            known.append(f"the largest response is {size} half peak-to-peak at ")
-            known[0] += in_words(self.axes, [*map(int, place)])
-        largest, unknown = total.max(initial=0.0), int(np.sum(total >= UNKNOWN_ERROR))
+        """Return what the last printed sentence says about the sweep."""
+        is_converged, clauses = self.converged, []
+        total_errors = self.errors.sum(axis=0)[is_converged]
+        cases_text = counted(is_converged.size, "case")
+        if np.any(
+            np.isfinite(converged_responses := np.where(is_converged, self["response"], np.nan))
+        ):
+            peak_index = np.unravel_index(
+                int(np.nanargmax(converged_responses)), converged_responses.shape
+            )
+            response_text = quantity(float(converged_responses[peak_index]), "m")
+            clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
+            clauses[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
+        max_error = total_errors.max(initial=0.0)
+        n_unknown_errors = int(np.sum(total_errors >= UNKNOWN_ERROR))
         if not self.scene.harmonic_balance.error:
-            known.append("errors and stability are not estimated (harmonic_balance.error = false)")
-        elif largest > 0.0 and not unknown:
-            error = error_in_words(largest)
-            known.append(f"largest estimated error by modes and harmonics {error}")
-        names, counts = np.unique(self["verdict"][solved], return_counts=True)
-        verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
+            clauses.append(
+                "errors and stability are not estimated (harmonic_balance.error = false)"
+            )
+        elif max_error > 0.0 and not n_unknown_errors:
+            error_text = error_in_words(max_error)
+            clauses.append(f"largest estimated error by modes and harmonics {error_text}")
+        verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
+        verdict_texts = [
+            f"{verdict_count} {verdict}"
+            for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
+            if verdict
+        ]
         return Said(
-            "sweep complete" if solved.all() else f"{solved.sum()} of {cases} converged",
-            ", ".join(known),
-            f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
-            [*report_linearity(self["closed_share"][solved]), ", ".join(verdicts)],
+            "sweep complete"
+            if is_converged.all()
+            else f"{is_converged.sum()} of {cases_text} converged",
+            ", ".join(clauses),
+            f"it could not be estimated in {counted(n_unknown_errors, 'case')}"
+            if n_unknown_errors
+            else "",
+            [*report_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
         )
 
     def _title(self) -> str:
-        counts = zip(STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
-        swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
-        return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
+        """Return the numbers of values on the axes and of cases in each state."""
+        states_and_counts = zip(
+            STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
+        )
+        axes_text = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
+        return ", ".join(
+            [
+                axes_text,
+                *(
+                    f"{n_cases} {state_name}"
+                    for state_name, n_cases in states_and_counts
+                    if n_cases
+                ),
+            ]
+        )
 
 
-def is_part(stored: Stored) -> bool:
-    """Return True for the file of a sweep that another computation has made for itself: it leaves
-    out errors that the command ``sweep`` estimates."""
-    return stored.kind == KIND and bool(stored.attributes.get("omitted"))
+def is_partial_sweep(sweep_header: Stored) -> bool:
+    """Return True for a sweep with omitted options, made by another computation."""
+    return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
 
 # --- cases in words -------------------------------------------------------------------------------
 
 
-def by_reason(
-    found: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], what: str
+def describe_by_reason(
+    sweep: SweepResult, reasons: Sequence[tuple[tuple[int, ...], str]], outcome_text: str
 ) -> Iterator[str]:
-    """Cases that failed or are undecided, those of one reason together: reasons that differ in
-    numbers alone are one."""
-    kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
+    """Describe cases with reasons, grouped; reasons that differ only in numbers are equal."""
+    cases_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for index, reason in reasons:
-        kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
-    ordered, shown = sorted(kinds.values(), key=len, reverse=True), 4
-    for cases in ordered[:shown]:
-        index, reason = cases[0]
-        number = f"{counted(len(cases), 'case')} {what}, the first at"
-        yield f"{number} {in_words(found.axes, index)}: {reason}"
-    if more := ordered[shown:]:
-        left = sum(map(len, more))
-        yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
+        cases_by_pattern.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append(
+            (index, reason)
+        )
+    case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
+    for group_cases in case_groups[:n_shown]:
+        index, reason = group_cases[0]
+        count_text = f"{counted(len(group_cases), 'case')} {outcome_text}, the first at"
+        yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
+    if further_groups := case_groups[n_shown:]:
+        n_further_cases = sum(map(len, further_groups))
+        yield (
+            f"{counted(n_further_cases, 'case')} {outcome_text} for other reasons: "
+            "column status of the table"
+        )
 
 
-def in_words(axes: Sequence[Axis], index: Sequence[int]) -> str:
-    """The swept values of a case on some axes."""
+def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
+    """Return the swept values of a case as a text."""
     return ", ".join(
-        f"{axis.key.rpartition('.')[2]} = {axis.values[at]}"
-        for axis, at in zip(axes, index, strict=True)
+        f"{axis.key.rpartition('.')[2]} = {axis.values[position]}"
+        for axis, position in zip(axes, index, strict=True)
     )

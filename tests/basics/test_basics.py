@@ -46,8 +46,8 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.fem import compat
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.scene.words import differences, value_in_words
-from fenics_crack.sweep.file import COLUMNS
+from fenics_crack.scene.words import describe_differences, value_in_words
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN
 
 # --- stages and messages --------------------------------------------------------------------------
 
@@ -157,7 +157,7 @@ def made_sweep(scene: fc.Scene) -> fc.SweepResult:
     numbers = np.arange(6.0).reshape(2, 3)
     columns: dict[str, np.ndarray] = {
         name: numbers.astype(str if kind.startswith("S") else kind)
-        for name, (_, kind) in COLUMNS.items()
+        for name, (_, kind) in UNIT_AND_TYPE_BY_COLUMN.items()
     }
     columns["state"] = np.array([[1, 1, 2], [1, 1, 0]])
     swept = replace(scene, sweep=Sweep.from_mapping({"over": over}))
@@ -338,8 +338,8 @@ def test_a_default_of_a_listed_table_is_told(paper_scene: fc.Scene) -> None:
     one = paper_scene.replace({"loads.1.edge": "top", "loads.1.traction_sin": [1.0, 0.0]})
     lagging = one.replace({"loads.1.phase": 30.0})
     told = ["loads.1.phase = 0 degrees", "loads.1.phase = 30 degrees"]
-    assert differences([one, lagging]) == told
-    assert differences([paper_scene, one])[0].startswith("loads.1.edge = none")
+    assert describe_differences([one, lagging]) == told
+    assert describe_differences([paper_scene, one])[0].startswith("loads.1.edge = none")
 
 
 # --- files, whole or not at all -------------------------------------------------------------------

@@ -32,9 +32,9 @@ from fenics_crack.cli.studies import (
 )
 from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.words import differences, key_in_words, value_in_words
+from fenics_crack.scene.words import describe_differences, key_in_words, value_in_words
 from fenics_crack.sweep import result
-from fenics_crack.sweep.file import COLUMNS, State
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, State
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -134,7 +134,9 @@ def swept(scene: fc.Scene, path: Path) -> SweepResult:
     }
     scene = scene.replace({"sweep.over": axes})
     generator = np.random.default_rng(0)
-    columns: dict[str, np.ndarray] = {name: generator.random((31, 6)) for name in COLUMNS}
+    columns: dict[str, np.ndarray] = {
+        name: generator.random((31, 6)) for name in UNIT_AND_TYPE_BY_COLUMN
+    }
     columns["state"] = np.full((31, 6), State.CONVERGED)
     columns["verdict"] = generator.choice(["stable", "unstable", "undecided"], (31, 6))
     columns["status"] = np.full((31, 6), "full Newton steps", dtype=object)
@@ -351,13 +353,16 @@ def test_what_differs(paper_scene: fc.Scene) -> None:
     scenes = [
         paper_scene.replace(base | {"excitation.force_sin": (size, 0.0)}) for size in (5.0, 20.0)
     ]
-    assert differences(scenes) == ["excitation.force_sin = 5 N", "excitation.force_sin = 20 N"]
+    assert describe_differences(scenes) == [
+        "excitation.force_sin = 5 N",
+        "excitation.force_sin = 20 N",
+    ]
     closed = paper_scene.replace({"crack.clearance": -2e-7})
-    assert differences([paper_scene.replace({"crack.clearance": 0.0}), closed]) == [
+    assert describe_differences([paper_scene.replace({"crack.clearance": 0.0}), closed]) == [
         "crack.clearance = 0 m",
         "crack.clearance = -200 nm",
     ]
-    assert differences([paper_scene, paper_scene]) == ["", ""]
+    assert describe_differences([paper_scene, paper_scene]) == ["", ""]
 
 
 def test_hertz_and_ranges(paper_scene: fc.Scene) -> None:
@@ -366,12 +371,12 @@ def test_hertz_and_ranges(paper_scene: fc.Scene) -> None:
         paper_scene.replace({"excitation.frequency": f, "curve.start": f, "curve.stop": 9.0})
         for f in (300.0, 310.0)
     )
-    assert differences([one, two]) == [
+    assert describe_differences([one, two]) == [
         "excitation.frequency = 300 Hz",
         "excitation.frequency = 310 Hz",
     ]
     ranges = [paper_scene.replace({"curve.start": at, "curve.stop": 9.0}) for at in (1.0, 2.0)]
-    assert differences(ranges) == ["curve.start = 1", "curve.start = 2"]
+    assert describe_differences(ranges) == ["curve.start = 1", "curve.start = 2"]
 
 
 def test_words() -> None:

@@ -346,12 +346,12 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
     with monkeypatch.context() as patched:
         patched.setattr("fenics_crack.sweep.plan.build_mesh", None)
         plan = Plan(swept)
-        found = [isinstance(plan.case((place,)), Scene) for place in range(3)]
+        found = [isinstance(plan.case_at((place,)), Scene) for place in range(3)]
         assert found == [True, True, False]
         with pytest.raises(InputError, match="a combination can be used"):
             Plan(swept.replace({"sweep.over": {"crack.length": [0.5, 0.6]}}))
-    assert plan.rows == max(bound for bound, _ in plan.sizes) > 0
-    assert plan.sizes[2] == (0, 0.0)
+    assert plan.gap_rows_upper_bound == max(bound for bound, _ in plan.pair_bounds_and_lengths) > 0
+    assert plan.pair_bounds_and_lengths[2] == (0, 0.0)
 
 
 @pytest.mark.nightly

@@ -11,7 +11,7 @@ from test_scene import GOOD, changed
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.scene.fields import Table
-from fenics_crack.scene.scene import known_keys, meant_keys
+from fenics_crack.scene.scene import known_keys, suggest_full_keys
 
 
 @pytest.mark.parametrize(
@@ -72,11 +72,11 @@ def test_a_proposed_key_is_taken() -> None:
     known, proposed = set(known_keys()), set()
     for key in sorted({key.rpartition(".")[2] for key in known})[::2]:
         for name in (key, key[:-1], key[1:], f"{key}s", f"crak.{key}", f"load.{key}"):
-            proposed |= {*meant_keys(name)}
+            proposed |= {*suggest_full_keys(name)}
         for table in Table.__subclasses__():
-            proposed |= {*table.meant_by(key[1:])}
+            proposed |= {*table.suggest_keys(key[1:])}
     assert proposed <= known | {*Scene.__dataclass_fields__}
-    assert "loads.1.harmonics" in meant_keys("harmonics")
+    assert "loads.1.harmonics" in suggest_full_keys("harmonics")
     scene = Scene.from_mapping(GOOD)
     for key in proposed & known:
         try:

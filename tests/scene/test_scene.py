@@ -469,7 +469,7 @@ def test_rayleigh_damping_is_swept() -> None:
 )
 def test_damping_of_all_modes(table: dict[str, Any], expected: bool) -> None:
     """Rayleigh's, and a ratio for all."""
-    assert Scene.from_mapping(changed({"damping": table})).damping.of_all_modes is expected
+    assert Scene.from_mapping(changed({"damping": table})).damping.damps_all_modes is expected
 
 
 def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def test_proposed_curve_meets_its_peak() -> None:
     figures = find_key_figures(study)
     found = resonance_of(study, figures.omega_bilinear, figures.slopes)
     curve = proposed_curve(study.scene, replace(figures, at_load=found))
-    start, stop = curve.followed[1:]
+    start, stop = curve.continuation_range[1:]
     assert start <= found.value - 3.0 * found.width < found.value + 3.0 * found.width <= stop
     keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}
     known = study.scene.replace(keys)

@@ -32,7 +32,7 @@ from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
-from fenics_crack.sweep.file import COLUMNS, SweepFile
+from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, SweepFile
 
 Over = Mapping[str, Any]
 SOFT = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
@@ -71,7 +71,7 @@ def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSol
 def assert_same(one: SweepResult, other: SweepResult) -> None:
     """All columns but the time agree to the bit, and so do the gaps."""
     assert one.shape == other.shape and one.complete and other.complete
-    for name in ("state", *(name for name in COLUMNS if name != "seconds")):
+    for name in ("state", *(name for name in UNIT_AND_TYPE_BY_COLUMN if name != "seconds")):
         np.testing.assert_array_equal(other[name], one[name], err_msg=name)
     for index in map(tuple, np.argwhere(one.converged)):
         np.testing.assert_array_equal(other.gap(index), one.gap(index))
@@ -189,8 +189,10 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         )
         for load, clearance in given
     ]
-    geometry = sweep_case.build(cases[1], MPI.COMM_SELF, sweep_case.Asked(unit_loads=True))
-    found = [sweep_case.Cases(geometry).solve(case) for case in cases]
+    geometry = sweep_case.build_geometry(
+        cases[1], MPI.COMM_SELF, sweep_case.CaseRequest(has_unit_loads=True)
+    )
+    found = [sweep_case.CaseSolver(geometry).solve(case) for case in cases]
     for solution, (load, clearance) in zip(found, given, strict=True):
         structure = solution.structure
         assert structure.body is geometry.structure.body
@@ -389,12 +391,12 @@ def test_a_file_from_before_an_observable(
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, SOFT | points)
     number, path = {"harmonics": 5, "response": 1e-3, "tip.ux.mean": 2e-3}, tmp_path / "old.h5"
     later = {"response", "opening", "tip.ux.harmonic_1", "omega_open"}
-    now = sweep_file.columns_of
+    now = sweep_file.unit_and_type_by_column
 
     def before(scene: fc.Scene) -> dict[str, tuple[str, str]]:
         return {name: what for name, what in now(scene).items() if name not in later}
 
-    monkeypatch.setattr(sweep_file, "columns_of", before)
+    monkeypatch.setattr(sweep_file, "unit_and_type_by_column", before)
     file = SweepFile(path, scene, 5, 1)
     waves = {name: np.ones((11, 1)) for name in ("gap", "force")}
     file.record(np.arange(1), [number | waves])
@@ -408,7 +410,7 @@ def test_a_file_from_before_an_observable(
         run_sweep(scene, path)
 
 
-EACH = len(COLUMNS) + 3
+EACH = len(UNIT_AND_TYPE_BY_COLUMN) + 3
 """What is written of each chunk: columns, waves, states."""
 
 
@@ -419,7 +421,7 @@ def test_full_disk(
 ) -> None:
     """At any number of a chunk: the file stays valid with what was in it, and the rest follows."""
     scene, path = fast.scene, tmp_path / "sweep.h5"
-    put, calls = SweepFile._put, list[str]()
+    put, calls = SweepFile._write_column, list[str]()
 
     def full(self: SweepFile, name: str, *given: Any) -> None:
         calls.append(name)
@@ -427,7 +429,7 @@ def test_full_disk(
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         put(self, name, *given)
 
-    monkeypatch.setattr(SweepFile, "_put", full)
+    monkeypatch.setattr(SweepFile, "_write_column", full)
     with pytest.raises(WriteError, match=r"sweep\.h5.*No space left"):
         run_sweep(scene, path)
     assert len(calls) == limit + 1
@@ -472,7 +474,14 @@ def test_cases_are_named_by_whole_numbers(fast: SweepResult) -> None:
 def test_file_holds_numbers_and_words_only(fast: SweepResult) -> None:
     """No objects, no references, no filters; contiguous datasets whose place is fixed."""
     with h5py.File(fast.path, "r") as file:
-        assert set(file) == {"state", "gap", "force", "checksum", "waves_checksum", *COLUMNS}
+        assert set(file) == {
+            "state",
+            "gap",
+            "force",
+            "checksum",
+            "waves_checksum",
+            *UNIT_AND_TYPE_BY_COLUMN,
+        }
         for item in file.values():
             assert item.dtype.kind in "fiuS" and item.chunks is item.compression is None
             assert item.id.get_offset() is not None
@@ -542,7 +551,7 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     with pytest.raises(fc.InputError) as error:
         run_sweep(refused, folder / "sweep.h5", comm)
     told.append(error.value.key)
-    whole, calls, met = sweep_case.Cases.solve, [], folder / "met"
+    whole, calls, met = sweep_case.CaseSolver.solve, [], folder / "met"
 
     def broken(*given: Any) -> Any:
         calls.append(given)
@@ -556,11 +565,11 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
         return whole(*given)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep_case.Cases, "solve", broken)
+        patch.setattr(sweep_case.CaseSolver, "solve", broken)
         with pytest.raises(RuntimeError) as failure:
             run_sweep(good, folder / "sweep.h5", comm)
     told.append(str(failure.value))
-    put, written = SweepFile._put, list[str]()
+    put, written = SweepFile._write_column, list[str]()
 
     def full(self: SweepFile, name: str, *given: Any) -> None:
         written.append(name)
@@ -569,7 +578,7 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
         put(self, name, *given)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SweepFile, "_put", full)
+        patch.setattr(SweepFile, "_write_column", full)
         with pytest.raises(WriteError) as unwritten:
             run_sweep(good, folder / "full.h5", comm)
     return comm.allgather([*told, str(unwritten.value)])

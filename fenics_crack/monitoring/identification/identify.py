@@ -38,9 +38,9 @@ from fenics_crack.monitoring.identification.posterior import Branch, Likelihood,
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import MIN_VALUES, Identify, Sweep
+from fenics_crack.scene.tables import MIN_ALLOWED_UNKNOWN_VALUES, Identify, Sweep
 from fenics_crack.study.meshes import finer_mesh
-from fenics_crack.sweep.result import SweepResult, by_reason, run_sweep
+from fenics_crack.sweep.result import SweepResult, describe_by_reason, run_sweep
 
 IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables that do not matter to a sweep of the forward model."""
@@ -107,7 +107,7 @@ def identify(
     """
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})
-        changed = replace(table, unknown=Identify.checked("unknown", unknown))
+        changed = replace(table, unknown=Identify.convert_value("unknown", unknown))
         scene = replace(scene, identify=changed)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table with the unknowns")
@@ -192,7 +192,7 @@ def _predicted(
             for at, why in sweep.failed
             if solved[at[-1]] in loads or np.isnan(sweep["omega_open_1"][at])
         ]
-        doubts += [f"{path.name}: {text}" for text in by_reason(sweep, failed, "failed")]
+        doubts += [f"{path.name}: {text}" for text in describe_by_reason(sweep, failed, "failed")]
     used = list(itertools.compress(rows, known))
     if all(row.quantity == "frequency_uncracked" for row in used):
         why = "; ".join(doubts) or "no case has the measured quantities"
@@ -349,7 +349,8 @@ def solve_forward(
         return sweep
 
     numbers = sum(not isinstance(axis.values[0], str) for axis in table.unknown)
-    count = MIN_VALUES - (numbers > 2)  # values of the finer sweep and of that between
+    # values of the finer sweep and of that between
+    count = MIN_ALLOWED_UNKNOWN_VALUES - (numbers > 2)
     meshes = [Axis(MESH_AXIS, table.mesh_files)] if table.meshes else []
 
     def others(

@@ -48,7 +48,7 @@ from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import KEPT_ORDERS, NUMBERED, State
+from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, MODE_NUMBERS, State
 from fenics_crack.sweep.result import SweepResult
 
 
@@ -342,7 +342,7 @@ class Part:
         loads: (n, n_loads, 1 + 2 modes); 1 for s without a crack, nan where there is no
         frequency."""
         tied, opened, breathing, bare = (
-            np.stack([self.natural(lips, mode) for mode in NUMBERED], axis=2)
+            np.stack([self.natural(lips, mode) for mode in MODE_NUMBERS], axis=2)
             for lips in ("tied", "open", "bilinear", "uncracked")
         )
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -374,7 +374,7 @@ class Feature:
             lips = row.quantity.removeprefix("frequency_")
             states = RESONANCE_STATES if lips == "resonance" else (lips,)
             return tuple(cls(state, row.mode, frequency=row.load(scene)) for state in states)
-        orders = row.orders or KEPT_ORDERS
+        orders = row.orders or KEPT_HARMONIC_ORDERS
         return tuple(cls("", 0, row.point, row.load(scene), order) for order in orders)
 
     @property
@@ -418,7 +418,7 @@ def poles(
     They follow from ratios of damping (m, 1), and :attr:`Part.basis` at the load of each feature
     (m, f, 1 + 2 modes); 0 and 1 of natural frequencies and where there is no mode.
     """
-    own = basis[..., NUMBERED]
+    own = basis[..., MODE_NUMBERS]
     loads = np.array([feature.order * feature.frequency for feature in features])
     r = loads[:, None] / np.where(np.isfinite(own), own, np.inf)
     return r, 1.0 - r**2 + 2j * damping[..., None] * r

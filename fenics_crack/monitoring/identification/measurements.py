@@ -26,7 +26,11 @@ from fenics_crack.basics.suggestions import checked_call, fitting_argument
 from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
 from fenics_crack.basics.untrusted_files import heading_in_si, table_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
+from fenics_crack.scene.fields import (
+    MAX_ALLOWED_MAGNITUDE,
+    MIN_ALLOWED_MAGNITUDE,
+    ZERO_OR_MAGNITUDE_TEXT,
+)
 from fenics_crack.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -130,8 +134,14 @@ class Measurement:
                 raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
         for key in ("value", "deviation", "frequency", "phase", "rpm", "temperature"):
             number = getattr(self, key)
-            if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
-                raise InputError(f"measurements.{key}", number, f"a number {OR_ZERO}")
+            if not (
+                math.isnan(number)
+                or number == 0.0
+                or MIN_ALLOWED_MAGNITUDE <= abs(number) <= MAX_ALLOWED_MAGNITUDE
+            ):
+                raise InputError(
+                    f"measurements.{key}", number, f"a number {ZERO_OR_MAGNITUDE_TEXT}"
+                )
 
     @property
     def natural(self) -> bool:

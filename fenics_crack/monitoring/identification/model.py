@@ -31,7 +31,7 @@ from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.nuisance import OF_SIZE, Since, Whole, crack_deviations
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import scales_with_load
-from fenics_crack.sweep.file import NUMBERED
+from fenics_crack.sweep.file import MODE_NUMBERS
 
 # --- displacements at probes ----------------------------------------------------------------------
 
@@ -307,7 +307,7 @@ class Quantities:
         self._is_plain = np.array([one.lips == "uncracked" for one in self._features])
         basis = model.coarse.basis
         self._basis = Interpolation(model.cube, basis.reshape(len(basis), -1))
-        self._highest = float(np.nanmax(basis[..., NUMBERED], initial=0.0))
+        self._highest = float(np.nanmax(basis[..., MODE_NUMBERS], initial=0.0))
         self._loads = [model.coarse.load(feature.frequency) for feature in self._features]
         faster = model.coarse.loads.faster
         self._changes = np.stack([model.whole.changes_at(one) for one in faster])[self._loads]
@@ -490,7 +490,7 @@ class Quantities:
         kept = min(kept, squares.shape[1])
         last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
         every = [replace(first, order=order) for order in range(1, last + 1)]
-        soft = np.nan_to_num(basis[..., NUMBERED], nan=np.inf) ** -4.0
+        soft = np.nan_to_num(basis[..., MODE_NUMBERS], nan=np.inf) ** -4.0
         moved = np.sum(soft / np.abs(poles(every, damping, basis)[1]) ** 2, axis=2)
         moved /= np.arange(1.0, last + 1.0) ** 2
         upper = slice(kept // 2, kept)

@@ -39,7 +39,7 @@ from fenics_crack.monitoring.identification.posterior import (
     scaled_covariance,
     with_prior,
 )
-from fenics_crack.scene.scene import Scene, unit_of
+from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Identify
 from fenics_crack.scene.words import key_in_words, value_in_words
 
@@ -82,7 +82,7 @@ class Worth(Tabular):
         return found | {f"left_of_{key}": part.tolist() for key, part in self.deviations.items()}
 
     def _units(self) -> Mapping[str, str]:
-        units = {f"left_of_{key}": unit_of(key) for key in self.now}
+        units = {f"left_of_{key}": unit_of_key(key) for key in self.now}
         return units | {"information": "nats"}
 
     def _title(self) -> str:
@@ -460,7 +460,7 @@ class Identification(Tabular):
             "deviation": [self.posterior.spread(place) for place in range(len(self.unknown))],
             "low": [intervals[key][0] for key in self.unknown],
             "high": [intervals[key][1] for key in self.unknown],
-            "unit": [unit_of(key) for key in self.unknown],
+            "unit": [unit_of_key(key) for key in self.unknown],
         }
 
     def fit_table(self) -> Table:
