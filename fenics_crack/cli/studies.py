@@ -133,8 +133,8 @@ def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
             error_limit=error_limit,
         ):
             yield (
-                f"{count_text}, the largest at {describe_swept_values(sweep_result.axes, case_index)}: "
-                f"{error_text}"
+                f"{count_text}, the largest at "
+                f"{describe_swept_values(sweep_result.axes, case_index)}: {error_text}"
             )
 
 
