@@ -32,7 +32,7 @@ from fenics_crack.balance.more_modes import (
     reference_of,
 )
 from fenics_crack.balance.problem import Problem, Search
-from fenics_crack.basics.tables import percent
+from fenics_crack.basics.tables import format_percent
 from fenics_crack.model.modal import is_small
 from fenics_crack.motion.attractors import Attractor, find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, flow_of
@@ -291,15 +291,14 @@ class Assessment:
         if self.prediction is None:
             return "the crack opens and closes too often; less so with crack faces without mass"
         predicted_error = self.predicted_error
-        size = percent(predicted_error) if predicted_error < UNKNOWN else "100 % or more"
+        size = format_percent(predicted_error) if predicted_error < UNKNOWN else "100 % or more"
         if self.orbit is None:
             change = f"the truncated harmonics change it by {size}"
             failure_reasons = self._failure_reasons[-1:] or ["no exact orbit was found near it"]
             return f"{change}, and {failure_reasons[0]}"
         stability = "stable" if self.orbit.is_stable else "unstable"
-        orbit_in_words = (
-            f"the nearest exact orbit, which is {stability}, is {percent(self.distance)} away"
-        )
+        distance = format_percent(self.distance)
+        orbit_in_words = f"the nearest exact orbit, which is {stability}, is {distance} away"
         return f"{orbit_in_words} where {size} was predicted: it may be another motion"
 
 

@@ -39,7 +39,7 @@ from fenics_crack.balance.contact_system import MAX_COMPLIANCE_RATIO, ContactPoi
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
 from fenics_crack.model.modal import all_modes
@@ -327,7 +327,7 @@ class BlockSolver(Solver):
                 stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
             starts.insert(0, (compliance.displacement(force), 1.0))
-        begin("block system")
+        begin_stage("block system")
         with BlockSystem(problem, linear, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
             while starts and not search.has_converged:

@@ -46,9 +46,9 @@ from fenics_crack.basics.errors import (
     check_number,
     check_omega,
 )
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import fitting_argument
-from fenics_crack.basics.tables import percent, quantity
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.tables import format_percent, format_quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modal import all_modes, is_small
@@ -292,7 +292,7 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless the search for a problem's solution can begin at ``initial``."""
     structure, subharmonic = problem.structure, problem.subharmonic
-    fitting_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
+    fit_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
     initial_size = initial.structure.n_dofs, initial.structure.n_pairs
     needs_gaps_only = structure.light_lips and initial_size[1] == structure.n_pairs
     if not needs_gaps_only and initial_size != (structure.n_dofs, structure.n_pairs):
@@ -444,8 +444,8 @@ def _with_tolerance_status(
         "more damping, which needs fewer harmonics": report.truncation + report.sampling,
         "a larger tolerance, as the error is rounding": report.residual,
     }
-    size = "unknown" if report.unknown else percent(report.total)
-    message = f"solved; error {size}, {percent(tolerance)} was asked; what helps: "
+    size = "unknown" if report.unknown else format_percent(report.total)
+    message = f"solved; error {size}, {format_percent(tolerance)} was asked; what helps: "
     message += f"{max(remedies, key=remedies.__getitem__)} (H = {solution.harmonics}{kept_modes})"
     if solver.throw:
         message += f"; {solution.status}; throw = False returns it"
@@ -543,7 +543,7 @@ def _states_with_more_modes(
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
     """Return the solver for another problem, and report progress."""
-    begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+    begin_stage(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
 
 
@@ -551,7 +551,7 @@ def _describe_other_orbits(search: OrbitSearch) -> str:
     """Return words on the other orbits that a search found, or ""."""
     descriptions = [
         f"{'stable' if orbit.is_stable else 'unstable'}, "
-        f"amplitude {quantity(orbit.amplitude(), 'm')}"
+        f"amplitude {format_quantity(orbit.amplitude(), 'm')}"
         for orbit in search.other_orbits
     ]
     return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""

@@ -47,13 +47,13 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, Wave, default_weight
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import (
-    MAX_SAMPLES,
+    MAX_SAMPLES_PER_PERIOD,
     InputError,
     check_count,
     check_number,
     check_omega,
 )
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
@@ -169,8 +169,8 @@ class Problem:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")
             check_count("samples", self.samples, 2 * self.harmonics + 1)
-            if self.samples > MAX_SAMPLES:
-                raise InputError("samples", self.samples, f"at most {MAX_SAMPLES}")
+            if self.samples > MAX_SAMPLES_PER_PERIOD:
+                raise InputError("samples", self.samples, f"at most {MAX_SAMPLES_PER_PERIOD}")
         if self.static_above is not None:
             check_number("static_above", min(self.static_above, 1e300), 0.0)  # inf: none
 
@@ -445,7 +445,7 @@ class Search:
             if not can_solve_in_kernel(system):
                 snes = stack.enter_context(Newton(system, self.history))
             for start in self._ladder(starts):
-                begin(start.name)
+                begin_stage(start.name)
                 iterations_before = self.iterations
                 for guess in start.candidates():
                     point = self._take_newton_steps(snes, guess)

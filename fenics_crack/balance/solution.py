@@ -17,7 +17,13 @@ from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
-from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_frequency
+from fenics_crack.basics.tables import (
+    RAD_PER_TURN,
+    Described,
+    add_frequency_entries,
+    format_count,
+    format_quantity,
+)
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
@@ -193,7 +199,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         waves = self.structure.sum_over_ranks(self._coefficients_mean_if_still @ rows.T)
 
         def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return with_displacement(*self.at_phase(TURN * fractions))
+            return with_displacement(*self.at_phase(RAD_PER_TURN * fractions))
 
         def with_displacement(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
@@ -274,16 +280,16 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             columns["verdict"] = self.stability.verdict
             columns["multiplier"] = float(abs(self.stability.multipliers[0]))
         columns |= {"converged": self.converged, "iterations": int(self.iterations)}
-        return with_frequency(columns) | {"status": str(self.status)}
+        return add_frequency_entries(columns) | {"status": str(self.status)}
 
     def _title(self) -> str:
         columns = self.to_dict()
         parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
         if self.subharmonic > 1:
             parts.append(f"period of {self.subharmonic} loads")
-        parts.append(counted(columns["pairs"], "pair"))
+        parts.append(format_count(columns["pairs"], "pair"))
         if columns["pairs"]:
-            parts.append(f"opening {quantity(columns['opening'], 'm')}")
+            parts.append(f"opening {format_quantity(columns['opening'], 'm')}")
         if self.contact is None:
             parts.append("linear")
         elif self.report.estimated:

@@ -19,15 +19,15 @@ from pathlib import Path
 
 from fenics_crack.basics.errors import InputError, WriteError
 
-DEVICES = "/dev", "/dev/fd", "/proc/self/fd"
+DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written as they are."""
-FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Errors of a disk that takes no more; others come from a path that cannot be used."""
-BEFORE = "before"
+REPLACED_FILES_FOLDER = "before"
 """Folder in which files that are replaced are kept, beside those that take their place."""
 
 
-def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
+def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
     """Write a file, text as UTF-8, and its folder.
 
     Parameters
@@ -45,15 +45,15 @@ def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> No
         As of :func:`reported`.
     """
     data = content.encode() if isinstance(content, str) else content
-    if os.path.dirname(os.path.abspath(path)) in DEVICES:
-        with reported(path, key), open(path, "wb") as device:
+    if os.path.dirname(os.path.abspath(path)) in DEVICE_FOLDERS:
+        with report_write_errors(path, key), open(path, "wb") as device:
             device.write(data)
         return
-    with whole_file(path, key) as partial, open(partial, "wb") as file:
+    with partial_file(path, key) as partial, open(partial, "wb") as file:
         file.write(data)
 
 
-def write_together(files: Iterable[tuple[Path, str]]) -> None:
+def write_files_together(files: Iterable[tuple[Path, str]]) -> None:
     """Write files that belong together, all of them or none: paths and contents.
 
     Raises
@@ -61,13 +61,13 @@ def write_together(files: Iterable[tuple[Path, str]]) -> None:
     InputError
         As of :func:`reported`.
     """
-    with together():
+    with complete_files_together():
         for path, content in files:
-            write_whole(path, content)
+            write_file_whole(path, content)
 
 
 @contextlib.contextmanager
-def together() -> Iterator[contextlib.ExitStack]:
+def complete_files_together() -> Iterator[contextlib.ExitStack]:
     """Write all files of the block or none: each gets its name at the end.
 
     The stack's ``close`` gives them their names earlier.
@@ -78,19 +78,19 @@ def together() -> Iterator[contextlib.ExitStack]:
         As of :func:`reported`.
     """
     with contextlib.ExitStack() as files:
-        _TOGETHER.append(files)
+        _PENDING_FILE_GROUPS.append(files)
         try:
             yield files
         finally:
-            _TOGETHER.remove(files)
+            _PENDING_FILE_GROUPS.remove(files)
 
 
-_TOGETHER: list[contextlib.ExitStack] = []
+_PENDING_FILE_GROUPS: list[contextlib.ExitStack] = []
 """Files of each block of :func:`together`, the innermost last, that wait for their names."""
 
 
 @contextlib.contextmanager
-def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Iterator[Path]:
+def partial_file(path: str | Path, key: str = "path", *, new: bool = False) -> Iterator[Path]:
     """A hidden place beside a file, which takes the file's name where the block ends well.
 
     Parameters
@@ -106,15 +106,15 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
         As of :func:`reported`.
     """
     with contextlib.ExitStack() as single_file:
-        files = _TOGETHER[-1] if _TOGETHER and not new else single_file
-        files.enter_context(reported(path, key))
-        partial = files.enter_context(_hidden(Path(path), new=new))
-        with reported(path, key):
+        files = _PENDING_FILE_GROUPS[-1] if _PENDING_FILE_GROUPS and not new else single_file
+        files.enter_context(report_write_errors(path, key))
+        partial = files.enter_context(_hidden_file(Path(path), new=new))
+        with report_write_errors(path, key):
             yield partial
 
 
 @contextlib.contextmanager
-def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
+def _hidden_file(target: Path, *, new: bool = False) -> Iterator[Path]:
     partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
     if target.is_dir() and not target.is_symlink():  # of several files none gets its name
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -139,11 +139,11 @@ def keep_files(names: Sequence[str], folder: Path, kept: Path) -> bool:
     OSError
         A file cannot be kept, or the folder below is a link.
     """
-    if _is_no_folder(kept):
+    if _is_link_or_file(kept):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
     there = [n for n in names if (folder / n).is_file() and not (folder / n).is_symlink()]
     for name in there:
-        with _hidden(kept / name) as partial:
+        with _hidden_file(kept / name) as partial:
             try:
                 os.link(folder / name, partial)  # a new file takes the place of the first name
             except OSError:  # a file system without links
@@ -163,10 +163,10 @@ def replace_files(names: Sequence[str], folder: Path, contents: Mapping[str, str
     InputError
         As of :func:`prepare_folder` and :func:`reported`.
     """
-    prepare_folder(folder, (BEFORE,), "folder")
-    with reported(folder, "folder"):
-        keep_files(names, folder, folder / BEFORE)
-        write_together((folder / name, content) for name, content in contents.items())
+    prepare_folder(folder, (REPLACED_FILES_FOLDER,), "folder")
+    with report_write_errors(folder, "folder"):
+        keep_files(names, folder, folder / REPLACED_FILES_FOLDER)
+        write_files_together((folder / name, content) for name, content in contents.items())
         for name in {*names} - {*contents}:
             (folder / name).unlink(missing_ok=True)
 
@@ -181,25 +181,25 @@ def prepare_folder(folder: Path, inner: Iterable[str] = (), key: str = "--output
         written, is refused by :func:`check_inner`.
     """
     for name in inner:
-        check_inner(folder / name, key)
-    with reported(folder, key, "a folder that can be written"):
+        check_inner_folder(folder / name, key)
+    with report_write_errors(folder, key, "a folder that can be written"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
 
 
-def check_inner(folder: Path, key: str = "path") -> None:
+def check_inner_folder(folder: Path, key: str = "path") -> None:
     """Raise InputError where a folder below that for results, in which files will be written, is a
     link or no folder."""
-    if _is_no_folder(folder):
+    if _is_link_or_file(folder):
         raise InputError(key, str(folder), "a folder for files, and no link to one")
 
 
-def _is_no_folder(path: Path) -> bool:
+def _is_link_or_file(path: Path) -> bool:
     return path.is_symlink() or (path.exists() and not path.is_dir())
 
 
-def passing_folder() -> Path:
+def make_temporary_folder() -> Path:
     """A folder of this user's alone that is gone when the program ends."""
     folder = tempfile.mkdtemp(prefix="fenics_crack-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -208,11 +208,11 @@ def passing_folder() -> Path:
 
 def remove_file(path: Path, key: str) -> None:
     """Remove a file if it is there; InputError as of :func:`reported`."""
-    with reported(path, key, "a file that can be removed"):
+    with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
 
 
-def put(file: int, content: bytes | memoryview, place: int) -> None:
+def write_bytes_at(file: int, content: bytes | memoryview, place: int) -> None:
     """Write all of some bytes at a place of an open file; OSError where the disk is full."""
     left = memoryview(content)
     while left:
@@ -221,7 +221,7 @@ def put(file: int, content: bytes | memoryview, place: int) -> None:
 
 
 @contextlib.contextmanager
-def reported(
+def report_write_errors(
     path: str | Path, key: str, allowed: str = "a file that can be written"
 ) -> Iterator[None]:
     """Raise what the block meets as the InputError of a file that cannot be written, a WriteError
@@ -239,5 +239,5 @@ def reported(
     except OSError as error:
         if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
             raise
-        kind = WriteError if error.errno in FULL else InputError
+        kind = WriteError if error.errno in DISK_FULL_ERROR_NUMBERS else InputError
         raise kind(key, str(path), f"{allowed} ({error.strerror or error})") from None

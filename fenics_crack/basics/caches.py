@@ -12,14 +12,14 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-from fenics_crack.basics.atomic_files import reported
+from fenics_crack.basics.atomic_files import report_write_errors
 from fenics_crack.basics.progress import LOGGER
 
-PRIVATE = "a folder that this user alone can write"
+PRIVATE_FOLDER_REQUIREMENT = "a folder that this user alone can write"
 
 
 @lru_cache
-def settle_caches() -> None:
+def replace_unusable_caches() -> None:
     """Replace a home that cannot be entered, and caches that cannot be written or that others can
     write, by a private folder for temporary files, and say so in one line.
 
@@ -30,25 +30,29 @@ def settle_caches() -> None:
     """
     home = os.path.expanduser("~")
     if not (os.path.isdir(home) and os.access(home, os.X_OK)):
-        _replace("HOME", Path(home), "no folder that can be entered")
+        _set_private_folder("HOME", Path(home), "no folder that can be entered")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
-        private_folder(cache / "fenics", make=False)
+        check_private_folder(cache / "fenics", make=False)
     except OSError as error:
-        _replace("XDG_CACHE_HOME", cache, f"not {PRIVATE}, {error.strerror}")
+        _set_private_folder(
+            "XDG_CACHE_HOME", cache, f"not {PRIVATE_FOLDER_REQUIREMENT}, {error.strerror}"
+        )
         os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])
 
 
-def _replace(name: str, path: Path, why: str) -> None:
+def _set_private_folder(name: str, path: Path, why: str) -> None:
     """Set a variable of the environment to this user's own folder for temporary files."""
-    with reported(path, name, PRIVATE):
-        own = private_folder(Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77)
-        private_folder(own, make=False)
+    with report_write_errors(path, name, PRIVATE_FOLDER_REQUIREMENT):
+        own = check_private_folder(
+            Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77
+        )
+        check_private_folder(own, make=False)
     os.environ[name] = str(own)
     LOGGER.warning("%s: %s; %s is used", path, why, own)  # Python prints it without a handler
 
 
-def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path:
+def check_private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path:
     """Return a folder's path without links, if nobody but this user and root can put files into it,
     or another folder in its place: what is compiled there is run.
 

@@ -11,19 +11,19 @@ from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
-FEW_MODES = 6
+N_LOWEST_MODES = 6
 """Lowest modes whose frequencies, crack open and bonded, are computed."""
-MAX_SAMPLES = 2**20
+MAX_SAMPLES_PER_PERIOD = 2**20
 """Samples of a period at which the contact force may be evaluated."""
-RECORDED_PERIODS = 4
+N_RECORDED_PERIODS = 4
 """Periods of a time integration that commands keep, and from which its extremes are."""
-MOST_HARMONICS = 100
+MAX_HARMONIC_ORDER = 100
 """Maximum order of a scene's load, each of which takes two rows as long as the displacement, and
 maximum to which harmonics are raised for a curve or from case to case."""
 MAX_CASES = 10**6
 """Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning: with a
 second for each, 12 days."""
-TOLERANCE = 1e-2
+DEFAULT_ERROR_TOLERANCE = 1e-2
 """Default relative error: that of modes and harmonics is then below what meshes usually leave."""
 
 
@@ -107,12 +107,12 @@ class StoppedError(ConvergenceError):
     """Ctrl-C has ended what the same command goes on with."""
 
 
-INTERRUPTED = "interrupted"
+INTERRUPTED_STATUS = "interrupted"
 """Status of a curve that Ctrl-C has ended."""
 
 
 @contextlib.contextmanager
-def reading(key: str, path: object, allowed: str) -> Iterator[None]:
+def report_read_errors(key: str, path: object, allowed: str) -> Iterator[None]:
     """Read a file; whatever goes wrong with it is an InputError, which the cause stays with."""
     try:
         yield
@@ -151,7 +151,7 @@ def check_count(key: str, value: object, least: int, most: int = 10**9) -> None:
         raise InputError(key, value, f"at most {most:g}")
 
 
-def one_of(words: Iterable[str]) -> str:
+def describe_choices(words: Iterable[str]) -> str:
     """Return the text "one of" with the allowed words."""
     return "one of " + ", ".join(map(repr, words))
 
@@ -159,10 +159,10 @@ def one_of(words: Iterable[str]) -> str:
 def check_choice(key: str, value: object, words: Iterable[str]) -> None:
     """Raise InputError unless a value is one of some words."""
     if not isinstance(value, str) or value not in words:
-        raise InputError(key, value, one_of(words))
+        raise InputError(key, value, describe_choices(words))
 
 
-def check_two_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float]) -> None:
+def check_damping_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float]) -> None:
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
 
     Both coefficients are >= 0 where the ratios of damping differ by no larger factor than the

@@ -15,11 +15,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from fenics_crack.basics.atomic_files import reported, write_whole
-from fenics_crack.basics.caches import PRIVATE, private_folder
-from fenics_crack.basics.installation import c_compiler
+from fenics_crack.basics.atomic_files import report_write_errors, write_file_whole
+from fenics_crack.basics.caches import PRIVATE_FOLDER_REQUIREMENT, check_private_folder
+from fenics_crack.basics.installation import find_c_compiler
 from fenics_crack.basics.ranks import MPI, Result, on_root
-from fenics_crack.basics.untrusted_files import sha256, text_of
+from fenics_crack.basics.untrusted_files import file_sha256, read_utf8_text
 
 
 def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], Result]) -> Result:
@@ -34,7 +34,7 @@ def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], 
     make : callable
         Does so with the given options of DOLFINx.
     """
-    folder, compiler = on_root(comm, lambda: _folder(record))
+    folder, compiler = on_root(comm, lambda: _find_form_folder(record))
     before = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
@@ -49,23 +49,25 @@ def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], 
         del os.environ["CC"]
         os.environ.update({"CC": before} if before else {})
     if compiler:
-        on_root(comm, lambda: write_whole(folder.with_name(record.name), _content(folder)))
+        on_root(comm, lambda: write_file_whole(folder.with_name(record.name), _record_text(folder)))
     return form
 
 
-def _folder(record: Path) -> tuple[Path, str]:
+def _find_form_folder(record: Path) -> tuple[Path, str]:
     """Return the recorded folder and ""; a new one and a compiler if it is missing or damaged."""
-    with reported(record.parent, "cache_dir", PRIVATE):
-        record = private_folder(record.parent) / record.name
+    with report_write_errors(record.parent, "cache_dir", PRIVATE_FOLDER_REQUIREMENT):
+        record = check_private_folder(record.parent) / record.name
     with suppress(OSError, ValueError):
-        text = text_of(record)
+        text = read_utf8_text(record)
         folder = record.with_name(text.partition("\n")[0])
-        if _content(folder) == text:
+        if _record_text(folder) == text:
             return folder, ""
-    compiler = c_compiler()
+    compiler = find_c_compiler()
     return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record.parent)), compiler
 
 
-def _content(folder: Path) -> str:
+def _record_text(folder: Path) -> str:
     """Name of a folder, and names and SHA-256 of its files: the text of its record."""
-    return "\n".join((folder.name, *(f"{sha256(f)} {f.name}" for f in sorted(folder.iterdir()))))
+    return "\n".join(
+        (folder.name, *(f"{file_sha256(f)} {f.name}" for f in sorted(folder.iterdir())))
+    )

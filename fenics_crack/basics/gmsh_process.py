@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from fenics_crack.basics.installation import loading
+from fenics_crack.basics.installation import report_missing_libraries
 
 
 @contextmanager
-def kept_interrupts() -> Iterator[None]:
+def keep_interrupt_handler() -> Iterator[None]:
     """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so.
 
     gmsh also sets it where Python forbids that, in threads other than the main one: left out there.
@@ -37,7 +37,7 @@ def kept_interrupts() -> Iterator[None]:
         signal.signal = set_handler
 
 
-with kept_interrupts(), loading():
+with keep_interrupt_handler(), report_missing_libraries():
     import gmsh as gmsh
 
 with suppress(AttributeError, ValueError):  # FLTK would write its settings, of root into /etc

@@ -17,17 +17,17 @@ from shutil import which as program_on_path
 
 from fenics_crack.basics.errors import InputError
 
-WAYS = (
+INSTALLATION_ADVICE = (
     "pip install 'fenics-crack[dolfinx]' (Linux on x86-64, Python 3.12 or newer), "
     "conda env create -f environment.yml, or sh install.sh on Debian 12 or 13 (docs/install.md)"
 )
 """The three ways to get DOLFINx and the libraries around it."""
-SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+RANK_COUNT_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 """Variables by which Open MPI and MPICH tell a process how many ranks there are."""
 
 
 @contextmanager
-def loading() -> Iterator[None]:
+def report_missing_libraries() -> Iterator[None]:
     """Refuse a library that is not installed, or that lacks a library of the system.
 
     Raises
@@ -39,7 +39,9 @@ def loading() -> Iterator[None]:
         yield
     except (ImportError, OSError) as error:
         if isinstance(error, ModuleNotFoundError):
-            raise InputError(error.name or "a library", None, f"installed: {WAYS}") from error
+            raise InputError(
+                error.name or "a library", None, f"installed: {INSTALLATION_ADVICE}"
+            ) from error
         name, _, reason = str(error).partition(": ")
         if not reason.startswith("cannot open shared object file"):
             raise
@@ -47,7 +49,7 @@ def loading() -> Iterator[None]:
         raise InputError(name, None, allowed) from error
 
 
-def c_compiler() -> str:
+def find_c_compiler() -> str:
     """Return the command of the C compiler, by which DOLFINx compiles forms.
 
     Raises
@@ -68,14 +70,14 @@ def c_compiler() -> str:
     return present[0]
 
 
-def version_of(command: str) -> str:
+def read_version_line(command: str) -> str:
     """Return the first line that a program prints for ``--version``."""
     words = [*shlex.split(command), "--version"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=30, check=False)
     return done.stdout.partition("\n")[0]
 
 
-def check_launcher(size: int, library: str, names: Sequence[str] = SIZES) -> None:
+def check_launcher(size: int, library: str, names: Sequence[str] = RANK_COUNT_VARIABLES) -> None:
     """Check that mpirun belongs to the MPI library of this process.
 
     Parameters
@@ -94,10 +96,10 @@ def check_launcher(size: int, library: str, names: Sequence[str] = SIZES) -> Non
     """
     launched = max(int(os.environ.get(name, size)) for name in names)
     if size <= 1 and size < launched:
-        raise foreign_launcher(f"{launched} programs of one rank each", library)
+        raise foreign_launcher_error(f"{launched} programs of one rank each", library)
 
 
-def foreign_launcher(value: str, library: str) -> InputError:
+def foreign_launcher_error(value: str, library: str) -> InputError:
     """Return the error of an mpirun that is not that of the MPI library of this process."""
     own = Path(sys.prefix, "bin", "mpirun")
     return InputError("mpirun", value, f"that of {library}{f', {own}' if own.exists() else ''}")

@@ -15,22 +15,22 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
-BEAT = 5.0
+MESSAGE_INTERVAL = 5.0
 """Time between progress messages [s]."""
 LOGGER = logging.getLogger("fenics_crack")
 """Notes, remarks and warnings for the user."""
-_stages = LOGGER.getChild("progress")
-_parts: list[str] = []
-_reached: list[Callable[[], str]] = []
+_STAGE_LOGGER = LOGGER.getChild("progress")
+_stage_prefixes: list[str] = []
+_progress_functions: list[Callable[[], str]] = []
 
 
-def begin(stage: str) -> None:
+def begin_stage(stage: str) -> None:
     """Report what is done from now on; "" ends a stage where a progress bar goes on."""
-    _stages.debug("%s", ": ".join([*_parts, stage]) if stage else "")
+    _STAGE_LOGGER.debug("%s", ": ".join([*_stage_prefixes, stage]) if stage else "")
 
 
 @contextmanager
-def _joined(many: list[Any], one: Any) -> Iterator[None]:
+def _append_temporarily(many: list[Any], one: Any) -> Iterator[None]:
     """One more at the end of some, for a while."""
     many.append(one)
     try:
@@ -39,14 +39,14 @@ def _joined(many: list[Any], one: Any) -> Iterator[None]:
         many.pop()
 
 
-def within(part: str) -> AbstractContextManager[None]:
+def prefix_stages(part: str) -> AbstractContextManager[None]:
     """Report stages as those of a part: "16 modes: natural modes"."""
-    return _joined(_parts, part)
+    return _append_temporarily(_stage_prefixes, part)
 
 
-def reaching(how_far: Callable[[], str]) -> AbstractContextManager[None]:
+def add_progress_text(how_far: Callable[[], str]) -> AbstractContextManager[None]:
     """Add to progress messages how far something has come: "38% of 780 to 880 Hz, 120 points"."""
-    return _joined(_reached, how_far)
+    return _append_temporarily(_progress_functions, how_far)
 
 
 class StageLines(logging.Handler):
@@ -70,13 +70,13 @@ class StageLines(logging.Handler):
         self._writing = self.lock or nullcontext()
 
     def __enter__(self) -> StageLines:
-        _stages.addHandler(self)
-        _stages.setLevel(logging.DEBUG)
+        _STAGE_LOGGER.addHandler(self)
+        _STAGE_LOGGER.setLevel(logging.DEBUG)
         return self
 
     def __exit__(self, *exception: object) -> None:
-        _stages.setLevel(logging.NOTSET)
-        _stages.removeHandler(self)
+        _STAGE_LOGGER.setLevel(logging.NOTSET)
+        _STAGE_LOGGER.removeHandler(self)
         with self._writing:
             self._show("")
 
@@ -102,10 +102,10 @@ class StageLines(logging.Handler):
 
     def _repeat(self, over: threading.Event) -> None:
         """Print every few seconds the current stage and its time."""
-        while not over.wait(BEAT):
+        while not over.wait(MESSAGE_INTERVAL):
             with self._writing:
                 said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"
-                said = ", ".join([said, *(how_far() for how_far in _reached)])
+                said = ", ".join([said, *(how_far() for how_far in _progress_functions)])
                 if self._stage:
                     self._write(f"\r\033[K{said}" if self._live else f"{said}\n")
 

@@ -23,21 +23,25 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.installation import SIZES, check_launcher, loading
-from fenics_crack.basics.untrusted_files import away
+from fenics_crack.basics.installation import (
+    RANK_COUNT_VARIABLES,
+    check_launcher,
+    report_missing_libraries,
+)
+from fenics_crack.basics.untrusted_files import leave_working_folder
 
-with away(), loading():  # UCX would read a ucx.conf
+with leave_working_folder(), report_missing_libraries():  # UCX would read a ucx.conf
     if find_spec("dolfinx_solver"):  # DOLFINx of wheels, and MPICH, which Open MPI's mpirun ends
-        check_launcher(0, "MPICH", SIZES[:1])
+        check_launcher(0, "MPICH", RANK_COUNT_VARIABLES[:1])
         import dolfinx_solver  # noqa: F401
-        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which alone() has to find
+        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which run_single_threaded() has to find
     from mpi4py import MPI
     from petsc4py import init, lib
 
 check_launcher(MPI.COMM_WORLD.size, " ".join(map(str, MPI.get_vendor())))
 
 Result = TypeVar("Result")
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
 """Signals that stop: of Ctrl-C; what mpirun sends its ranks a second before it kills them; and what
 it passes on to them, so that they end by themselves."""
 
@@ -50,7 +54,7 @@ def _start_petsc() -> None:
     and petsc4py, like slepc4py below, a petsc.cfg that says from where PETSc is loaded.
     """
     given = os.environ.get("PETSC_OPTIONS", "")
-    with away():
+    with leave_working_folder():
         _, arch = lib.getPathArchPETSc()
         own = os.path.expanduser("~/.petscrc")
         if os.access(own, os.R_OK):
@@ -64,7 +68,7 @@ if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
     _start_petsc()
 
 
-def check_scalars() -> None:
+def check_scalar_type() -> None:
     """Raise InputError unless PETSc computes with real numbers of eight bytes."""
     from petsc4py import PETSc
 
@@ -73,10 +77,10 @@ def check_scalars() -> None:
         raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, allowed)
 
 
-check_scalars()
+check_scalar_type()
 
 
-def unread_options() -> list[str]:
+def list_unread_options() -> list[str]:
     """Return the options ``-crack_...`` of this program's arguments that PETSc has not read."""
     from petsc4py import PETSc
 
@@ -85,15 +89,15 @@ def unread_options() -> list[str]:
     return [n for n in names if query(n[1:].encode(), ctypes.byref(is_used)) or not is_used]
 
 
-def slepc() -> Any:
+def import_slepc() -> Any:
     """The module SLEPc, started (collective)."""
-    with away():
+    with leave_working_folder():
         from slepc4py import SLEPc
     return SLEPc
 
 
 if MPI.COMM_WORLD.size > 1:  # it ends together, too; a rank of a sweep may come to it alone
-    slepc()
+    import_slepc()
 
 
 def check_communicator(comm: object) -> None:
@@ -117,7 +121,7 @@ def wait_until(done: Callable[[], bool]) -> None:
         pause = min(2.0 * pause, LONGEST_SLEEP)
 
 
-def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
+def raise_first_error(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank the error that the lowest failing rank met (collective).
 
     Otherwise one rank would raise while the others wait for ever in a collective call.
@@ -127,7 +131,7 @@ def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
         raise errors[0]
 
 
-def on_each(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+def call_on_each_rank(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
     """Call ``function`` on each rank, which has its own result; input that the lowest failing rank
     refuses is refused on every rank."""
     result, error = None, None
@@ -135,7 +139,7 @@ def on_each(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
         result = function()
     except InputError as met:
         error = met
-    raise_together(comm, error)
+    raise_first_error(comm, error)
     return cast(Result, result)
 
 
@@ -173,7 +177,7 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
     return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
 
 
-def _install(handlers: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
+def _install_handlers(handlers: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
     """Install handlers of signals, as the main thread alone may, and return those before."""
     if threading.current_thread() is not threading.main_thread():
         return {}
@@ -181,13 +185,13 @@ def _install(handlers: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
+def ignore_stop_signals() -> Iterator[None]:
     """Ignore Ctrl-C while what was found is written."""
-    handlers = _install(dict.fromkeys(STOPS, signal.SIG_IGN))
+    handlers = _install_handlers(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
     try:
         yield
     finally:
-        _install(handlers)
+        _install_handlers(handlers)
 
 
 class StopRequest:
@@ -203,11 +207,11 @@ class StopRequest:
         self._handlers: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._handlers = _install(dict.fromkeys(STOPS, self._ask))
+        self._handlers = _install_handlers(dict.fromkeys(STOP_SIGNALS, self._ask))
         return self
 
     def __exit__(self, *exception: object) -> None:
-        _install(self._handlers)
+        _install_handlers(self._handlers)
         outer = getattr(self._handlers.get(signal.SIGINT), "__self__", None)
         if self._asked and isinstance(outer, StopRequest):
             outer._asked = True

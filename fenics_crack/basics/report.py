@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fenics_crack.basics.errors import Exit
-from fenics_crack.basics.tables import Said, Table
+from fenics_crack.basics.tables import Conclusion, Table
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Report:
     """
 
     table: Table
-    said: Said
+    said: Conclusion
     scene: Any = None
     rows: Table | None = None
     shown: Table | None = None

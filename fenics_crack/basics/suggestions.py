@@ -17,13 +17,13 @@ from typing import Any, TypeVar, cast
 
 from fenics_crack.basics.errors import InputError
 
-Called = TypeVar("Called", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., Any])
 
-LIKENESS = 0.7
+MIN_LIKENESS = 0.7
 """Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
-SAME_WORD = 0.85
+SAME_WORD_LIKENESS = 0.85
 """Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
-SEARCH_WORDS = {
+SEARCH_WORDS_BY_CALL = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
     "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
@@ -52,19 +52,28 @@ SEARCH_WORDS = {
 }
 """Calls to write, by the words that other programs and people have for them; what several kinds of
 results have is of a "result"."""
-VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
+OWN_VERB_BY_FOREIGN_VERB = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
 """First words of names, and those of this package for the same."""
 
 
-CLASS_WORDS = {
+DESCRIPTION_BY_CLASS_NAME = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
     "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
     "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
     "float": "a number",
 }  # fmt: skip
 """Words for classes of arguments; those of Python's own are always compared."""
-UNIT_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
-FOREIGN_UNITS = {
+FACTOR_BY_UNIT_PREFIX = {
+    "G": 1e9,
+    "M": 1e6,
+    "k": 1e3,
+    "": 1.0,
+    "c": 1e-2,
+    "m": 1e-3,
+    "u": 1e-6,
+    "n": 1e-9,
+}
+FOREIGN_UNIT_FACTORS = {
     "kg/m^3": {"g/cm^3": 1e3, "kg/dm^3": 1e3, "t/m^3": 1e3, "t/mm^3": 1e12},
     "Pa": {"N/mm^2": 1e6, "N/m^2": 1.0},
     "N/m": {"N/mm": 1e3},
@@ -73,11 +82,13 @@ FOREIGN_UNITS = {
     "": {"%": 1e-2},
 }
 """Units of others by a key's unit, and what they are in that."""
-SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
-NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
+UNIT_SPELLING_TABLE = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
+NUMBER_WITH_UNIT_PATTERN = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
 
 
-def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list[str]:
+def find_similar_names(
+    word: object, known: Iterable[str], likeness: float = MIN_LIKENESS
+) -> list[str]:
     """The known word that a misspelt one may stand for, or two that are as near; or none."""
     import difflib  # takes a while, and mistakes alone need it
 
@@ -87,56 +98,68 @@ def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list
     return [by_lower[name] for name, one in zip(found, ratios, strict=True) if one == ratios[0]]
 
 
-def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:
+def find_similar_or_longer_names(
+    name: str, known: Collection[str], likeness: float = MIN_LIKENESS
+) -> list[str]:
     """The same, or the known names in which a short one begins a word, as "tol" "tolerance"."""
     begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
     longer = [other for other in known if begun.search(other) and len(name) >= 3]
-    return near(name, known, likeness) or sorted(longer, key=len)
+    return find_similar_names(name, known, likeness) or sorted(longer, key=len)
 
 
-def in_other_words(name: str) -> list[str]:
+def find_calls_by_synonyms(name: str) -> list[str]:
     """Return the calls to write for a name in the words of others: those that share the most of its
     words, or none. Those of a result are left out where there are functions."""
     parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     counts = {
-        text: sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
-        for text, words in SEARCH_WORDS.items()
+        text: sum(
+            bool(find_similar_names(part, words.split(), SAME_WORD_LIKENESS)) for part in parts
+        )
+        for text, words in SEARCH_WORDS_BY_CALL.items()
     }
     most = max(counts.values())
     calls = [text for text, count in counts.items() if count == most > 0]
     return [text for text in calls if text.startswith("fc.")] or calls
 
 
-def meant(names: Sequence[str]) -> str:
+def did_you_mean_text(names: Sequence[str]) -> str:
     """A question after what may be meant, with a space behind it; empty if there is nothing."""
     return f"did you mean {' or '.join(names[:3])}? " if names else ""
 
 
-def instead_of(name: str, known: Sequence[str]) -> str:
+def suggest_replacements(name: str, known: Sequence[str]) -> str:
     """A question after what may be meant by a name that the package, with its known names, does not
     have; empty if nothing is similar."""
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
-    others = in_other_words(name)
+    others = find_calls_by_synonyms(name)
     verb, _, rest = name.partition("_")
-    same = near(f"{VERBS[verb]}_{rest}", known) if rest and verb in VERBS else []
+    same = (
+        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{rest}", known)
+        if rest and verb in OWN_VERB_BY_FOREIGN_VERB
+        else []
+    )
     if same:
-        return meant([f"fc.{other}" for other in same])
-    similar = near(name, known, SAME_WORD) if others else near_or_longer(name, known)
+        return did_you_mean_text([f"fc.{other}" for other in same])
+    similar = (
+        find_similar_names(name, known, SAME_WORD_LIKENESS)
+        if others
+        else find_similar_or_longer_names(name, known)
+    )
     similar = [other for other in similar if not any(other in text for text in others)]
-    return meant([*(f"fc.{other}" for other in similar), *others])
+    return did_you_mean_text([*(f"fc.{other}" for other in similar), *others])
 
 
 def check_options(whose: str, options: Mapping[str, object], known: Collection[str]) -> None:
     """Raise InputError for a keyword that is no option of a function."""
     for key, value in options.items():
         if key not in known:
-            question = meant(near_or_longer(key, known))
+            question = did_you_mean_text(find_similar_or_longer_names(key, known))
             allowed = f"left out; {question}the options of {whose} are {', '.join(known)}"
             raise InputError(key, value, allowed)
 
 
-def _kinds_of(value: object) -> set[str]:
+def _class_names_of(value: object) -> set[str]:
     """Return the names of the classes that a value is of."""
     names = {base.__name__.removesuffix("_") for base in type(value).__mro__}  # also NumPy's bool_
     kinds_by_name: dict[str, Any] = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
@@ -144,7 +167,7 @@ def _kinds_of(value: object) -> set[str]:
     return names | {name for name, kind in kinds_by_name.items() if isinstance(value, kind)}
 
 
-def fitting_argument(key: str, value: Any, annotation: str, kinds: Collection[str]) -> Any:
+def fit_argument(key: str, value: Any, annotation: str, kinds: Collection[str]) -> Any:
     """Return an argument that fits an annotation: the value, or the result of a Run.
 
     Raise InputError where all alternatives of the annotation are among some kinds, and the value is
@@ -152,21 +175,26 @@ def fitting_argument(key: str, value: Any, annotation: str, kinds: Collection[st
     names: no module is imported for that.
     """
     class_names = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
-    names = _kinds_of(value)
-    if {"str"} != {*class_names} <= {*kinds, *CLASS_WORDS} and names.isdisjoint(class_names):
-        if "Run" in names and not _kinds_of(value.result).isdisjoint(class_names):
+    names = _class_names_of(value)
+    if {"str"} != {*class_names} <= {*kinds, *DESCRIPTION_BY_CLASS_NAME} and names.isdisjoint(
+        class_names
+    ):
+        if "Run" in names and not _class_names_of(value.result).isdisjoint(class_names):
             return value.result
         is_plain = isinstance(value, str | int | float | None)
-        words = (CLASS_WORDS.get(n) or f"a{'n' * (n[0] in 'AEIO')} {n}" for n in class_names)
+        words = (
+            DESCRIPTION_BY_CLASS_NAME.get(n) or f"a{'n' * (n[0] in 'AEIO')} {n}"
+            for n in class_names
+        )
         raise InputError(key, value if is_plain else type(value).__name__, " or ".join(words))
     return value
 
 
-def checked_call(
-    function: Called,
+def check_calls(
+    function: Function,
     keys: Callable[[str], Sequence[str]] | None = None,
     kinds: Collection[str] = (),
-) -> Called:
+) -> Function:
     """Decorate a function so that it refuses a call that does not fit it, with what may be meant.
 
     That is another argument, a key of the scene that ``keys`` finds for it, or another function. A
@@ -192,13 +220,13 @@ def checked_call(
             if reason == "too many positional arguments":
                 names = []
             elif wrong is None or open_ended:
-                names = [text for text in in_other_words(name) if f"fc.{name}(" not in text]
+                names = [text for text in find_calls_by_synonyms(name) if f"fc.{name}(" not in text]
             else:
                 reason = f"got an unexpected keyword argument {wrong!r}"
-                names = near_or_longer(wrong, known)
+                names = find_similar_or_longer_names(wrong, known)
                 if not names and keys is not None:
                     names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
-            question = f"{meant(names)}its arguments are {', '.join(shown)}"
+            question = f"{did_you_mean_text(names)}its arguments are {', '.join(shown)}"
             raise TypeError(f"{name}() {reason}; {question}") from None
         given = bound.arguments
         if "comm" in given:
@@ -207,18 +235,18 @@ def checked_call(
             check_communicator(given["comm"])
         for name, value in given.items():
             annotation = str(signature.parameters[name].annotation)
-            given[name] = fitting_argument(name, value, annotation, kinds)
+            given[name] = fit_argument(name, value, annotation, kinds)
         return function(*bound.args, **bound.kwargs)
 
-    return cast(Called, call)
+    return cast(Function, call)
 
 
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def converted(text: str, unit: str) -> float | None:
+def convert_number(text: str, unit: str) -> float | None:
     """A number with a decimal comma, or in another unit than a key's, in that of the key."""
-    found = NUMBER.fullmatch(text.strip()[:100].translate(SPELLINGS))
+    found = NUMBER_WITH_UNIT_PATTERN.fullmatch(text.strip()[:100].translate(UNIT_SPELLING_TABLE))
     try:
         value = float(found[1].replace(",", ".")) if found else None
     except ValueError:
@@ -228,27 +256,27 @@ def converted(text: str, unit: str) -> float | None:
     given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
     if given == unit:
         return value
-    factor = FOREIGN_UNITS.get(unit, {}).get(given)
+    factor = FOREIGN_UNIT_FACTORS.get(unit, {}).get(given)
     if factor is None and unit and given.endswith(unit):
-        factor = UNIT_PREFIXES.get(given.removesuffix(unit))
+        factor = FACTOR_BY_UNIT_PREFIX.get(given.removesuffix(unit))
     if factor is None or not math.isfinite(value * factor):
         return None
     return float(f"{value * factor:.12g}")  # no 0.30000000000000004
 
 
-def candidates(value: object, unit: str) -> Iterator[object]:
+def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
     """Yield the values that may be meant by one that is no number, or no list of numbers."""
     if isinstance(value, str):
-        number = converted(value, unit)
+        number = convert_number(value, unit)
         yield number
         if number is not None and number.is_integer():
             yield int(number)
         value = value.strip("[] ").split(",")
     if isinstance(value, list | tuple):
-        yield [converted(one, unit) if isinstance(one, str) else one for one in value]
+        yield [convert_number(one, unit) if isinstance(one, str) else one for one in value]
 
 
-def written(value: object) -> str:
+def format_scene_value(value: object) -> str:
     """A value as a scene has it, numbers in short: "2.1e+11"."""
     short = f"{value:g}" if isinstance(value, float) else ""
     return short if short and float(short) == value else repr(value)

@@ -19,19 +19,19 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.atomic_files import write_file_whole
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 
-SHOWN_ROWS = 40
+MAX_PRINTED_ROWS = 40
 """Rows of a table shown as text and as HTML; files have all of them."""
-FEW_ROWS = 8
+N_SELECTED_ROWS = 8
 """Rows of a long result that are chosen to be printed: the largest, or spread evenly."""
-TURN = 2.0 * math.pi
+RAD_PER_TURN = 2.0 * math.pi
 """Factor from Hz to rad/s."""
-RPM = TURN / 60.0
+RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-_UNITS = {
+_NAMES_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
     "frequency_error",
@@ -41,8 +41,8 @@ _UNITS = {
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
 }
-UNITS = {name: one.unit for name, one in QUANTITIES.items()}
-UNITS |= {name: unit for unit, names in _UNITS.items() for name in names.split()}
+UNIT_BY_NAME = {name: one.unit for name, one in OBSERVABLES_BY_NAME.items()}
+UNIT_BY_NAME |= {name: unit for unit, names in _NAMES_BY_UNIT.items() for name in names.split()}
 """Units of the entries of ``to_dict``; all others have none."""
 
 
@@ -64,7 +64,7 @@ class Table:
     @classmethod
     def of(cls, values: Mapping[str, Any], units: Mapping[str, str]) -> Table:
         """A table of lists, one for each column, or of single values, one for each row."""
-        names = [with_unit(name, units.get(name, "")) for name in values]
+        names = [heading_with_unit(name, units.get(name, "")) for name in values]
         if any(isinstance(value, list) for value in values.values()):
             return cls(names, [list(row) for row in zip(*values.values(), strict=True)])
         return cls(("quantity", "value"), list(zip(names, values.values(), strict=True)))
@@ -76,9 +76,11 @@ class Table:
     def html(self, caption: str) -> str:
         """The table for a notebook (the first rows of a long one)."""
         rows = [("th", self.columns)]
-        rows += [("td", [_words(value) for value in row]) for row in self.rows[:SHOWN_ROWS]]
-        if len(self.rows) > SHOWN_ROWS:
-            caption += f"; the first {SHOWN_ROWS} of {len(self.rows)} rows"
+        rows += [
+            ("td", [_value_text(value) for value in row]) for row in self.rows[:MAX_PRINTED_ROWS]
+        ]
+        if len(self.rows) > MAX_PRINTED_ROWS:
+            caption += f"; the first {MAX_PRINTED_ROWS} of {len(self.rows)} rows"
         lines = ("".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) for tag, cells in rows)
         body = "".join(f"<tr>{line}</tr>" for line in lines)
         return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
@@ -91,14 +93,14 @@ class Table:
         InputError
             The file cannot be written.
         """
-        write_whole(path, self._json() if Path(path).suffix == ".json" else self._csv())
+        write_file_whole(path, self._json() if Path(path).suffix == ".json" else self._csv())
 
     def _text(self) -> str:
-        shown = self.rows[:SHOWN_ROWS]
+        shown = self.rows[:MAX_PRINTED_ROWS]
         columns = []
         for place, name in enumerate(self.columns):
             values = [row[place] for row in shown]
-            words = [name, *map(_words, values)]
+            words = [name, *map(_value_text, values)]
             width = max(map(len, words))
             words.insert(1, width * "-")
             numbers = all(isinstance(value, float | int | np.number) for value in values)
@@ -112,16 +114,16 @@ class Table:
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(self.columns)
-        writer.writerows(map(_plain, row) for row in self.rows)
+        writer.writerows(map(_python_value, row) for row in self.rows)
         return file.getvalue()
 
     def _json(self) -> str:
-        records = [dict(zip(self.columns, map(_known, row), strict=True)) for row in self.rows]
+        records = [dict(zip(self.columns, map(_json_value, row), strict=True)) for row in self.rows]
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
 @dataclass(frozen=True)
-class Said:
+class Conclusion:
     """Parts of the last sentence on a result, wherever it is said.
 
     Attributes
@@ -145,7 +147,7 @@ class Said:
     def closing(self, warnings: int = 0, remarks: int = 0) -> str:
         """The sentence, after so many warnings and remarks."""
         counts = {"warning": warnings, "remark": remarks}
-        before = " and ".join(counted(count, name) for name, count in counts.items() if count)
+        before = " and ".join(format_count(count, name) for name, count in counts.items() if count)
         doubt = f"the error is unknown: {self.unknown}" if self.unknown else ""
         return "; ".join(filter(None, (self.outcome, self.known, doubt, *self.others, before)))
 
@@ -167,13 +169,13 @@ class Described:
 
     def _units(self) -> Mapping[str, str]:
         """Units of the entries of :meth:`to_dict`."""
-        return UNITS
+        return UNIT_BY_NAME
 
     def _title(self) -> str:
         """The text between the brackets of the one line."""
-        return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
+        return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
-    def said(self) -> Said | None:
+    def said(self) -> Conclusion | None:
         """What the last sentence on it says; None where the one line says it all."""
         return None
 
@@ -209,10 +211,10 @@ class Tabular(Described):
         ImportError
             pandas is not installed: the package does without it.
         """
-        return optional("pandas", "to_dataframe").DataFrame(self.to_dict())
+        return import_optional("pandas", "to_dataframe").DataFrame(self.to_dict())
 
 
-def optional(library: str, method: str) -> Any:
+def import_optional(library: str, method: str) -> Any:
     """A library that one method needs; the ImportError without it says how to go on."""
     try:
         return import_module(library)
@@ -223,27 +225,31 @@ def optional(library: str, method: str) -> Any:
 
 # --- numbers for people ---------------------------------------------------------------------------
 
-LEAST_ERROR = 1e-5
+MIN_REPORTED_ERROR = 1e-5
 """Relative error below which none is reported: tables have six digits."""
-NO_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
+UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
 """Units shown without a prefix."""
-_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+_PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def readable(largest: float, unit: str) -> tuple[float, str]:
+def choose_unit_prefix(largest: float, unit: str) -> tuple[float, str]:
     """Factor and prefixed unit for numbers up to a largest one: (1e6, "µm")."""
     exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if 0.0 < largest < math.inf else 0
-    prefix = _PREFIXES.get(exponent)
+    prefix = _PREFIX_BY_EXPONENT.get(exponent)
     return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
 
 
-def quantity(value: float, unit: str) -> str:
+def format_quantity(value: float, unit: str) -> str:
     """A number with its unit: "1.452 µm"; "0.9" of one without."""
-    factor, unit = (1.0, unit.strip("1-")) if unit in NO_PREFIX else readable(abs(value), unit)
+    factor, unit = (
+        (1.0, unit.strip("1-"))
+        if unit in UNITS_WITHOUT_PREFIX
+        else choose_unit_prefix(abs(value), unit)
+    )
     return f"{factor * value:.4g} {unit}".rstrip()
 
 
-def with_unit(name: str, unit: str) -> str:
+def heading_with_unit(name: str, unit: str) -> str:
     """A heading: "omega [rad/s]"; "rotation.rpm" says its unit itself."""
     return name if unit in ("", "1", name.rpartition(".")[2]) else f"{name} [{unit}]"
 
@@ -255,25 +261,27 @@ def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
 
 def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
     """The same of a rotor's speeds."""
-    return (1.0 / RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+    return (
+        (1.0 / RAD_PER_S_PER_RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+    )
 
 
-def speed_in_words(speed: float, in_rpm: bool) -> str:
+def format_speed(speed: float, in_rpm: bool) -> str:
     """A rotor's speed [rad/s] with its unit: "3000 rpm"."""
-    return in_unit(speed_axis(in_rpm), speed)
+    return format_in_unit(speed_axis(in_rpm), speed)
 
 
-def in_unit(axis: tuple[float, str, str], *values: float) -> str:
+def format_in_unit(axis: tuple[float, str, str], *values: float) -> str:
     """Values in the unit of an axis: "50.1 Hz", "50.1 and 50.3 Hz"; "0.9" of one without."""
     factor, _, unit = axis
     numbers = " and ".join(f"{factor * value:.6g}" for value in values)
     return f"{numbers} {unit}".removesuffix(" -")
 
 
-def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
+def add_frequency_entries(values: dict[str, Any]) -> dict[str, Any]:
     """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it,
     and with the "rpm" of their "speed" [rad/s]."""
-    twins = {"omega": ("frequency", TURN), "speed": ("rpm", RPM)}
+    twins = {"omega": ("frequency", RAD_PER_TURN), "speed": ("rpm", RAD_PER_S_PER_RPM)}
     found: dict[str, Any] = {}
     for name, value in values.items():
         found[name] = value
@@ -283,54 +291,58 @@ def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def hertz_of(omega: str = "omega") -> Any:
+def hertz_property(omega: str = "omega") -> Any:
     """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
 
     def frequency(self: Any) -> Any:
-        return getattr(self, omega) / TURN
+        return getattr(self, omega) / RAD_PER_TURN
 
     return property(frequency, doc=f"``{omega}`` in Hz.")
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
     return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
 
 
-def error_in_words(error: float) -> str:
+def format_error(error: float) -> str:
     """A relative error in per cent: "2.4 %", "less than 0.001 %"."""
-    return f"less than {percent(LEAST_ERROR)}" if 0.0 < error < LEAST_ERROR else percent(error)
+    return (
+        f"less than {format_percent(MIN_REPORTED_ERROR)}"
+        if 0.0 < error < MIN_REPORTED_ERROR
+        else format_percent(error)
+    )
 
 
-def without_causes(causes: Iterable[str]) -> str:
+def describe_omitted_causes(causes: Iterable[str]) -> str:
     """Name the causes that an error leaves out: "error due to the mesh not included"."""
     names = " and the ".join(causes)
     return f"error due to the {names} not included" if names else ""
 
 
-def counted(count: int, thing: str) -> str:
+def format_count(count: int, thing: str) -> str:
     """A number of things: "1 pair", "2 pairs"."""
     return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
-def ranging(values: np.ndarray, digits: str = ".0f") -> str:
+def format_range(values: np.ndarray, digits: str = ".0f") -> str:
     """From the least of some numbers, by default counts, to the most: "9", "5 to 40"."""
     return " to ".join(dict.fromkeys(format(f(values), digits) for f in (np.min, np.max)))
 
 
-def _plain(value: Any) -> Any:
+def _python_value(value: Any) -> Any:
     """A value as one of Python's own types."""
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _known(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     """A value for JSON: None where a number is nan or infinite."""
-    value = _plain(value)
+    value = _python_value(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _words(value: Any) -> str:
-    value = _plain(value)
+def _value_text(value: Any) -> str:
+    value = _python_value(value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

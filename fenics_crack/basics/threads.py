@@ -25,13 +25,13 @@ from typing import Any, NamedTuple
 
 from fenics_crack.basics.errors import InputError
 
-SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
+THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables that set the number of OpenBLAS's threads."""
-LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun gives a process its rank, before MPI is started."""
-DEBIAN_BUILT_AGAINST = ("numpy", "mpi4py")
+DEBIAN_MODULES = ("numpy", "mpi4py")
 """Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
-ONE_PROCESS_SETTINGS = {
+ONE_PROCESS_VARIABLES = {
     "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
 }  # fmt: skip
 """Settings of Open MPI for one process: it looks for no network, opens no port, and starts no
@@ -40,7 +40,7 @@ _lock = threading.RLock()
 
 
 @cache
-def check_modules() -> None:
+def check_debian_modules() -> None:
     """Check, before they are imported, that Debian's NumPy and mpi4py are found and no others.
 
     The versions are those that ``install.sh`` has pinned in this virtual environment; one that it
@@ -53,7 +53,7 @@ def check_modules() -> None:
     """
     pins = Path(sys.prefix, "debian-pins.txt")
     wanted = dict(re.findall("(.+)==(.+)", pins.read_text())) if pins.exists() else {}
-    for name in wanted.keys() & DEBIAN_BUILT_AGAINST:
+    for name in wanted.keys() & DEBIAN_MODULES:
         place = getattr(find_spec(name), "origin", None)
         if place is None or place.startswith("/usr/lib/python3/"):
             continue
@@ -65,13 +65,13 @@ def check_modules() -> None:
             raise InputError(name, version(name), allowed)
 
 
-def launched() -> bool:
+def is_started_by_mpirun() -> bool:
     """Return True if mpirun has started this process."""
-    return any(name in os.environ for name in LAUNCHERS)
+    return any(name in os.environ for name in RANK_VARIABLES)
 
 
 @contextmanager
-def alone() -> Iterator[None]:
+def run_single_threaded() -> Iterator[None]:
     """Keep other threads of Python out, and OpenBLAS and OpenMP to one; their numbers are restored.
 
     A number that the user has chosen stays: by one of :data:`SETTINGS`, or in the process (by
@@ -79,12 +79,16 @@ def alone() -> Iterator[None]:
     them alone.
     """
     with _lock:
-        pools = [] if any(map(os.environ.get, SETTINGS)) else _pools(len(sys.modules))
+        pools = (
+            []
+            if any(map(os.environ.get, THREAD_COUNT_VARIABLES))
+            else _load_openblas_libraries(len(sys.modules))
+        )
         limited = [(pool, begin) for pool, begin in pools if pool("get_num_threads") == begin > 1]
         for pool, _ in limited:
             pool("set_num_threads", 1)
-        chosen = os.environ.get(SETTINGS[0], "1") != "1"
-        openmp = [] if chosen else _openmp(len(sys.modules))
+        chosen = os.environ.get(THREAD_COUNT_VARIABLES[0], "1") != "1"
+        openmp = [] if chosen else _load_openmp_libraries(len(sys.modules))
         levels = [library.omp_get_max_active_levels() for library in openmp]
         for library in openmp:
             library.omp_set_max_active_levels(0)
@@ -97,7 +101,7 @@ def alone() -> Iterator[None]:
                 pool("set_num_threads", begin)
 
 
-class _Pool(NamedTuple):
+class _OpenBlas(NamedTuple):
     """A loaded OpenBLAS; the names of its functions differ between Debian's and those of wheels."""
 
     library: ctypes.CDLL
@@ -116,23 +120,23 @@ class _Pool(NamedTuple):
 
 
 @lru_cache(maxsize=1)
-def _pools(modules: int) -> list[tuple[_Pool, int]]:
+def _load_openblas_libraries(modules: int) -> list[tuple[_OpenBlas, int]]:
     """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
     found, forms = [], [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
-    for library in map(ctypes.CDLL, loaded_libraries(r"[^/\s]*openblas")):
+    for library in map(ctypes.CDLL, list_loaded_libraries(r"[^/\s]*openblas")):
         known = [form for form in forms if hasattr(library, "set_num_threads".join(form))]
-        found += [_Pool(library, form) for form in known[:1]]
+        found += [_OpenBlas(library, form) for form in known[:1]]
     return [(pool, pool.begins_with()) for pool in found]
 
 
 @lru_cache(maxsize=1)
-def _openmp(modules: int) -> list[ctypes.CDLL]:
+def _load_openmp_libraries(modules: int) -> list[ctypes.CDLL]:
     """Each OpenMP of this process, GCC's, LLVM's and Intel's; found anew after imports."""
-    found = map(ctypes.CDLL, loaded_libraries(r"lib(?:g|i)?omp"))
+    found = map(ctypes.CDLL, list_loaded_libraries(r"lib(?:g|i)?omp"))
     return [library for library in found if hasattr(library, "omp_set_max_active_levels")]
 
 
-def loaded_libraries(name: str) -> list[str]:
+def list_loaded_libraries(name: str) -> list[str]:
     """Paths of the libraries of this process whose names begin as a pattern says."""
     try:
         files = Path("/proc/self/maps").read_text()
@@ -146,27 +150,27 @@ def machine_memory() -> float:
     return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 
 
-def memory_of_process(name: str) -> float:
+def process_memory(name: str) -> float:
     """Memory of this process by its name in Linux's ``/proc/self/status``, as "VmSize" [byte]."""
     status = Path("/proc/self/status").read_text()
     return 1024.0 * int(status.partition(f"{name}:")[2].split()[0])
 
 
-def address_limit() -> float:
+def address_space_limit() -> float:
     """Memory that this process may ask for, by ``ulimit -v`` [byte]; inf without one."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     return float("inf") if limit == resource.RLIM_INFINITY else float(limit)
 
 
-def addresses_left() -> float:
+def remaining_address_space() -> float:
     """Memory that this process may still ask for [byte]."""
-    return address_limit() - memory_of_process("VmSize")
+    return address_space_limit() - process_memory("VmSize")
 
 
 @contextmanager
-def one_process_settings() -> Iterator[None]:
+def set_one_process_variables() -> Iterator[None]:
     """Set :data:`ONE_PROCESS_SETTINGS` while MPI starts, unless mpirun has started this process."""
-    settings = {} if launched() else ONE_PROCESS_SETTINGS
+    settings = {} if is_started_by_mpirun() else ONE_PROCESS_VARIABLES
     new_settings = {name: value for name, value in settings.items() if name not in os.environ}
     os.environ |= new_settings
     try:

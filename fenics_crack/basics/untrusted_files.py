@@ -37,29 +37,35 @@ from typing import Any, TextIO
 
 import numpy as np
 
-MOST_BYTES = 2**31
+MAX_FILE_BYTES = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
-FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
+HIDDEN_VARIABLE_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 """Variables that are hidden from a reader: it is no rank, and loads no plug-ins."""
-SURROUNDINGS = {
+READER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
 READER_PROGRAM = Path(__file__).with_name("untrusted_reader.py")
-BYTE_ORDER_MARKS = {
+ENCODING_BY_BYTE_ORDER_MARK = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
 """Byte order marks, the longer ones first."""
-COMMA, POINT = (re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\."))
+COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
+    re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\.")
+)
 """Numbers with a decimal comma, and with a decimal point."""
-READ_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
-IN_SI = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
-IN_SI |= {name + unit: (unit, part) for name, part in READ_PREFIXES.items() for unit in ("m", "Hz")}
+FACTOR_BY_HEADING_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+SI_UNIT_AND_FACTOR = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
+SI_UNIT_AND_FACTOR |= {
+    name + unit: (unit, part)
+    for name, part in FACTOR_BY_HEADING_PREFIX.items()
+    for unit in ("m", "Hz")
+}
 """Units of headings that are converted: to which, and the factor."""
 
 
 @contextmanager
-def away() -> Iterator[None]:
+def leave_working_folder() -> Iterator[None]:
     """Leave the working folder for that of Python's own modules while a library looks for settings.
 
     A stranger's folder may hold some that load code, run programs or change numbers. One that this
@@ -75,7 +81,9 @@ def away() -> Iterator[None]:
         os.close(here)
 
 
-def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = True) -> int:
+def regular_file_size(
+    path: str | Path, most: int | None = MAX_FILE_BYTES, *, links: bool = True
+) -> int:
     """Size of a regular file: neither a device nor a pipe, which need not end; without ``links``
     no link to one either.
 
@@ -95,37 +103,37 @@ def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = T
     return found.st_size
 
 
-def content_of(path: str | Path, most: int | None = 2**26, *, links: bool = True) -> bytes:
+def read_regular_file(path: str | Path, most: int | None = 2**26, *, links: bool = True) -> bytes:
     """Content of a file that is read whole, as a scene or a table, whose million rows have 40 MiB;
     OSError as of :func:`bytes_of`."""
-    bytes_of(path, most, links=links)
+    regular_file_size(path, most, links=links)
     return Path(path).read_bytes()
 
 
-def beginning_of(path: str | Path, count: int) -> bytes:
+def read_first_bytes(path: str | Path, count: int) -> bytes:
     """First bytes of a regular file of any size; OSError as of :func:`bytes_of`."""
-    bytes_of(path, None)
+    regular_file_size(path, None)
     with open(path, "rb") as file:
         return file.read(count)
 
 
 @contextmanager
-def copied(path: str | Path, name: str) -> Iterator[Path]:
+def copy_to_temporary_folder(path: str | Path, name: str) -> Iterator[Path]:
     """A copy of a file under another name, alone in a folder; OSError as of :func:`bytes_of`."""
-    bytes_of(path)
+    regular_file_size(path)
     with tempfile.TemporaryDirectory() as folder:
         yield Path(shutil.copyfile(path, Path(folder) / name))
 
 
-def allowance(size: int) -> int:
+def max_unpacked_bytes(size: int) -> int:
     """Bytes that the content of a compressed file of ``size`` bytes may take: 50 times as many, of
     ours it takes 1 to 10 times; of any file 16 MiB, of which text takes seconds."""
-    return min(max(2**24, 50 * size), MOST_BYTES)
+    return min(max(2**24, 50 * size), MAX_FILE_BYTES)
 
 
-def sha256(path: str | Path) -> str:
+def file_sha256(path: str | Path) -> str:
     """SHA-256 of a regular file; OSError as :func:`bytes_of`."""
-    left, total = bytes_of(path), hashlib.sha256()
+    left, total = regular_file_size(path), hashlib.sha256()
     with open(path, "rb") as file:
         while left > 0 and (block := file.read(min(left, 2**20))):
             total.update(block)
@@ -133,7 +141,7 @@ def sha256(path: str | Path) -> str:
     return total.hexdigest()
 
 
-def text_of(path: str | Path) -> str:
+def read_utf8_text(path: str | Path) -> str:
     """Text of a file in UTF-8, with or without a byte order mark.
 
     Raises
@@ -141,8 +149,8 @@ def text_of(path: str | Path) -> str:
     OSError, ValueError
         As of :func:`content_of`; or its text is in another encoding.
     """
-    content = content_of(path)
-    for mark, name in BYTE_ORDER_MARKS.items():
+    content = read_regular_file(path)
+    for mark, name in ENCODING_BY_BYTE_ORDER_MARK.items():
         if content.startswith(mark):
             raise ValueError(
                 f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
@@ -150,7 +158,7 @@ def text_of(path: str | Path) -> str:
     return content.decode("utf-8-sig")
 
 
-def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
+def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     """Lines of a CSV file as their numbers and cells, with decimal points, without empty ones and
     those that begin with #.
 
@@ -162,7 +170,7 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     OSError, ValueError
         As :func:`text_of`; or a separator or a decimal mark is ambiguous.
     """
-    every = enumerate(text_of(path).splitlines(), 1)
+    every = enumerate(read_utf8_text(path).splitlines(), 1)
     lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
     heading = re.sub('"[^"]*"', "", lines[0][1]) if lines else ""
     mark = next((mark for mark in ",;\t" if mark in heading), ",")
@@ -175,33 +183,35 @@ def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         raise ValueError(f"line {more[0]} has more cells than headings; use decimal points")
     if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
         rows = [(number, cells[1:]) for number, cells in rows]
-    point = _decimal_points([cell for _, cells in rows[1:] for cell in cells])
+    point = _replace_decimal_commas([cell for _, cells in rows[1:] for cell in cells])
     return [(number, [point.get(cell, cell) for cell in cells]) for number, cells in rows]
 
 
-def _decimal_points(cells: Sequence[str]) -> dict[str, str]:
+def _replace_decimal_commas(cells: Sequence[str]) -> dict[str, str]:
     """Return numbers with decimal commas by cells that have them; ValueError where a comma may be
     another mark."""
     number = re.compile(r"[+-]?[\d.,]*\d[\d.,eE+-]*")
     commas = [cell for cell in cells if "," in cell and number.fullmatch(cell)]
-    odd = [cell for cell in commas if not COMMA.fullmatch(cell)]
-    odd += [cell for cell in cells if commas and POINT.fullmatch(cell)]
+    odd = [cell for cell in commas if not COMMA_NUMBER_PATTERN.fullmatch(cell)]
+    odd += [cell for cell in cells if commas and POINT_NUMBER_PATTERN.fullmatch(cell)]
     if odd or (commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas)):
         pair = " and ".join(sorted({commas[0], *odd[:1]}))
         raise ValueError(f"the decimal mark is ambiguous: {pair}; use points alone")
     return {cell: cell.replace(",", ".") for cell in commas}
 
 
-def heading_in_si(heading: str) -> tuple[str, float]:
+def convert_heading_to_si(heading: str) -> tuple[str, float]:
     """Return a heading with the unit in brackets at its end to which it is converted, and the
     factor of the numbers below; other units stay."""
     parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
-    unit, factor = IN_SI.get(parts[2], ("", 1.0)) if parts else ("", 1.0)
+    unit, factor = SI_UNIT_AND_FACTOR.get(parts[2], ("", 1.0)) if parts else ("", 1.0)
     return f"{parts[1]} [{unit}]" if parts and unit else heading, factor
 
 
 @contextmanager
-def opened_text(path: str | Path, errors: str = "strict") -> Iterator[tuple[Iterable[str], int]]:
+def open_text_lines(
+    path: str | Path, errors: str = "strict"
+) -> Iterator[tuple[Iterable[str], int]]:
     """The lines of a large file of text, as of a matrix, which may be packed (.gz, .bz2), and how
     many bytes they have at most.
 
@@ -210,14 +220,14 @@ def opened_text(path: str | Path, errors: str = "strict") -> Iterator[tuple[Iter
     OSError, ValueError
         As of :func:`bytes_of`; or, while lines are taken, unpacked it is too large for its size.
     """
-    size = bytes_of(path)
+    size = regular_file_size(path)
     unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
-    most = size if unpack is None else allowance(size)
+    most = size if unpack is None else max_unpacked_bytes(size)
     with (unpack or open)(path, "rt", encoding="utf-8", errors=errors) as file:
-        yield file if unpack is None else _lines_of(file, most), most
+        yield file if unpack is None else _yield_limited_lines(file, most), most
 
 
-def rows_in(
+def parse_number_rows(
     lines: Iterable[str], comment: str = "#", delimiter: str | None = None, most: int | None = None
 ) -> np.ndarray:
     """The numbers in some lines, or in ``most`` of them: (n, columns); ValueError."""
@@ -228,7 +238,7 @@ def rows_in(
         )
 
 
-def _lines_of(file: TextIO, most: int) -> Iterator[str]:
+def _yield_limited_lines(file: TextIO, most: int) -> Iterator[str]:
     """Lines of a file that is unpacked while it is read; ValueError where there are too many."""
     while line := file.readline(most + 1):
         most -= len(line)
@@ -251,11 +261,11 @@ def run_reader(
     dict or str
         The arrays; or why there are none, their array ``error``.
     """
-    most = allowance(bytes_of(path, None))
+    most = max_unpacked_bytes(regular_file_size(path, None))
     asked = {"folder": os.getcwd(), "path": str(path), "seconds": seconds, "wait": 4 * seconds}
     asked |= {"most": most, "memory": memory + 4 * most, "request": request}
     with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
-        ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
+        ended = _send_request(reader, json.dumps(asked).encode(), handed.fileno())
         if ended in (-signal.SIGXCPU, -signal.SIGALRM):
             return f"it is not read in {seconds} s"
         if ended:
@@ -269,11 +279,11 @@ def run_reader(
     return str(found["error"]) if "error" in found else found
 
 
-def _asked(reader: Path, words: bytes, handed: int) -> int:
+def _send_request(reader: Path, words: bytes, handed: int) -> int:
     """Return the exit status of a copy of a reader; the reader waits for the next file."""
     rights = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [handed])
     for _ in range(2):  # the one that waits may have been killed meanwhile
-        line, answer = _started(reader, os.getpid(), get_ident())[1], b""
+        line, answer = _start_reader(reader, os.getpid(), get_ident())[1], b""
         try:
             # PETSc ends the program at a signal of a line that is broken.
             line.sendmsg([words], [rights], socket.MSG_NOSIGNAL)
@@ -282,24 +292,28 @@ def _asked(reader: Path, words: bytes, handed: int) -> int:
             continue
         finally:
             if not answer:  # of one that is interrupted no answer is taken for the next file's
-                _started.cache_clear()
+                _start_reader.cache_clear()
         if answer:
             return int(answer)
     return 1
 
 
 @lru_cache
-def _started(
+def _start_reader(
     reader: Path, process: int, thread: int
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
     """A reader, one for each process and thread that asks, and the line to it; it ends when this is
     closed."""
-    inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
+    inner = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(HIDDEN_VARIABLE_PREFIXES)
+    }
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with theirs:
         started = subprocess.Popen(
             [sys.executable, "-I", str(READER_PROGRAM), str(reader), str(theirs.fileno())],
-            env=inner | SURROUNDINGS, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
+            env=inner | READER_ENVIRONMENT, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     return started, ours

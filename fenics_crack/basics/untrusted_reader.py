@@ -20,7 +20,7 @@ import sys
 import numpy as np
 
 
-def serve(reader: str, line: socket.socket) -> None:
+def serve_requests(reader: str, line: socket.socket) -> None:
     """Have files read until nobody asks any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
     end_with_parent()
@@ -36,7 +36,7 @@ def serve(reader: str, line: socket.socket) -> None:
             try:
                 end_with_parent()
                 line.close()  # no file answers for the next one
-                attempt(reader, handed[0], json.loads(words))
+                read_requested_file(reader, handed[0], json.loads(words))
                 end = 0
             finally:
                 os._exit(end)
@@ -50,7 +50,7 @@ def end_with_parent() -> None:
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
-def limit(kind: int, soft_limit: int, margin: int = 0) -> None:
+def set_resource_limit(kind: int, soft_limit: int, margin: int = 0) -> None:
     """Set a soft limit of this process, and the hard one at which it is killed, up to its own."""
     hard_limit = resource.getrlimit(kind)[1]
     if not 0 <= hard_limit <= soft_limit + margin:  # infinity may be negative
@@ -58,13 +58,13 @@ def limit(kind: int, soft_limit: int, margin: int = 0) -> None:
     resource.setrlimit(kind, (min(soft_limit, max(hard_limit - margin, 1)), hard_limit))
 
 
-def attempt(reader: str, handed: int, asked: dict) -> None:
+def read_requested_file(reader: str, handed: int, asked: dict) -> None:
     """Read a file, and hand over what it holds."""
     os.chdir(asked["folder"])
     signal.alarm(asked["wait"])
-    limit(resource.RLIMIT_AS, asked["memory"])
-    limit(resource.RLIMIT_FSIZE, sys.maxsize)  # what is handed over lies in memory
-    limit(resource.RLIMIT_CPU, asked["seconds"], 1)
+    set_resource_limit(resource.RLIMIT_AS, asked["memory"])
+    set_resource_limit(resource.RLIMIT_FSIZE, sys.maxsize)  # what is handed over lies in memory
+    set_resource_limit(resource.RLIMIT_CPU, asked["seconds"], 1)
     read = runpy.run_path(reader)["read"]
     try:
         found = read(asked["path"], asked["most"], **asked["request"])
@@ -75,5 +75,5 @@ def attempt(reader: str, handed: int, asked: dict) -> None:
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], socket.socket(fileno=int(sys.argv[2])))
+    serve_requests(sys.argv[1], socket.socket(fileno=int(sys.argv[2])))
     os._exit(0)  # what is loaded needs no taking apart

@@ -9,10 +9,10 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import MOST_HARMONICS
-from fenics_crack.basics.observables import QUANTITIES, Where, names_of
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, ObservableFlag, observable_names
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Table, percent, quantity
+from fenics_crack.basics.tables import Table, format_percent, format_quantity
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_range
 from fenics_crack.runs.run import Run
@@ -76,7 +76,7 @@ def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
     if not rotations[place] > SMALL_MOTION:
         return []
     return [
-        f"{quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "
+        f"{format_quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "
         f"displacements: the equations neglect the square of the rotation about the clamp, of "
         f"{rotations[place]:.2g} rad; the stated errors do not include it"
     ]
@@ -101,7 +101,7 @@ def of_error(
         can_choose = table.samples is None and table.form != "block"
         key_words = f": {DECIDES} chooses them" if can_choose else " (harmonic_balance.harmonics)"
         finer = f"more harmonics{key_words}"
-    elif harmonics < MOST_HARMONICS:
+    elif harmonics < MAX_HARMONIC_ORDER:
         finer = "a smaller harmonic_balance.tolerance"
     rigid = scene.contact is not None and scene.contact.law == "unilateral"
     softer = "softer contact, or contact.law = 'unilateral'"
@@ -112,7 +112,7 @@ def of_error(
         "sampling": ("AFT sampling", "more samples (harmonic_balance.samples)"),
         "residual": ("the residual", f"{softer}: it is rounding"),
     }[report.largest_part]
-    said = f"the estimated relative error of the gap is {percent(report.total)}{where}"
+    said = f"the estimated relative error of the gap is {format_percent(report.total)}{where}"
     said += f", mostly due to {part}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
     if report.unknown:
         said = f"the error is unknown{where}, its estimate for {part} did not converge"
@@ -180,21 +180,25 @@ def of_more_modes(scene: Scene, found: PeriodicSolution, verdict: str) -> Iterat
 # --- what is printed of tables --------------------------------------------------------------------
 
 
-def in_short(table: Table, scene: Scene, where: Where) -> Table:
+def in_short(table: Table, scene: Scene, where: ObservableFlag) -> Table:
     """Return the printed part of a table: the quantities that the scene chooses, or those shown at
     a place, one of the frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
 
     A table with a column "name" has a quantity in each row, another one in each column. What is not
     a quantity is printed too, where quantities are columns or the scene does not choose.
     """
-    chosen, table, default = scene.quantities, _rounded(table), names_of(where=where)
+    chosen, table, default = (
+        scene.quantities,
+        _rounded(table),
+        observable_names(required_flags=where),
+    )
 
     def wanted(name: str, unit: str) -> bool:
         name = name.rpartition(".")[2]
         if _is_twin(name, unit, scene):
             return False
         name = name.replace("frequency_", "omega_")
-        return name in (chosen or default) if name in QUANTITIES else True
+        return name in (chosen or default) if name in OBSERVABLES_BY_NAME else True
 
     if table.columns[0] == "name":
         shown = (ALWAYS, BY_DEFAULT) if chosen is None else (ALWAYS,)
@@ -261,8 +265,8 @@ def readable_rows(table: Table) -> Table:
 def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
     known = isinstance(value, float) and np.isfinite(value)
     if known and unit in UNITS_WITH_ROUNDING:
-        return name, quantity(value, unit)
+        return name, format_quantity(value, unit)
     if known and name.startswith("relative "):
-        return name, percent(value)
+        return name, format_percent(value)
     words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
     return name, words if unit in ("-", "1", "") else f"{words} {unit}"

@@ -19,10 +19,14 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.basics import threads
-from fenics_crack.basics.atomic_files import FULL
+from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.basics.progress import Messages
-from fenics_crack.basics.suggestions import in_other_words, meant, near
+from fenics_crack.basics.suggestions import (
+    did_you_mean_text,
+    find_calls_by_synonyms,
+    find_similar_names,
+)
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
@@ -80,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
-    if any(os.environ.get(name, "0") != "0" for name in threads.LAUNCHERS):
+    if any(os.environ.get(name, "0") != "0" for name in threads.RANK_VARIABLES):
         _be_silent()
     if sys.stdout is None:
         _say("standard output is closed")
@@ -122,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _end_others(code: Exit) -> None:
     """End the other ranks, which may wait for this one, and this one, with an exit code."""
-    if threads.launched():
+    if threads.is_started_by_mpirun():
         from mpi4py import MPI
 
         if MPI.COMM_WORLD.size > 1:
@@ -136,7 +140,7 @@ def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
         given = parser().parse_args(_without_petsc() if arguments is None else arguments)
     except SystemExit:
         sys.stdout.flush()
-        if threads.launched():
+        if threads.is_started_by_mpirun():
             from mpi4py import MPI
 
             MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
@@ -197,10 +201,10 @@ def _shortage(error: Exception) -> str:
     """Describe the resource that ran out if an error is due to that, else return ""."""
     said = any(words in str(error) for words in OUT_OF_MEMORY)
     # Few libraries name their need.
-    near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
+    near_limit = threads.process_memory("VmPeak") > 0.9 * threads.address_space_limit()
     if isinstance(error, MemoryError) or said or near_limit:
         return "memory was not enough"
-    if isinstance(error, OSError) and error.errno in FULL:
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
         return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
     return ""
 
@@ -213,10 +217,10 @@ def _run(given: argparse.Namespace) -> Exit:
     """
     if given.command == "doctor":  # which asks what is there
         return _command(given, None, None) or Exit.DONE
-    threads.check_modules()
+    threads.check_debian_modules()
     from fenics_crack.cli.given import STRUCTURE_FILE, Console, read_inputs, read_prepared
 
-    launched = threads.launched()
+    launched = threads.is_started_by_mpirun()
     prepared = "scene" in given and given.scene.suffix.lower() == ".h5"
     inputs = None if launched or prepared else read_inputs(given)
     of_scene = launched or not ("scene" in given and inputs is None)
@@ -228,15 +232,20 @@ def _run(given: argparse.Namespace) -> Exit:
     )
     if meshes and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with threads.one_process_settings():
-        from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
+    with threads.set_one_process_variables():
+        from fenics_crack.basics.ranks import (  # starts MPI
+            MPI,
+            STOP_SIGNALS,
+            list_unread_options,
+            on_root,
+        )
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
-    for number in STOPS:
+    for number in STOP_SIGNALS:
         signal.signal(number, signal.default_int_handler)
-    with threads.alone(), Messages(quiet=given.quiet):
+    with threads.run_single_threaded(), Messages(quiet=given.quiet):
         if prepared:
             inputs = read_prepared(given, comm)
         elif launched:
@@ -244,7 +253,7 @@ def _run(given: argparse.Namespace) -> Exit:
         pictures = vars(given).get("pictures", "png")
         console = Console(comm, given.format, given.quiet, given.verbose, pictures)
         exit_code = _command(given, inputs, console) or Exit.DONE
-        console.warn(*map("PETSc option {}: no solver has read it".format, unread_options()))
+        console.warn(*map("PETSc option {}: no solver has read it".format, list_unread_options()))
         return exit_code
 
 
@@ -513,12 +522,13 @@ class Parser(argparse.ArgumentParser):
         elif wrong and wrong[2]:
             option = wrong[2].partition("=")[0]
             takers = [name for name in COMMANDS if option in options_of(name)]
-            message += f"; {meant([] if takers else near(option, options_of(*COMMANDS)))}"
+            names = [] if takers else find_similar_names(option, options_of(*COMMANDS))
+            message += f"; {did_you_mean_text(names)}"
             message += f"of {', '.join(takers)} alone" if takers else ""
         elif wrong:
-            calls = "\n".join(in_other_words(wrong[1]))
+            calls = "\n".join(find_calls_by_synonyms(wrong[1]))
             others = [name for name in COMMANDS if re.search(rf"fc\.(run_)?{name}\(", calls)]
-            message += f"; {meant(near(wrong[1], COMMANDS) or others)}"
+            message += f"; {did_you_mean_text(find_similar_names(wrong[1], COMMANDS) or others)}"
         super().error(message.rstrip("; "))
 
 

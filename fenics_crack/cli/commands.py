@@ -9,11 +9,17 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fenics_crack.basics.atomic_files import remove_file, together
-from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
-from fenics_crack.basics.ranks import on_root, uninterrupted
+from fenics_crack.basics.atomic_files import complete_files_together, remove_file
+from fenics_crack.basics.errors import (
+    INTERRUPTED_STATUS,
+    N_LOWEST_MODES,
+    Exit,
+    InputError,
+    StoppedError,
+)
+from fenics_crack.basics.ranks import ignore_stop_signals, on_root
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import speed_in_words
+from fenics_crack.basics.tables import format_speed
 from fenics_crack.cli.account import printed
 from fenics_crack.cli.drawn import Drawn
 from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, keep_before
@@ -38,14 +44,14 @@ def compute(
         from fenics_crack.cli.scenes import without_curve
 
         raise without_curve(inputs.scene, console)
-    offered = {"comm": console.comm, "progress": console.progress, "few": FEW_MODES}
+    offered = {"comm": console.comm, "progress": console.progress, "few": N_LOWEST_MODES}
     offered |= vars(given) | vars(inputs) | {"scene": inputs.prepared or inputs.scene}
     options = {name: offered[name] for name in signature(function).parameters if name in offered}
     with console.stage(given.command, bars="folder" in options):
         result = function(**options)
     name, report = KINDS[result.KIND].name, None
     run = result if isinstance(result, Run) else None
-    stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
+    stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_STATUS
     try:
         with console.stage("errors"):
             if run is not None and not stopped:
@@ -53,7 +59,7 @@ def compute(
             report = report_of(result)
     except KeyboardInterrupt:
         stopped = True
-    with uninterrupted():
+    with ignore_stop_signals():
         if stopped and on_root(console.comm, (folder / f"{name}.h5").exists):
             console.note(
                 f"{folder / name}.* is unchanged: the interrupted result has a name of its own"
@@ -81,7 +87,7 @@ def tell(
         shelf.keep(console.comm)
     if result is not None:
         replaced = keep_before(Path(f"{path}.json"), report.table.formatted("json"), console.comm)
-    with together() as files:
+    with complete_files_together() as files:
         if result is not None:
             _save(result, Path(f"{path}.h5"), console)
 
@@ -179,7 +185,7 @@ def _measured_by(
         raise InputError(key, repr(times), "those of a run-up, or frequency responses")
     held = scene.speed > 0.0 and scene.excitation.order is None
     if held and abs(times.mean_speed / scene.speed - 1.0) > STEADY:
-        seen, own = (speed_in_words(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
+        seen, own = (format_speed(v, scene.in_rpm) for v in (times.mean_speed, scene.speed))
         allowed = f"at {own}, the speed of [rotation], unless the load is an excitation.order"
         raise InputError(key, seen, allowed)
     order = timing.engine_order(scene.given("tip_timing"), scene)
@@ -205,7 +211,7 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     worth = found.where_to_measure()
 
     def write() -> None:
-        with together():
+        with complete_files_together():
             found.save(folder)
             worth.to_csv(folder / "where_to_measure.csv")
             found.fit_table().save(folder / "fit.csv")

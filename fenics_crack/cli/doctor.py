@@ -14,17 +14,21 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
-from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.caches import replace_unusable_caches
 from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.installation import (
-    c_compiler,
-    foreign_launcher,
-    loading,
+    find_c_compiler,
+    foreign_launcher_error,
     program_on_path,
-    version_of,
+    read_version_line,
+    report_missing_libraries,
 )
 from fenics_crack.basics.progress import LOGGER
-from fenics_crack.basics.threads import check_modules, loaded_libraries, one_process_settings
+from fenics_crack.basics.threads import (
+    check_debian_modules,
+    list_loaded_libraries,
+    set_one_process_variables,
+)
 from fenics_crack.version import VERSION
 
 OLDEST_NUMPY = (1, 24)
@@ -47,7 +51,7 @@ of a bar, sin((2 n - 1) pi y / (2 L))."""
 
 def doctor(given: Namespace, *_: object) -> Exit:
     """Print a table of the checks; return whether all is well."""
-    with loading():
+    with report_missing_libraries():
         from fenics_crack.basics.tables import Table  # NumPy
     rows = [
         (name, "FAULT" if is_fault else "ok", finding)
@@ -88,8 +92,8 @@ def _program() -> str:
 
 
 def _numpy() -> str:
-    check_modules()
-    with loading():
+    check_debian_modules()
+    with report_missing_libraries():
         import numpy
         import scipy
     if tuple(map(int, numpy.__version__.split(".")[:2])) < OLDEST_NUMPY:
@@ -98,34 +102,34 @@ def _numpy() -> str:
 
 
 def _mpi() -> str:
-    with one_process_settings():
+    with set_one_process_variables():
         from fenics_crack.basics.ranks import MPI
     vendor, version = MPI.get_vendor()
-    if len(libraries := loaded_libraries(r"libmpi\.")) > 1:
+    if len(libraries := list_loaded_libraries(r"libmpi\.")) > 1:
         raise InputError("MPI", ", ".join(libraries), "one library: each knows other ranks")
     launcher = program_on_path("mpirun")
-    if launcher and ("Open MPI" in version_of(launcher)) != (vendor == "Open MPI"):
-        raise foreign_launcher(launcher, vendor)
+    if launcher and ("Open MPI" in read_version_line(launcher)) != (vendor == "Open MPI"):
+        raise foreign_launcher_error(launcher, vendor)
     place = launcher or "no mpirun on PATH"
     return f"{vendor} {'.'.join(map(str, version))}, ranks: {MPI.COMM_WORLD.size}; {place}"
 
 
 def _petsc() -> str:
-    from fenics_crack.basics.ranks import check_scalars, slepc
+    from fenics_crack.basics.ranks import check_scalar_type, import_slepc
 
-    check_scalars()
+    check_scalar_type()
     from petsc4py import PETSc
 
     if not PETSc.Sys.hasExternalPackage("mumps"):
         raise InputError("PETSc", "without MUMPS", "built with MUMPS")
-    versions = [".".join(map(str, one.Sys.getVersion())) for one in (PETSc, slepc())]
+    versions = [".".join(map(str, one.Sys.getVersion())) for one in (PETSc, import_slepc())]
     return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*versions)
 
 
 def _gmsh() -> str:
     from fenics_crack.basics import gmsh_process  # noqa: F401
 
-    with loading():
+    with report_missing_libraries():
         import gmsh
     return f"gmsh {gmsh.__version__}"
 
@@ -133,24 +137,24 @@ def _gmsh() -> str:
 def _dolfinx() -> str:
     from fenics_crack.fem import compat  # noqa: F401
 
-    with loading():
+    with report_missing_libraries():
         import dolfinx
     return f"DOLFINx {dolfinx.__version__}"
 
 
 def _compiler() -> str:
-    compiler = c_compiler()
-    return f"{compiler}: {version_of(compiler)}"
+    compiler = find_c_compiler()
+    return f"{compiler}: {read_version_line(compiler)}"
 
 
 def _caches() -> str:
-    settle_caches()
+    replace_unusable_caches()
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return f"{home}/fenics takes compiled forms"
 
 
 def _pictures() -> str:
-    with loading():
+    with report_missing_libraries():
         matplotlib, pyvista = map(import_module, ("matplotlib", "pyvista"))
     return f"Matplotlib {matplotlib.__version__}, pyvista {pyvista.__version__}"
 

@@ -26,11 +26,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import BEFORE, keep_files, prepare_folder, write_whole
+from fenics_crack.basics.atomic_files import (
+    REPLACED_FILES_FOLDER,
+    keep_files,
+    prepare_folder,
+    write_file_whole,
+)
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
-from fenics_crack.basics.progress import LOGGER, StageLines, begin
-from fenics_crack.basics.tables import RPM, Table
-from fenics_crack.basics.untrusted_files import content_of, text_of
+from fenics_crack.basics.progress import LOGGER, StageLines, begin_stage
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
+from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import packaged
 
@@ -132,7 +137,7 @@ def _errors_behind(error: InputError, path: Path, given: dict[str, Any]) -> Iter
     the template only what is missing or unknown is reported: other errors may be due to that value.
     """
     changed, passed, meant, alone = {**given}, {"scene"}, "", True
-    tables = {} if error.key == "scene" else tomllib.loads(text_of(path))
+    tables = {} if error.key == "scene" else tomllib.loads(read_utf8_text(path))
     while error.key not in passed:
         passed.add(error.key)
         table, _, name = error.key.partition(".")
@@ -178,7 +183,7 @@ def _speeds(given: Namespace, scene: Scene) -> np.ndarray | None:
     if given.command != "campbell":
         return None
     scene.given("rotation")
-    factor = RPM if scene.in_rpm else 1.0
+    factor = RAD_PER_S_PER_RPM if scene.in_rpm else 1.0
     start, stop, steps = given.speeds or (0.0, 1.5 * scene.speed / factor, 13)
     if not (0.0 <= start < stop < np.inf and 2 <= steps <= MAX_CASES and steps % 1 == 0):
         allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
@@ -302,7 +307,7 @@ class Console:
         that is done."""
         started, silent = time.perf_counter(), self.quiet or (bars and self.progress)
         with nullcontext() if silent else StageLines(kept=self.progress):
-            begin(name)
+            begin_stage(name)
             yield
         if self.verbose:
             LOGGER.info("%s: %.2f s", name, time.perf_counter() - started)
@@ -312,24 +317,24 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     """Make a folder for results; InputError unless files can be written there (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD)))
+    on_root(comm, lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER, PERIOD)))
 
 
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
-    """Keep an earlier result in the folder :data:`BEFORE` beside it, too, one generation, where the
-    text of its table is not that of the one that takes its place; return a line that says so, or
-    why it could not be kept, or nothing (collective).
+    """Keep an earlier result in the folder :data:`REPLACED_FILES_FOLDER` beside it, too, one
+    generation, where the text of its table is not that of the one that takes its place; return a
+    line that says so, or why it could not be kept, or nothing (collective).
 
     Its files are those of the name of the table and of the ``others``.
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    before = table.with_name(BEFORE)
+    before = table.with_name(REPLACED_FILES_FOLDER)
     files = [f"{name}{kind}" for name in (table.stem, *others) for kind in RESULT_ENDINGS]
 
     def work() -> str:
         try:
-            if content_of(table, links=False) == text.encode():
+            if read_regular_file(table, links=False) == text.encode():
                 return ""
         except FileNotFoundError:
             return ""
@@ -379,7 +384,7 @@ def new(given: Namespace, _: None, console: Console) -> None:
             if os.path.exists(file):  # False for a name too long, which writing will say
                 raise InputError("scene", str(file), "the name of a new file; this one exists")
         for file, text in files.items():
-            write_whole(file, text, "scene")
+            write_file_whole(file, text, "scene")
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: {command('check', path)}")

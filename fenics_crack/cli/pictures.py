@@ -18,10 +18,10 @@ from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.errors import FEW_MODES, InputError
-from fenics_crack.basics.tables import percent, readable, with_unit
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.atomic_files import write_file_whole
+from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
+from fenics_crack.basics.tables import choose_unit_prefix, format_percent, heading_with_unit
+from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.drawn import Drawn
 from fenics_crack.cli.given import PERIOD
 from fenics_crack.cli.results import Waves, waves_of
@@ -81,7 +81,9 @@ def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
     if known := describe_error(run):
         title += f", error {known.partition(',')[0]}"
     elif found.gap_coefficients.size and found.report.estimated:
-        title += f", error {'unknown' if found.report.unknown else percent(found.report.total)}"
+        title += (
+            f", error {'unknown' if found.report.unknown else format_percent(found.report.total)}"
+        )
     if found.stability is not None:
         title += f", {found.stability.verdict}"
     if not found.converged:
@@ -141,7 +143,7 @@ def _tips(run: Run[Any], file: Drawn, name: str) -> None:
     """Draw the stress intensity at the tips of a plate's cracks, where it is known."""
     with suppress(InputError):  # a tip next to an edge, or no plate
         found = stress_intensity(run)
-        factor, unit = readable(float(found.effective.max()), "Pa m^0.5")
+        factor, unit = choose_unit_prefix(float(found.effective.max()), "Pa m^0.5")
         title = f"Stress intensity, range while open {factor * found.effective.max():.4g} {unit}"
         words = "Stress intensity at the crack tips over the period."
         plot.draw_stress_intensity(found, path=file(name, words), title=title)
@@ -211,7 +213,7 @@ def _linear_line(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, closer together next to natural ones, and amplitudes of a dof."""
     most = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
-    modes = solve_modes(structure, min(FEW_MODES, most), lips=lips).omega
+    modes = solve_modes(structure, min(N_LOWEST_MODES, most), lips=lips).omega
     near = np.geomspace(1e-6, 0.1, 30)
     close = np.outer(modes, np.concatenate([1.0 - near, 1.0 + near])).ravel()
     low, high = span.min(), span.max()
@@ -303,9 +305,9 @@ def draw_swept(
         (x, x_label), (y, y_label) = scaled
         factor, prefixed = 1.0, unit
         if unit in ("m", "N"):
-            factor, prefixed = readable(float(np.nanmax(np.abs(values))), unit)
+            factor, prefixed = choose_unit_prefix(float(np.nanmax(np.abs(values))), unit)
         words: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
-        words["value_label"] = with_unit(name, prefixed)
+        words["value_label"] = heading_with_unit(name, prefixed)
         path = file(f"{base}_map", sentence)
         plot.draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
 
@@ -314,8 +316,8 @@ def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
     """The values of an axis as they are drawn, and its label."""
     unit, factor = unit_of(axis.key), 1.0
     if unit and unit not in WHOLE:
-        factor, unit = readable(float(np.abs(values).max()), unit)
-    return factor * values, with_unit(key_in_words(axis.key), unit)
+        factor, unit = choose_unit_prefix(float(np.abs(values).max()), unit)
+    return factor * values, heading_with_unit(key_in_words(axis.key), unit)
 
 
 def draw_growth_of(found: Growth, file: Drawn) -> None:
@@ -356,7 +358,7 @@ def draw_identified(found: Identified, file: Drawn) -> None:
     path = file("posterior", "Probability of cracks, given the measurements.")
     source = found.picture.with_suffix(path.suffix)
     try:
-        write_whole(path, content_of(source, links=False))
+        write_file_whole(path, read_regular_file(source, links=False))
     except OSError:
         allowed = f"png, or the --pictures of identify: there is no {source}"
         raise InputError("--pictures", path.suffix[1:], allowed) from None

@@ -18,11 +18,11 @@ from typing import Any
 
 import h5py
 
-from fenics_crack.basics.atomic_files import passing_folder, write_whole
+from fenics_crack.basics.atomic_files import make_temporary_folder, write_file_whole
 from fenics_crack.basics.errors import InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.account import printed
 from fenics_crack.cli.drawn import Drawn
 from fenics_crack.cli.given import Console, make_writable
@@ -194,7 +194,7 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
         differences([result.scene.replace({"reduction": None}) for result in scene_results])
     )
     kinds, stems = [file.kind for file, _ in entries], [file.path.stem for file, _ in entries]
-    folder = passing_folder()
+    folder = make_temporary_folder()
     page = _describe_scene(scene_results[0], folder) if scene_results else {}
     parts = []
     for number, (file, result) in enumerate(entries):
@@ -214,7 +214,7 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
         "command": shlex.join(command),
     }
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    write_whole(
+    write_file_whole(
         target, environment.from_string(packaged("cli/report.html")).render(page), "--output"
     )
 
@@ -287,5 +287,5 @@ def _versions(files: Sequence[Stored]) -> Table:
 
 def _picture(path: Path, words: str) -> dict[str, str]:
     """Return a picture as data for the page, with the sentence below it."""
-    data = base64.b64encode(content_of(path, None)).decode("ascii")
+    data = base64.b64encode(read_regular_file(path, None)).decode("ascii")
     return {"words": words, "data": f"data:image/{path.suffix[1:]};base64,{data}"}

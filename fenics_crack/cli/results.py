@@ -10,19 +10,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
-from fenics_crack.basics.observables import PRINTED, QUANTITIES, SPECIAL, Place, names_of
+from fenics_crack.basics.errors import INTERRUPTED_STATUS, ConvergenceError, InputError
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    PRINTED_TABLE,
+    SPECIAL_POINTS_TABLE,
+    Place,
+    observable_names,
+)
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
-    FEW_ROWS,
-    LEAST_ERROR,
-    UNITS,
+    MIN_REPORTED_ERROR,
+    N_SELECTED_ROWS,
+    UNIT_BY_NAME,
     Table,
-    counted,
-    in_unit,
-    quantity,
-    with_frequency,
-    with_unit,
+    add_frequency_entries,
+    format_count,
+    format_in_unit,
+    format_quantity,
+    heading_with_unit,
 )
 from fenics_crack.cli import account
 from fenics_crack.cli.account import IN_A_TEST, OTHERS
@@ -75,7 +81,10 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     how["warnings"] = [*how.get("warnings", ()), *turning]
     if table.columns[0] != "name":
         return Report(table, conclusion_of(run), remarks=run.remarks, **how)
-    how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
+    how |= {
+        "shown": account.in_short(table, run.scene, PRINTED_TABLE),
+        "tables": _in_numbers(run, table),
+    }
     report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
     row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
     row += ["" for _ in table.columns[len(row) :]]
@@ -85,7 +94,9 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
 def _watched_away(run: Run[Any]) -> list[str]:
     """A note on points whose nearest nodes are watched."""
     away = {w.name.partition(".")[0]: w.distance for w in run.watched if w.distance > 0}
-    places = ", ".join(f"{name} {quantity(distance, 'm')}" for name, distance in away.items())
+    places = ", ".join(
+        f"{name} {format_quantity(distance, 'm')}" for name, distance in away.items()
+    )
     stated = "; not part of the stated errors" if run.stated is not None else ""
     return [f"watched at the nearest node, at a distance of: {places}{stated}"] if places else []
 
@@ -149,7 +160,7 @@ def _of_blades(run: Run[Any], heading: str) -> dict[str, Table]:
 
 def _along_fronts(run: Run[Any]) -> dict[str, Table]:
     """Stress intensities along the fronts of a solid's cracks, if one is requested (collective)."""
-    places = [QUANTITIES[name].of for name in asked_quantities(run.scene)]
+    places = [OBSERVABLES_BY_NAME[name].place for name in asked_quantities(run.scene)]
     if run.scene.dimension == 2 or Place.TIPS not in places:
         return {}
     found = stress_intensity(run)
@@ -195,13 +206,13 @@ def _seen_instead(found: PeriodicSolution, dof: int) -> str:
     ]:
         periods, sizes = zip(*varying_motions, strict=True)
         ends = _range_of(np.concatenate(sizes))
-        parts.append(f"still varies after {counted(min(periods), 'period')}, {ends}")
+        parts.append(f"still varies after {format_count(min(periods), 'period')}, {ends}")
     return f"; the motion {' or '.join(parts)} half peak-to-peak" if parts else ""
 
 
 def _range_of(sizes: np.ndarray) -> str:
     """Describe the range of some sizes [m]: "1.2 mm", or "between 1.2 mm and 1.5 mm"."""
-    ends = dict.fromkeys(quantity(size, "m") for size in (sizes.min(), sizes.max()))
+    ends = dict.fromkeys(format_quantity(size, "m") for size in (sizes.min(), sizes.max()))
     return f"{'between ' if len(ends) > 1 else ''}{' and '.join(ends)}"
 
 
@@ -237,7 +248,9 @@ def _quantities(run: Run[Any], omega: float, values: Mapping[str, object]) -> Ta
     """The numbers of a vibration or a motion at a load frequency [rad/s]: indicators of each
     watched dof, those of the crack faces, of a vibration natural frequencies near the load's, and
     others (collective)."""
-    rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
+    rows: list[Row] = [
+        (n, n, v, UNIT_BY_NAME[n]) for n, v in add_frequency_entries({"omega": omega}).items()
+    ]
     rows += [one[:4] for one in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
@@ -264,7 +277,7 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
         mode = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         name = natural_name(run.scene, kind, int(mode))
     error, cause = run.stated.stated(name)
-    percents = 100.0 * max(error, LEAST_ERROR) if error < np.inf else np.nan
+    percents = 100.0 * max(error, MIN_REPORTED_ERROR) if error < np.inf else np.nan
     missing_causes = run.stated.missing_causes(name) if name in run.stated.values else {}
     if missing_causes:
         cause += f"; not included: {', '.join(missing_causes)}"
@@ -273,8 +286,8 @@ def _errors(run: Run[Any], name: str) -> tuple[float, str]:
 
 def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
     """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
-    for name in names_of(Place.MODES):
-        words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
+    for name in observable_names(Place.MODES):
+        words, unit = OBSERVABLES_BY_NAME[name].words, OBSERVABLES_BY_NAME[name].unit
         yield name, words, unit, near[name]
         if unit == "rad/s":
             yield name.replace("omega", "frequency"), words, "Hz", near[name] / (2.0 * np.pi)
@@ -354,18 +367,18 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         chosen = found.status.partition("; ")[2] if found.complete else ""
         notes.append("; ".join(filter(None, (f"by the tolerance: {found.method}", chosen))))
     if found.exact:
-        width = in_unit(parameter_axis(found.parameter, True), found.resolution)
+        width = format_in_unit(parameter_axis(found.parameter, True), found.resolution)
         notes.append(f"windows of instability narrower than {width} may lie between points")
     return _report(
         run,
         special,
         rows=curve_points(run, along),
-        shown=account.in_short(few, scene, SPECIAL),
+        shown=account.in_short(few, scene, SPECIAL_POINTS_TABLE),
         notes=notes,
         warnings=warnings,
-        tables={"Special points": account.in_short(special, scene, SPECIAL)},
+        tables={"Special points": account.in_short(special, scene, SPECIAL_POINTS_TABLE)},
         further=_of_blades(run, "Blades, each at its largest response"),
-        done=bool(found.complete) and found.status != INTERRUPTED,
+        done=bool(found.complete) and found.status != INTERRUPTED_STATUS,
         missed=bool(unknown_error(run)),
     )
 
@@ -390,13 +403,15 @@ def _passed(found: ResponseCurve, place: int) -> bool:
 
 def _place(run: Run[ResponseCurve], *values: float) -> str:
     """Values of the parameter in its unit: "50.1 Hz", "50.1 and 50.3 Hz"."""
-    return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *values)
+    return format_in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *values)
 
 
 def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     """A large error, where and why the stability is undecided, and an early end."""
     found, scene = run.result, run.scene
-    if found.status == INTERRUPTED:  # nothing more is assessed; exact orbits have their verdicts
+    if (
+        found.status == INTERRUPTED_STATUS
+    ):  # nothing more is assessed; exact orbits have their verdicts
         early = "" if found.complete else "ended early: it "
         left = "errors and stability" if found.multipliers is None else "errors"
         yield f"the curve {early}was interrupted; its {left} were not examined"
@@ -416,12 +431,12 @@ def _warnings_of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
         ends = found.values[[first, last]] if last > first else found.values[[first]]
         where = f"{'between ' if last > first else ''}{_place(run, *ends)}"
         reason = found.reason((first + last) // 2)
-        count = counted(last + 1 - first, "point")
+        count = format_count(last + 1 - first, "point")
         yield f"the stability is undecided at {count}, {where}: {reason}"
     if len(stretches) > 1:
         more = sum(last + 1 - first for first, last in stretches[1:])
         own = "each for its own reason: curve.reason(index) in Python"
-        yield f"the stability is undecided at {counted(more, 'other point')}, {own}"
+        yield f"the stability is undecided at {format_count(more, 'other point')}, {own}"
     yield from run.stated.dents if run.stated is not None else ()
     if not found.complete:
         yield f"the curve ended early: {found.status}"
@@ -446,7 +461,7 @@ Columns = dict[str, np.ndarray]
 
 def curve_points(run: Run[ResponseCurve], along: Columns | None = None) -> Table:
     """Every point of a curve with its indicators, perhaps known already."""
-    names = [name for name in run.result.to_dict() if name not in QUANTITIES]
+    names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table, found = run.result.table(*names), along or _along(run, run.result)
     values = zip(*(column.tolist() for column in found.values()), strict=True)
     rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
@@ -491,7 +506,9 @@ def _at_top(run: Run[ResponseCurve], top: Top, along: Columns) -> Columns:
         else column[[top.index]]
         for name, column in along.items()
     }
-    return row | {with_unit(run.watched[0].column("amplitude"), "m"): np.array([top.amplitude])}
+    return row | {
+        heading_with_unit(run.watched[0].column("amplitude"), "m"): np.array([top.amplitude])
+    }
 
 
 def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
@@ -503,8 +520,10 @@ def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
     else:
         found = {PARAMETERS[curve.parameter]: curve.values}
         columns = columns if curve.parameter == "resonance" else {}
-    every = with_frequency(columns).items()
-    return found | {with_unit(name, UNITS[name]): np.asarray(column) for name, column in every}
+    every = add_frequency_entries(columns).items()
+    return found | {
+        heading_with_unit(name, UNIT_BY_NAME[name]): np.asarray(column) for name, column in every
+    }
 
 
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
@@ -523,7 +542,7 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
     def weight(place: int) -> tuple[bool, float]:
         return place < len(points), others[place][amplitude]
 
-    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[: FEW_ROWS - 3])
+    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[: N_SELECTED_ROWS - 3])
     shown = [*ends, *(others[place] for place in kept)]
     return Table(table.columns, shown), len(others) - len(kept)
 
@@ -531,9 +550,11 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
 def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
     """Columns of indicators of the watched dofs, by their names with units: a value for every point
     of a curve of the run."""
-    found = {with_unit(one.column, one.unit): one.value for one in observe(run, curve)}
+    found = {heading_with_unit(one.column, one.unit): one.value for one in observe(run, curve)}
     near = _natural_along(run, curve.omega).nearest(curve.omega)
-    return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
+    return found | {
+        heading_with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)
+    }
 
 
 def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:

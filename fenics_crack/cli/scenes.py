@@ -13,7 +13,14 @@ import numpy as np
 from fenics_crack.balance.problem import check_memory
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    Table,
+    format_count,
+    format_percent,
+    format_range,
+)
 from fenics_crack.cli.given import Console, Inputs
 from fenics_crack.errors.stated import errors_of_natural
 from fenics_crack.errors.verification import Verification
@@ -140,11 +147,13 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     if figures.elements is not None and scene.structure is None and scene.dimension == 2:
         rows["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for words, natural in lips.items():
-        rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
+        rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / RAD_PER_TURN
         rows[f"first natural frequency{words} [rad/s]"] = float(natural[0])
-        rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
+        rows[f"the next{words} [Hz]"] = ", ".join(
+            f"{value / RAD_PER_TURN:.6g}" for value in natural[1:]
+        )
     omega = scene.excitation.omega
-    rows["load's frequency [Hz]"] = omega / TURN
+    rows["load's frequency [Hz]"] = omega / RAD_PER_TURN
     rows["load's frequency [rad/s]"] = omega
     for words, natural in lips.items():
         if natural[0] > 0.0:
@@ -158,10 +167,10 @@ def _known_by_mesh(found: Verification) -> dict[str, str]:
         return {}
     if found.unknown:
         return {"error of natural frequencies due to the mesh": f"unknown: {found.unknown['mesh']}"}
-    ends = [percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
+    ends = [format_percent(found.stated(name)[0]) for name in found.values if name.endswith("_1")]
     rows = {"error of first natural frequencies due to the mesh": " and ".join(ends)}
     if "resonance" in found.values:
-        error = percent(found.stated("resonance")[0])
+        error = format_percent(found.stated("resonance")[0])
         rows["error of the resonance at the load due to the mesh"] = error
     return rows
 
@@ -176,10 +185,13 @@ def _resonance(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         words += ", without friction"
     rows: dict[str, object] = {}
     if math.isfinite(found.value) and (order is None or scene.disk is not None):
-        rows[f"{words} [Hz]"], rows[f"{words} [rad/s]"] = found.value / TURN, found.value
+        rows[f"{words} [Hz]"], rows[f"{words} [rad/s]"] = found.value / RAD_PER_TURN, found.value
     elif math.isfinite(found.value):
         words = f"order {order} meets the {words}, rotor speed"
-        rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = found.value, found.value / RPM
+        rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = (
+            found.value,
+            found.value / RAD_PER_S_PER_RPM,
+        )
     held = figures.closed or figures.mean_opening or not scales_with_load(scene)
     rows["vibration there" if rows else words] = found.in_words
     if not (held or found.unknown):
@@ -193,7 +205,7 @@ def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         return {}
     rows: dict[str, object] = {
         "rotor speed [rad/s]": scene.speed,
-        "rotor speed [rpm]": scene.speed / RPM,
+        "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
     if figures.elements is not None:
         rows["crack opened by rotation and mean load [m]"] = figures.mean_opening
@@ -221,10 +233,10 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
     faces = faces_in_words(study.scene)
-    static = ranging(figures.own_stiffness, ".3g")
+    static = format_range(figures.own_stiffness, ".3g")
     rows[f"static stiffness of the {faces}, each pair [N/m]"] = static
     if figures.stiffness_ratio is not None:
-        rows["contact stiffness / static stiffness"] = ranging(figures.stiffness_ratio, ".3g")
+        rows["contact stiffness / static stiffness"] = format_range(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
     rows[f"static motion of the {faces}, amplitude of the load [m]"] = figures.static_motion
     return rows
@@ -244,9 +256,9 @@ def _reduction(study: Study) -> str:
     reduction, few = reduction_of(scene, study.structure), modes_chosen(study)
     if reduction is None:
         return "none"
-    modes = counted(reduction.modes, "mode")
+    modes = format_count(reduction.modes, "mode")
     if few:
-        modes = f"{counted(few[0], 'mode')} or more, for an error of "
+        modes = f"{format_count(few[0], 'mode')} or more, for an error of "
         modes += f"{scene.harmonic_balance.tolerance:g}"
     if reduction.method == "massless":
         return f"massless, {modes}, {faces_in_words(scene)} without mass"

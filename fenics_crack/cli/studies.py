@@ -7,9 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
-from fenics_crack.basics.observables import SPECIAL, names_of
+from fenics_crack.basics.observables import SPECIAL_POINTS_TABLE, observable_names
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
+from fenics_crack.basics.tables import (
+    N_SELECTED_ROWS,
+    Table,
+    format_count,
+    format_in_unit,
+    format_percent,
+)
 from fenics_crack.cli.account import ON_MODES, of_error
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of
@@ -41,7 +47,7 @@ def report_of_sweep(found: SweepResult) -> Report:
     counts["pending"] = found.converged.size - sum(counts.values())
     states = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     high = int(np.sum(found["largest_order"] > 3))
-    higher = f"in {counted(high, 'case')} the largest higher harmonic is above the third"
+    higher = f"in {format_count(high, 'case')} the largest higher harmonic is above the third"
     higher = f"{higher}: ratio_largest, largest_order" if high else ""
     tables = {"Cases": shown}
     if found.failed:
@@ -68,7 +74,7 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
     if counts["undecided"] == verdicts.size > 0:
         yield "the stability is undecided in all cases"
     elif shares := " and ".join(f"{count} {name}" for name, count in counts.items() if count):
-        yield f"{shares} of {counted(verdicts.size, 'case')}"
+        yield f"{shares} of {format_count(verdicts.size, 'case')}"
     yield from by_reason(found, found.undecided, "undecided")
     for said in by_reason(found, found.contradicted, f"or more whose verdict {ON_MODES}"):
         yield f"{said}; raise {found.scene.modes_key}"
@@ -88,7 +94,9 @@ def _large_errors(found: SweepResult) -> Iterator[str]:
         values = {axis.key: axis.values[at] for axis, at in zip(found.axes, place, strict=True)}
         scene = found.scene.replace({"sweep": None} | values)
         report = ErrorReport(**dict(zip(ERROR_PARTS, errors[:, *place].tolist(), strict=True)))
-        count = f"{counted(int(cases.sum()), 'case')} with an error above {percent(limit)}"
+        count = (
+            f"{format_count(int(cases.sum()), 'case')} with an error above {format_percent(limit)}"
+        )
         for text in of_error(scene, report, int(found["harmonics"][place]), limit=limit):
             yield f"{count}, the largest at {in_words(found.axes, place)}: {text}"
 
@@ -113,11 +121,11 @@ def stepped_over(found: SweepResult) -> list[str]:
         return []
     *place, at = map(int, np.argwhere(turns)[0])
     ends = (axis.values[one] for one in rising[at : at + 2])
-    between = in_unit((1.0, axis.key, unit_of(axis.key)), *ends)
+    between = format_in_unit((1.0, axis.key, unit_of(axis.key)), *ends)
     others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
     where = "".join(f", {words}" for words in [in_words(others, place)] if words)
     more = int(turns.sum()) - 1
-    also = f", and at {counted(more, 'other place')}" if more else ""
+    also = f", and at {format_count(more, 'other place')}" if more else ""
     return [
         f"between {between}{where}{also}, the sweep steps over a peak that "
         "is narrower than the step: the largest response lies there; use smaller steps, or the "
@@ -132,7 +140,10 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     of the others.
     """
     keys = [axis.key for axis in found.axes]
-    few = ("response", *names_of(where=SPECIAL))  # the amplitude at the load
+    few = (
+        "response",
+        *observable_names(required_flags=SPECIAL_POINTS_TABLE),
+    )  # the amplitude at the load
     shown = [n for n in found.quantities if found.scene.quantities or n.rpartition(".")[2] in few]
     columns = [*keys, *shown, "verdict"]
     if not np.all(found.converged):
@@ -141,7 +152,7 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     if verdicts <= {""} or verdicts == {"undecided"}:
         columns.remove("verdict")
     table = found.table(*columns)
-    if len(table.rows) <= FEW_ROWS:
+    if len(table.rows) <= N_SELECTED_ROWS:
         return table, ""
     along = int(np.argmax(found.shape))
     for key in FREQUENCIES:
@@ -151,8 +162,8 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     highest = np.expand_dims(height.argmax(axis=along), along)
     places = np.take_along_axis(numbers, highest, along).ravel()
     words = f"; the table has the largest responses over {keys[along]}, {found.path.stem}.csv all"
-    if len(places) > FEW_ROWS:
-        order = np.argsort(-height.ravel()[places], kind="stable")[:FEW_ROWS]
-        words += f", {FEW_ROWS} of {len(places)}"
+    if len(places) > N_SELECTED_ROWS:
+        order = np.argsort(-height.ravel()[places], kind="stable")[:N_SELECTED_ROWS]
+        words += f", {N_SELECTED_ROWS} of {len(places)}"
         places = np.sort(places[order])
     return Table(table.columns, [table.rows[place] for place in places]), words

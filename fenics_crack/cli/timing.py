@@ -17,9 +17,9 @@ from fenics_crack.arrivals.arrival_times import (
 )
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.basics.errors import Exit, InputError
-from fenics_crack.basics.progress import within
+from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import counted, speed_in_words
+from fenics_crack.basics.tables import format_count, format_speed
 from fenics_crack.cli.account import of_error, of_stability
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.given import Console, Inputs, changes, keep_before, make_writable, one_of
@@ -55,7 +55,7 @@ def timing(given: Namespace, inputs: Inputs | None, console: Console) -> Exit:
         _write_arrivals(first_blade, path, scene, run, console)
     elif run is not None:
         on_root(console.comm, lambda: write_record(blades, path, np.radians(table.probes)))
-        console.note(f"arrivals of {counted(len(blades), 'blade')}: {path}")
+        console.note(f"arrivals of {format_count(len(blades), 'blade')}: {path}")
     fits = _fit_blades(table, blades, console, scene, run)
     if scene.disk is not None and not all(isinstance(fit, TipFit) for fit in fits.values()):
         requirement = "arrivals at one speed of a bladed disk"
@@ -78,7 +78,7 @@ def _write_arrivals(
     console.note(keep_before(path, rows, console.comm))
     on_root(console.comm, write)
     first_speed, last_speed = (
-        speed_in_words(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
+        format_speed(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
     )
     speed_range = (
         f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
@@ -97,7 +97,7 @@ def _fit_blades(
     fits = {}
     with console.stage("vibration"):
         for blade, arrivals in blades.items():
-            with within(f"blade {blade}"):
+            with prefix_stages(f"blade {blade}"):
                 fits[blade] = scene_timing.fit_vibration(table, arrivals, *scene_and_run)
     return fits
 
@@ -107,7 +107,8 @@ def _report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
 
 
 def _size_in_words(arrivals: ArrivalTimes) -> str:
-    return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
+    n_probes = len(arrivals.probes)
+    return f"{format_count(len(arrivals), 'revolution')}, {format_count(n_probes, 'probe')}"
 
 
 def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> Iterator[str]:
@@ -116,7 +117,7 @@ def _warnings_of(arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None) -> 
         yield from scene_timing.remarks_on_arrivals(arrivals)
         speeds = arrivals.mean_speed, scene.speed
         if scene.speed > 0.0 and not 0.5 <= speeds[0] / speeds[1] <= 2.0:
-            record_speed, scene_speed = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+            record_speed, scene_speed = (format_speed(speed, scene.in_rpm) for speed in speeds)
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
                 "are they in seconds?"
@@ -152,7 +153,7 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     folder = arguments.output or Path("output") / arguments.scene.stem
     make_writable(folder, console.comm)
     first_blade = next(iter(blades.values()))
-    console.note(f"{counted(len(blades), 'blade')}, {_size_in_words(first_blade)}")
+    console.note(f"{format_count(len(blades), 'blade')}, {_size_in_words(first_blade)}")
     needs_probes = first_blade.steady and not {"probes", "frequencies"} & table_values.keys()
     if needs_probes and not has_probe_angles(arguments.scene):
         raise InputError("tip_timing.probes", None, PROBES_REQUIREMENT)

@@ -27,15 +27,15 @@ from fenics_crack.balance.harmonic_balance import check_initial, initial_orbit, 
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
-    TOLERANCE,
+    DEFAULT_ERROR_TOLERANCE,
     ConvergenceError,
     InputError,
     check_choice,
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import fitting_argument
-from fenics_crack.basics.tables import counted, in_unit
+from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
@@ -217,8 +217,8 @@ class GrowingCurve:
         The values are printed in their unit; default: the value at the last point.
         """
         axis = parameter_axis(self.system.name, True)
-        point_count = counted(len(self.points), "point")
-        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count}"
+        point_count = format_count(len(self.points), "point")
+        return f"{format_in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count}"
 
     # --- how it goes on ---------------------------------------------------------------------------
 
@@ -370,10 +370,10 @@ class Continuation(GrowingCurve):
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
         step_limits = StepLimits(**steps)
-        fitting_argument("problem", problem, "Problem", ("Problem",))
-        fitting_argument("stability", stability, "bool", ())
+        fit_argument("problem", problem, "Problem", ("Problem",))
+        fit_argument("stability", stability, "bool", ())
         if exact and tolerance is None:
-            tolerance = TOLERANCE if branch_of is None else branch_of.tolerance
+            tolerance = DEFAULT_ERROR_TOLERANCE if branch_of is None else branch_of.tolerance
         if tolerance is not None:
             check_number("tolerance", tolerance, 0.0, above=True)
         if problem.samples is not None:

@@ -18,13 +18,13 @@ from typing import Any, Unpack, overload
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
-    MOST_HARMONICS,
+    MAX_HARMONIC_ORDER,
     ConvergenceError,
     InputError,
     check_choice,
     check_number,
 )
-from fenics_crack.basics.tables import Described, counted, with_frequency
+from fenics_crack.basics.tables import Described, add_frequency_entries, format_count
 from fenics_crack.curves.balance_equations import (
     BALANCE_EQUATIONS,
     BalanceAlongFrequency,
@@ -109,7 +109,7 @@ class Resonance(Described):
         """Return frequencies, the width, the distance to the top, the error and the amplitude."""
         names = "value", "omega", "harmonic", "width", "apart", "several", "error"
         columns = {name: getattr(self, name) for name in names}
-        return with_frequency(columns | {"amplitude": self.solution.amplitude()})
+        return add_frequency_entries(columns | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
@@ -203,7 +203,7 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
     while (
         error > tolerance
         and abs(point.distance_to_peak) <= MAX_DISTANCE_TO_PEAK
-        and n_harmonics <= MOST_HARMONICS
+        and n_harmonics <= MAX_HARMONIC_ORDER
     ):
         try:
             finer_point = _find_nearby_resonance(point, harmonics=n_harmonics)
@@ -434,7 +434,7 @@ def follow_resonance(
         for position in path_positions
     )
     if n_multimode_points:
-        point_count = f"{n_multimode_points} of {counted(len(curve), 'point')}"
+        point_count = f"{n_multimode_points} of {format_count(len(curve), 'point')}"
         remark = f"at {point_count} several modes answer together"
         curve = replace(curve, status=f"{curve.status}; {remark}")
     return curve

@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import InputError, check_number, reading
-from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
+from fenics_crack.basics.errors import InputError, check_number, report_read_errors
+from fenics_crack.basics.ranks import call_on_each_rank, collect_garbage, gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
@@ -115,7 +115,9 @@ def _assemble_parts(
     """
     _check_space(space)
     check_number("thickness", thickness, 0.0, above=True)
-    with reading("loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"):
+    with report_read_errors(
+        "loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"
+    ):
         load_forms = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
         forms = bilinear | {key: form for key, form in load_forms if form is not None}
     for key, form in forms.items():
@@ -131,7 +133,7 @@ def _assemble_parts(
         comm,
     )
     collect_garbage(comm)  # free the matrices of earlier structures
-    is_constrained = on_each(comm, lambda: compat.constrained_dofs(space, bcs))
+    is_constrained = call_on_each_rank(comm, lambda: compat.constrained_dofs(space, bcs))
     try:
         dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
         gap, tangential, pairs = pair_crack_faces(dofs, constants(space, thickness)[0])
@@ -142,7 +144,7 @@ def _assemble_parts(
         for name, rows in (("gap", gap), ("tangential", tangential))
     }
     for key, form in forms.items():
-        with reading(key, "a form", "one that DOLFINx can assemble"):
+        with report_read_errors(key, "a form", "one that DOLFINx can assemble"):
             if key in bilinear:
                 parts[key] = dofs.restrict_matrix(compat.assembled_matrix(form))
             else:
@@ -154,7 +156,7 @@ def _assemble_parts(
 def _check_space(space: Any) -> None:
     """Raise InputError unless a structure can have displacements in a space."""
     requirement = "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2"
-    with reading("space", type(space).__name__, f"{requirement}, whole"):
+    with report_read_errors("space", type(space).__name__, f"{requirement}, whole"):
         mesh, element = space.mesh, space.ufl_element()
         is_usable = (
             mesh.topology.cell_type.name in CELL_TYPES and mesh.geometry.dim == mesh.topology.dim
@@ -171,7 +173,9 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 
     A linear form has the rank 1, a bilinear form 2.
     """
-    with reading(key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"):
+    with report_read_errors(
+        key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"
+    ):
         is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
         if len(is_on_space) != rank or not all(is_on_space):
             raise ValueError(
@@ -187,7 +191,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
-    with reading("crack", type(crack).__name__, requirement):
+    with report_read_errors("crack", type(crack).__name__, requirement):
         tags, *face_tags = crack
         lower_tag, upper_tag = map(index, face_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(tags, mesh):

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 from mpi4py import MPI
 
-from fenics_crack.basics.suggestions import checked_call
+from fenics_crack.basics.suggestions import check_calls
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.files.codec import Parts, packed, unpacked
 from fenics_crack.files.store import Stored, read, write
@@ -20,7 +20,7 @@ class Saved(Tabular):
     KIND: ClassVar[str]
     scene: Scene | None
 
-    @checked_call
+    @check_calls
     def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
         """Write a file that ``load``, ``fenics-crack plot`` and ``report`` read (collective).
 
@@ -32,7 +32,7 @@ class Saved(Tabular):
         write(self._packed(), path, self.KIND, self.scene, comm)
 
     @classmethod
-    @checked_call
+    @check_calls
     def load(cls, path: str | Path) -> Self:
         """Read a file of ``save``; nothing is computed.
 

@@ -27,11 +27,16 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import UNITS
-from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
+from fenics_crack.basics.tables import UNIT_BY_NAME
+from fenics_crack.basics.untrusted_files import (
+    file_sha256,
+    read_first_bytes,
+    regular_file_size,
+    run_reader,
+)
 from fenics_crack.fem.model_files import list_included_files
 from fenics_crack.files.codec import WRONG, check_arrays
 from fenics_crack.scene.scene import Scene, files_of, with_files
@@ -94,7 +99,7 @@ def write(
                     dataset = file.create_dataset(name, data=value, **packed)
                     dataset.attrs.update(about(name, parts))
             file.attrs["digest"] = digest(texts(file), parts)
-        write_whole(path, image.getvalue())
+        write_file_whole(path, image.getvalue())
 
     on_root(comm, work)
 
@@ -320,8 +325,8 @@ def _read(path: Path) -> Stored:
         return InputError("path", str(path), f"a readable result file, {kinds} ({why})")
 
     try:
-        size = bytes_of(path, None)
-        if beginning_of(path, len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
+        size = regular_file_size(path, None)
+        if read_first_bytes(path, len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
             raise refusal("it does not begin as HDF5 files do")
         seconds = 5 + size // 10**7  # of processor time: any file is read at 10 MB/s and more
         found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds, 2**28 + 2**27)
@@ -397,7 +402,7 @@ def digests_of(scene: Scene) -> list[str]:
 def _file_digest(path: str) -> str:
     """SHA-256 of a file, or :data:`MISSING`."""
     try:
-        return sha256(path)
+        return file_sha256(path)
     except OSError:
         return MISSING
 
@@ -477,12 +482,12 @@ def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
     """The attributes of a dataset, of those of its file; none where it is a count or a word."""
     if name in ("values", "bifurcation_values") and "parameter" in parts:
         parameter = str(parts["parameter"])  # most are factors
-        found = UNITS.get(parameter, "1"), f"of the parameter {parameter}"
+        found = UNIT_BY_NAME.get(parameter, "1"), f"of the parameter {parameter}"
     elif name.startswith("error_"):
         found = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():
         found = ABOUT["unknowns"][0], GAPS
     else:  # of a dataclass in others its last part
         last = name.rpartition(".")[2]
-        found = ABOUT.get(last, (UNITS.get(last, ""), ""))
+        found = ABOUT.get(last, (UNIT_BY_NAME.get(last, ""), ""))
     return {key: words for key, words in zip(("unit", "about"), found, strict=True) if words}

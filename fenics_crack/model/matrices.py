@@ -37,10 +37,15 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.errors import MOST_HARMONICS, InputError, check_count, reading
-from fenics_crack.basics.ranks import gather_rows, on_each
-from fenics_crack.basics.tables import counted
-from fenics_crack.basics.untrusted_files import opened_text, rows_in
+from fenics_crack.basics.errors import (
+    MAX_HARMONIC_ORDER,
+    InputError,
+    check_count,
+    report_read_errors,
+)
+from fenics_crack.basics.ranks import call_on_each_rank, gather_rows
+from fenics_crack.basics.tables import format_count
+from fenics_crack.basics.untrusted_files import open_text_lines, parse_number_rows
 from fenics_crack.model.factor import (
     MATRIX_TOLERANCE,
     Factor,
@@ -426,7 +431,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    with opened_text(path) as (text, max_bytes):
+    with open_text_lines(path) as (text, max_bytes):
         lines = iter(text)
         (layout, symmetry), sizes, n_entries = _read_header_and_sizes(lines, max_bytes)
         shape = sizes[0], sizes[1]
@@ -434,7 +439,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
         if symmetry != "general" and shape[0] != shape[1]:
             raise ValueError(f"{symmetry}, but of shape {shape}")
-        table = rows_in(lines, "%", most=n_entries + 1)
+        table = parse_number_rows(lines, "%", most=n_entries + 1)
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
         count = "more" if n_found > n_entries else n_found  # reading stops after one too many
@@ -479,7 +484,7 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     OSError, ValueError
         As :func:`read_matrix_market`.
     """
-    with opened_text(path) as (lines, max_bytes):
+    with open_text_lines(path) as (lines, max_bytes):
         _, sizes, _ = _read_header_and_sizes(iter(lines), max_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
@@ -576,7 +581,7 @@ def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
 
     Empty lines are left out.
     """
-    with opened_text(path, "replace") as (lines, _):
+    with open_text_lines(path, "replace") as (lines, _):
         for number, line in enumerate(lines, 1):
             if text := line.partition(comment)[0].rstrip():
                 yield number, text
@@ -593,8 +598,8 @@ def read_number_rows(
         The file cannot be read, or a line has other than ``n_columns`` finite numbers.
     """
     try:
-        with opened_text(path) as (lines, _):
-            rows = rows_in(lines, comment, delimiter)
+        with open_text_lines(path) as (lines, _):
+            rows = parse_number_rows(lines, comment, delimiter)
         if rows.shape[1] == n_columns and len(rows) and np.all(np.isfinite(rows)):
             return rows
     except ValueError:  # NumPy's message counts lines in another way than an editor
@@ -682,14 +687,14 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
         return distribute_rows(matrix[start:stop], comm)
     comm = data.comm.tompi4py()
     petsc_rows = local_rows(data.convert("aij", PETSc.Mat()))
-    on_each(comm, lambda: _check_entries(name, petsc_rows.data))
+    call_on_each_rank(comm, lambda: _check_entries(name, petsc_rows.data))
     return distribute_rows(petsc_rows, comm)
 
 
 def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
     """Read a Matrix Market file, or check a matrix in memory."""
     if isinstance(data, str | Path):
-        with reading(name, data, "a Matrix Market file"):
+        with report_read_errors(name, data, "a Matrix Market file"):
             data = read_matrix_market(Path(data), n_rows)
     try:
         matrix = data if sparse.issparse(data) else np.asarray(data)
@@ -794,7 +799,7 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """
     max_columns = {"force_mean": 1}
     parts = [
-        _read_load_columns(key, part, n, max_columns.get(key, MOST_HARMONICS))
+        _read_load_columns(key, part, n, max_columns.get(key, MAX_HARMONIC_ORDER))
         for key, part in load_parts.items()
     ]
     load_coefficients = np.zeros((2 * max(map(len, parts)) + 1, n))
@@ -837,7 +842,7 @@ def add_harmonics(
     if not isinstance(harmonics, Mapping):
         raise InputError("harmonics", harmonics, "cosine and sine part by the order")
     for order in harmonics:
-        check_count("order in harmonics", order, 1, MOST_HARMONICS)
+        check_count("order in harmonics", order, 1, MAX_HARMONIC_ORDER)
     new_coefficients = resize_harmonics(
         load_coefficients, max([len(load_coefficients) // 2, *harmonics])
     )
@@ -906,7 +911,9 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     with factored_sum(matrix, MATRIX_TOLERANCE * sizes.max()[1], mass) as factor:
         n_negative = factor.negative_pivots
     if n_negative:
-        raise InputError(name, counted(n_negative, "negative eigenvalue"), "positive semidefinite")
+        raise InputError(
+            name, format_count(n_negative, "negative eigenvalue"), "positive semidefinite"
+        )
 
 
 def read_only_rows(matrix: Any) -> sparse.csr_matrix:

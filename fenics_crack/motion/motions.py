@@ -30,9 +30,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fenics_crack.basics.errors import RECORDED_PERIODS
-from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place, names_of, read_at
-from fenics_crack.basics.tables import Tabular, hertz_of
+from fenics_crack.basics.errors import N_RECORDED_PERIODS
+from fenics_crack.basics.observables import (
+    FILES_ONLY,
+    REQUIRES_FRICTION,
+    Observables,
+    Place,
+    observable_names,
+    read_observables,
+)
+from fenics_crack.basics.tables import Tabular, hertz_property
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maxima
@@ -86,7 +93,7 @@ class Indicators(Observables, Tabular):
         without friction.
     """
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers by name, or columns along a curve.
@@ -99,7 +106,8 @@ class Indicators(Observables, Tabular):
         return {
             name: column.tolist()
             for name, column in columns.items()
-            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column))
+            if name not in observable_names(required_flags=REQUIRES_FRICTION)
+            or not np.all(np.isnan(column))
         }
 
     def _title(self) -> str:
@@ -478,7 +486,7 @@ class ObservedMotion:
         all_rows = np.vstack([rows, *(place.rows for place in places)])
         points_of_records, coefficients, numbers = [], [], list[dict[str, float]]()
         for index, full_record in enumerate(self.records(all_rows)):
-            record = full_record.last_periods(RECORDED_PERIODS)
+            record = full_record.last_periods(N_RECORDED_PERIODS)
             record = record.select_rows(slice(len(rows))) if places else record
             if index < len(self._face_numbers):
                 record = replace(record, gap=record.gap[:, :0])
@@ -486,7 +494,9 @@ class ObservedMotion:
                 self._face_numbers.append(_read_face_numbers(record))
             shared = {"omega": record.omega} | self._face_numbers[index]
             points = (Point(record, row) for row in range(len(rows)))
-            points_of_records.append([shared | read_at(Place.POINT, point) for point in points])
+            points_of_records.append(
+                [shared | read_observables(Place.POINT, point) for point in points]
+            )
             coefficients.append(record.coefficients.T)
             numbers.append({})
             for place, row_range in zip(places, pairwise(row_ends), strict=True):
@@ -530,8 +540,8 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
 
     Numbers without pairs, or without friction, are nan.
     """
-    numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
+    numbers = dict.fromkeys(observable_names(Place.FACES), math.nan)
     if record.n_pairs:
-        requirements = FRICTION if record.friction is None else FILES
-        numbers |= read_at(Place.FACES, Faces(record), requirements)
+        requirements = REQUIRES_FRICTION if record.friction is None else FILES_ONLY
+        numbers |= read_observables(Place.FACES, Faces(record), requirements)
     return numbers | dict(record.exact_numbers)

@@ -32,8 +32,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.tables import counted, percent
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.tables import format_count, format_percent
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
@@ -151,7 +151,7 @@ def search_orbit(
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
     task = _SearchTask(flow, omega, guesses, subharmonic, prefer_stable)
     for start in starts or ORBIT_STARTS.values():
-        begin(start.name)
+        begin_stage(start.name)
         if orbits := [*start.candidates(task)]:
             return OrbitSearch(orbits[0], tuple(orbits[1:]), start.name)
     return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
@@ -381,9 +381,9 @@ def describe_closest_return(
     if not relative_distances:
         return f"{motion} cannot be integrated over a period"
     closest_index = int(np.argmin(relative_distances))
-    followed_periods = counted((len(states) - 1) * subharmonic, "period")
-    return_periods = counted((closest_index + 1) * subharmonic, "period")
-    closeness = percent(relative_distances[closest_index])
+    followed_periods = format_count((len(states) - 1) * subharmonic, "period")
+    return_periods = format_count((closest_index + 1) * subharmonic, "period")
+    closeness = format_percent(relative_distances[closest_index])
     return (
         f"followed for {followed_periods} of the load, {motion} comes back to within"
         f" {closeness} of where it was at best, after {return_periods}"

@@ -18,9 +18,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.basics.errors import MAX_CASES, MOST_HARMONICS, InputError, one_of
-from fenics_crack.basics.suggestions import candidates, meant, near, written
-from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.errors import MAX_CASES, MAX_HARMONIC_ORDER, InputError, describe_choices
+from fenics_crack.basics.suggestions import (
+    did_you_mean_text,
+    find_similar_names,
+    format_scene_value,
+    yield_candidate_values,
+)
+from fenics_crack.basics.tables import RAD_PER_TURN
 
 Pair = tuple[float, float]
 Vector = tuple[float, ...]
@@ -174,7 +179,7 @@ def _harmonic(given: object) -> Harmonic:
     if not isinstance(given, Mapping) or "order" not in given:
         raise TypeError
     order, keys = _int(given["order"]), given.keys() - {"order"}
-    if not 1 <= order <= MOST_HARMONICS or not keys:
+    if not 1 <= order <= MAX_HARMONIC_ORDER or not keys:
         raise TypeError
     if keys <= {"cos", "sin"}:
         parts = {key: _components(given[key]) for key in keys}
@@ -326,15 +331,15 @@ def _names(letter: str, dimension: int) -> str:
 
 def of_harmonics() -> Any:
     """Field of harmonics of a load."""
-    allowed = f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and"
+    allowed = f"a list of tables with an order, a whole number from 1 to {MAX_HARMONIC_ORDER} and"
     allowed += " another in each, and cos or sin, or amplitude and phase [degrees] by which it lags"
     return holds(allowed, default=())
 
 
 def order_of_load(default: int) -> Any:
     """Field of the order of a harmonic of a load."""
-    allowed = f"a whole number from 1 to {MOST_HARMONICS}"
-    return holds(allowed, lambda value: 1 <= value <= MOST_HARMONICS, default)
+    allowed = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
+    return holds(allowed, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
 
 
 def at_least_one(default: Any = MISSING) -> Any:
@@ -344,7 +349,7 @@ def at_least_one(default: Any = MISSING) -> Any:
 
 def choice(*words: str, default: Any = MISSING) -> Any:
     """Field of one of some words."""
-    return holds(one_of(words), lambda value: value in words, default, words=words)
+    return holds(describe_choices(words), lambda value: value in words, default, words=words)
 
 
 def hertz(
@@ -353,7 +358,7 @@ def hertz(
     accepts: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
     """Field of frequencies [Hz], the twin of the key ``omega`` in rad/s."""
-    return twin(omega, TURN, allowed, accepts, "Hz")
+    return twin(omega, RAD_PER_TURN, allowed, accepts, "Hz")
 
 
 def twin(key: str, factor: float, allowed: str, accepts: Callable[[Any], bool], unit: str) -> Any:
@@ -465,12 +470,12 @@ class Table:
         if isinstance(value, str):
             if advice := cls._ADVICE.get(f"{key} = {value}"):
                 return f"; {advice}"
-            words = near(value, item.metadata.get("words", ()))
-        for other in candidates(value, item.metadata["unit"]):
+            words = find_similar_names(value, item.metadata.get("words", ()))
+        for other in yield_candidate_values(value, item.metadata["unit"]):
             with suppress(InputError, TypeError, OverflowError):
                 if not words and item.metadata["accepts"](_reader(item)(other)):
                     words.append(other)
-        return f"; {meant([written(word) for word in words])}".rstrip("; ")
+        return f"; {did_you_mean_text([format_scene_value(word) for word in words])}".rstrip("; ")
 
     @classmethod
     def keys(cls) -> dict[str, Field[Any]]:
@@ -556,16 +561,16 @@ class Table:
         It is misspelt, or belongs to another table.
         """
         tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
-        own = [cls.proposed(name) for name in near(key, cls.keys())]
+        own = [cls.proposed(name) for name in find_similar_names(key, cls.keys())]
         if found := own or with_key(key, tables):
             return found
         every = {name: table for table in tables[::-1] for name in table.keys()}
-        return [every[name].proposed(name) for name in near(key, every, 0.8)]
+        return [every[name].proposed(name) for name in find_similar_names(key, every, 0.8)]
 
     @classmethod
     def instead_of(cls, key: str) -> str:
         """Return the error text for a missing key: the suggested keys, and all known ones."""
-        advice = cls._ADVICE.get(key) or meant(cls.meant_by(key)).strip()
+        advice = cls._ADVICE.get(key) or did_you_mean_text(cls.meant_by(key)).strip()
         return f"left out; {advice} known keys: {', '.join(cls.keys())}".replace(";  ", "; ")
 
     @classmethod

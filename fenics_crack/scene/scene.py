@@ -20,18 +20,18 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, reading
-from fenics_crack.basics.observables import QUANTITIES, Observable, Place, Where
+from fenics_crack.basics.errors import InputError, report_read_errors
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, Observable, ObservableFlag, Place
 from fenics_crack.basics.suggestions import (
-    checked_call,
-    converted,
-    meant,
-    near,
-    near_or_longer,
-    written,
+    check_calls,
+    convert_number,
+    did_you_mean_text,
+    find_similar_names,
+    find_similar_or_longer_names,
+    format_scene_value,
 )
-from fenics_crack.basics.tables import RPM, TURN, frequency_axis
-from fenics_crack.basics.untrusted_files import text_of
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, frequency_axis
+from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import Axis, Point, Table, components, named, with_key
 
@@ -133,7 +133,7 @@ class Scene:
             if self.disk is not None:
                 _check_disk(self, self.disk)
         for name in self.quantities or ():
-            check_known(_without(self, QUANTITIES[name]), "output.quantities", name)
+            check_known(_without(self, OBSERVABLES_BY_NAME[name]), "output.quantities", name)
         for name, key in _AXES:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
@@ -153,7 +153,7 @@ class Scene:
         return first | {f"cracks.{number}": c for number, c in enumerate(self.cracks, 1)}
 
     @classmethod
-    @checked_call
+    @check_calls
     def from_mapping(
         cls,
         tables: Mapping[str, object],
@@ -175,7 +175,7 @@ class Scene:
         return scene.replace({name: changes[name] for name in changes if name in _WITH_FILES})
 
     @classmethod
-    @checked_call
+    @check_calls
     def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Scene:
         """Read a scene from a TOML file, with the changes of :meth:`replace`: what is wrong in the
         file and changed does no harm.
@@ -185,8 +185,8 @@ class Scene:
         InputError
             The file cannot be read, is not TOML, or holds a value that cannot be used.
         """
-        with reading("scene", path, "a TOML file"):
-            return cls.from_text(text_of(path), str(path), Path(path).parent, changes)
+        with report_read_errors("scene", path, "a TOML file"):
+            return cls.from_text(read_utf8_text(path), str(path), Path(path).parent, changes)
 
     @classmethod
     def from_text(
@@ -197,7 +197,7 @@ class Scene:
         changes: Mapping[str, object] | None = None,
     ) -> Scene:
         """Make a scene from the text of a TOML file, which errors call ``name``."""
-        with reading("scene", name, "a TOML file"):
+        with report_read_errors("scene", name, "a TOML file"):
             try:
                 tables = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:
@@ -324,11 +324,13 @@ class Scene:
         cases, that of the excitation."""
         swept = self.swept
         if "excitation.frequency" in swept:
-            return tuple(TURN * hertz for hertz in swept["excitation.frequency"])
+            return tuple(RAD_PER_TURN * hertz for hertz in swept["excitation.frequency"])
         orders = swept.get("excitation.order", (self.excitation.order,))
         if None in orders or "excitation.omega" in swept:  # this in place of an order
             return swept.get("excitation.omega", (self.excitation.omega,))
-        speeds = tuple(RPM * rpm for rpm in swept.get("rotation.rpm", ())) or (self.speed,)
+        speeds = tuple(RAD_PER_S_PER_RPM * rpm for rpm in swept.get("rotation.rpm", ())) or (
+            self.speed,
+        )
         speeds = swept.get("rotation.speed", speeds)
         return tuple(order * speed for order in orders for speed in speeds)
 
@@ -359,7 +361,7 @@ class Scene:
         """``damping.modes``; "all" where the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
-    @partial(checked_call, keys=lambda name: meant_keys(name))
+    @partial(check_calls, keys=lambda name: meant_keys(name))
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
@@ -432,18 +434,22 @@ def check_known(without: str, key: str, value: object = None) -> None:
 
 def _without(scene: Scene, one: Observable) -> str:
     """Why an observable is not known of a scene; "" where it is."""
-    if Where.FRICTION in one.where and not scene.has_friction:
+    if ObservableFlag.REQUIRES_FRICTION in one.flags and not scene.has_friction:
         return "without contact.friction"
-    if Where.GROWING in one.where and scene.growth is None:
+    if ObservableFlag.REQUIRES_GROWTH_LAW in one.flags and scene.growth is None:
         return "without a table [growth], which has its exponent"
-    if Where.SOLID in one.where and (scene.structure is not None or scene.dimension == 2):
+    if ObservableFlag.REQUIRES_SOLID in one.flags and (
+        scene.structure is not None or scene.dimension == 2
+    ):
         return "without geometry.kind = 'solid'"
-    return _WITHOUT[one.of](scene) if one.of in _WITHOUT else ""
+    return _WITHOUT[one.place](scene) if one.place in _WITHOUT else ""
 
 
 def asked_quantities(scene: Scene) -> tuple[str, ...]:
     """Return the quantities of ``output.quantities`` at places of rows of their own."""
-    return tuple(name for name in scene.quantities or () if QUANTITIES[name].of.on_request)
+    return tuple(
+        name for name in scene.quantities or () if OBSERVABLES_BY_NAME[name].place.on_request
+    )
 
 
 _WITHOUT: dict[Place, Callable[[Scene], str]] = {
@@ -518,11 +524,11 @@ def _hint_in(text: str, error: str) -> str:
     above, line = lines[: int(place[1])], lines[int(place[1]) - 1]
     headers = [one.strip("[ ]") for one in above if one.startswith("[")]
     key, _, value = (part.strip() for part in line.partition("#")[0].partition("="))
-    number = converted(value.strip("\"'"), unit_of(".".join([*headers[-1:], key])))
+    number = convert_number(value.strip("\"'"), unit_of(".".join([*headers[-1:], key])))
     if number is None and not value.isidentifier():
         return ""
-    right = f'"{value}"' if number is None else written(number)
-    return f"; {meant([f'{key} = {right}'])}".rstrip()
+    right = f'"{value}"' if number is None else format_scene_value(number)
+    return f"; {did_you_mean_text([f'{key} = {right}'])}".rstrip()
 
 
 def known_keys() -> list[str]:
@@ -816,7 +822,7 @@ def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axi
         known_key = table in _SWEPT and key in _TABLES[table].keys()
         if not (known_key and there) or axis.key in seen:
             allowed = f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
-            if (question := meant(_meant(axis.key))) and axis.key not in seen:
+            if (question := did_you_mean_text(_meant(axis.key))) and axis.key not in seen:
                 allowed += f"; {question}".rstrip()
             raise InputError(name, axis.key, allowed)
         seen.add(axis.key)
@@ -936,20 +942,24 @@ def _meant(name: str) -> list[str]:
         return _TABLES[table].meant_by(key) if key else []
     if key:
         every = {kind.proposed(key) for kind in _TABLES.values() for key in kind.keys()}
-        return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
-    return list(dict.fromkeys(with_key(table, _TABLES.values()))) or near(table, _TABLES)
+        return find_similar_names(name, every, 0.8) or sorted(
+            full for full in every if full.endswith(f".{key}")
+        )
+    return list(dict.fromkeys(with_key(table, _TABLES.values()))) or find_similar_names(
+        table, _TABLES
+    )
 
 
 def meant_keys(name: str) -> list[str]:
     """The keys with their tables that a name without one may stand for."""
     first = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
-    own = _meant(name) or [first[key] for key in near_or_longer(name, first)]
-    return own or near_or_longer(name, known_keys())
+    own = _meant(name) or [first[key] for key in find_similar_or_longer_names(name, first)]
+    return own or find_similar_or_longer_names(name, known_keys())
 
 
 def _instead_of(name: str) -> str:
     """Return the error text for a table that the scene does not have."""
-    return f"left out; {meant(_meant(name))}known tables: {', '.join(_TABLES)}"
+    return f"left out; {did_you_mean_text(_meant(name))}known tables: {', '.join(_TABLES)}"
 
 
 _HINTS = get_type_hints(Scene).items()

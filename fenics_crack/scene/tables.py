@@ -13,9 +13,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.basics.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
-from fenics_crack.basics.observables import QUANTITIES
-from fenics_crack.basics.tables import RPM, TURN
+from fenics_crack.basics.errors import (
+    DEFAULT_ERROR_TOLERANCE,
+    MAX_SAMPLES_PER_PERIOD,
+    InputError,
+    check_damping_ratios,
+)
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
@@ -291,7 +296,7 @@ class Damping(Table):
         if "ratios" in chosen:
             ratios = self.given("ratios", f"given with omegas = {self.omegas}")
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
-            check_two_ratios(self.name_of("ratios"), ratios, omegas)
+            check_damping_ratios(self.name_of("ratios"), ratios, omegas)
 
     @property
     def of_all_modes(self) -> bool:
@@ -511,7 +516,7 @@ class Rotation(Table):
     """W, angular velocity of the rotor."""
     rpm: float | None = twin(
         "speed",
-        RPM,
+        RAD_PER_S_PER_RPM,
         "a finite number >= 0 (0, or 1e-5 to 9e9)",
         lambda w: w == 0 or 1e-5 <= w <= 9e9,
         "rpm",
@@ -679,7 +684,7 @@ class HarmonicBalance(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        chosen = {"harmonics": 5, "tolerance": TOLERANCE}
+        chosen = {"harmonics": 5, "tolerance": DEFAULT_ERROR_TOLERANCE}
         if self.harmonics is not None or self.samples is not None or not self.error:
             del chosen["tolerance"]
         if self.form == "block":
@@ -691,8 +696,9 @@ class HarmonicBalance(Table):
             self.leave_out(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
         least = 4 * self.harmonics + 1
-        fits = self.samples is None or least <= self.samples <= MAX_SAMPLES
-        allowed = f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out"
+        fits = self.samples is None or least <= self.samples <= MAX_SAMPLES_PER_PERIOD
+        allowed = f"a whole number from {least} (4 harmonics + 1) to "
+        allowed += f"{MAX_SAMPLES_PER_PERIOD}, or left out"
         self.require(fits, "samples", allowed)
 
     def of_load(self, highest: int) -> HarmonicBalance:
@@ -871,9 +877,9 @@ class Curve(Table):
         """The parameter of the equations, and its ends: "omega" and "speed" in rad/s where Hz or
         revolutions per minute are given; "resonance" over the load at resonance."""
         if self.parameter == "rpm":
-            return "speed", RPM * self.start, RPM * self.stop
+            return "speed", RAD_PER_S_PER_RPM * self.start, RAD_PER_S_PER_RPM * self.stop
         if self.parameter == "frequency":
-            return "omega", TURN * self.start, TURN * self.stop
+            return "omega", RAD_PER_TURN * self.start, RAD_PER_TURN * self.stop
         return self.at or self.parameter, self.start, self.stop
 
 
@@ -1262,8 +1268,8 @@ class Output(Table):
     """
 
     quantities: tuple[str, ...] | None = holds(
-        f"a list of some of {', '.join(QUANTITIES)}",
-        lambda names: names and set(names) <= QUANTITIES.keys(),
+        f"a list of some of {', '.join(OBSERVABLES_BY_NAME)}",
+        lambda names: names and set(names) <= OBSERVABLES_BY_NAME.keys(),
         None,
     )
     """Default: a few of them. Files have them all."""

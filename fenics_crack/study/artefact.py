@@ -23,7 +23,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, force_parts
 from fenics_crack.files.codec import packed, unpacked
@@ -371,7 +371,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
                 if needs_mesh(known.replace({key: value})):
                     break
         raise InputError(key, value, f"{VARIED}, for {stored.path}")
-    beyond = [name for name in scene.quantities or () if QUANTITIES[name].of.on_request]
+    beyond = [name for name in scene.quantities or () if OBSERVABLES_BY_NAME[name].place.on_request]
     if beyond:
         allowed = "those of points and crack faces, for a file; else the scene itself is solved"
         raise InputError("output.quantities", beyond, allowed)

@@ -21,7 +21,7 @@ from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import with_frequency
+from fenics_crack.basics.tables import add_frequency_entries
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
@@ -342,7 +342,7 @@ class Cases:
 
 def _at(omega: float, natural: BilinearFrequencies) -> Found:
     """A load frequency, and the natural ones that it is next to."""
-    return with_frequency({"omega": omega}) | natural.nearest(omega)
+    return add_frequency_entries({"omega": omega}) | natural.nearest(omega)
 
 
 def _numbered(natural: BilinearFrequencies) -> Found:

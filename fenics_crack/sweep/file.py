@@ -31,11 +31,16 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import put, reported, whole_file
-from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
-from fenics_crack.basics.observables import FRICTION, QUANTITIES, Place, names_of
-from fenics_crack.basics.tables import UNITS
-from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
+from fenics_crack.basics.atomic_files import partial_file, report_write_errors, write_bytes_at
+from fenics_crack.basics.errors import N_LOWEST_MODES, InputError, WriteError
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    REQUIRES_FRICTION,
+    Place,
+    observable_names,
+)
+from fenics_crack.basics.tables import UNIT_BY_NAME
+from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
 from fenics_crack.files.store import about
 from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
@@ -64,7 +69,7 @@ def of_load(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
-NUMBERED = range(1, FEW_MODES + 1)
+NUMBERED = range(1, N_LOWEST_MODES + 1)
 """Numbers of the modes whose natural frequencies are kept of each case."""
 NATURAL = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -76,7 +81,9 @@ NATURAL = {
     for mode in NUMBERED
 }
 """Words and unit of these frequencies."""
-AT_POINTS = {name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"}
+AT_POINTS = {
+    name: UNIT_BY_NAME[name] for name in observable_names(Place.POINT) if name != "ratio_half_1"
+}
 """Quantities kept of each point and direction, and their units: no case has a longer period."""
 KEPT_ORDERS = (1, 2, 3, 4, 5, 6)
 """Harmonics of which the parts are kept."""
@@ -84,7 +91,10 @@ PHASES = {f"{part}_{order}": "m" for order in KEPT_ORDERS for part in ("cosine",
 """Parts of the harmonics kept likewise, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
 COLUMNS: dict[str, tuple[str, str]] = {
     **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
-    **{name: (UNITS[name], "f8") for name in names_of(Place.FACES, Place.MODES, without=FRICTION)},
+    **{
+        name: (UNIT_BY_NAME[name], "f8")
+        for name in observable_names(Place.FACES, Place.MODES, excluded_flags=REQUIRES_FRICTION)
+    },
     **{name: (unit, "f8") for name, (_, unit) in NATURAL.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
@@ -114,13 +124,15 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
     """The :data:`COLUMNS` of a scene's sweep, those of its points, "tip.ux.ratio_2_1", and those of
     tips and the clamp that it requests."""
-    asked = names_of(where=FRICTION) * scene.has_friction + asked_quantities(scene)
+    asked = observable_names(
+        required_flags=REQUIRES_FRICTION
+    ) * scene.has_friction + asked_quantities(scene)
     at_points = {
         f"{point}.{name}": (unit, "f8")
         for point in scene.point_names
         for name, unit in (AT_POINTS | PHASES).items()
     }
-    return COLUMNS | {name: (UNITS[name], "f8") for name in asked} | at_points
+    return COLUMNS | {name: (UNIT_BY_NAME[name], "f8") for name in asked} | at_points
 
 
 class SweepFile:
@@ -145,9 +157,11 @@ class SweepFile:
         self, path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str] = ()
     ) -> None:
         self._path, self._columns = path, columns_of(scene)
-        with reported(path, "path", "a file that can be written, by one sweep at a time"):
+        with report_write_errors(
+            path, "path", "a file that can be written, by one sweep at a time"
+        ):
             made = None if os.path.lexists(path) else _made(path, scene, harmonics, rows, omitted)
-            bytes_of(path, None, links=False)  # nothing is written elsewhere
+            regular_file_size(path, None, links=False)  # nothing is written elsewhere
             self._file = os.open(path, os.O_RDWR)
             try:
                 busy = _lock(self._file)
@@ -190,7 +204,7 @@ class SweepFile:
         checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
         columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
         columns[CHECKSUM] = _of_cases(columns, state)
-        with reported(self._path, "path"):
+        with report_write_errors(self._path, "path"):
             self._put("state", places, np.full(len(state), State.PENDING))
             for name, arrays in waves.items():
                 if name in self.stored.columns:
@@ -202,7 +216,7 @@ class SweepFile:
 
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it; raises InputError where that reports an error."""
-        with reported(self._path, "path"):
+        with report_write_errors(self._path, "path"):
             if remove and self._is_there():
                 self._path.unlink()
             os.close(self._file)
@@ -213,7 +227,7 @@ class SweepFile:
         size = column.size // self.state.size
         rows = np.ascontiguousarray(values, column.dtype).view("u1").reshape(len(values), -1)
         for number, row in zip(places, rows, strict=True):  # a word by itself would lose its end
-            put(self._file, row.tobytes(), column.offset + int(number) * size)
+            write_bytes_at(self._file, row.tobytes(), column.offset + int(number) * size)
 
     def _is_there(self) -> bool:
         """Return True if the name still leads to the file."""
@@ -258,7 +272,7 @@ def _made(
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
     with contextlib.suppress(FileExistsError):
         with (
-            whole_file(path, new=True) as partial,
+            partial_file(path, new=True) as partial,
             open(partial, "wb", buffering=0) as whole,
             open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
         ):
@@ -308,7 +322,7 @@ def _copy_written(image: int, whole: int) -> None:
         except OSError:  # zeros alone
             return
         end = os.lseek(image, first, os.SEEK_HOLE)
-        put(whole, os.pread(image, end - first, first), first)
+        write_bytes_at(whole, os.pread(image, end - first, first), first)
 
 
 def _words(name: str) -> str:
@@ -316,7 +330,7 @@ def _words(name: str) -> str:
     if name in WAVES:
         return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
     quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
-    known = {name: row.words for name, row in QUANTITIES.items()}
+    known = {name: row.words for name, row in OBSERVABLES_BY_NAME.items()}
     return known.get(quantity) or NATURAL.get(quantity, ("",))[0]
 
 
@@ -393,8 +407,8 @@ def scene_of(stored: store.Stored) -> Scene:
         if column.shape != scene.given("sweep").shape or column.dtype != column_type:
             raise stored.refused("a whole sweep")
         total += column.size
-    if total > MOST_BYTES:
-        raise stored.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
+    if total > MAX_FILE_BYTES:
+        raise stored.refused(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import MOST_HARMONICS, InputError
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, InputError
 from fenics_crack.fem.blocks import count_plate_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
@@ -53,7 +53,7 @@ class Plan:
         base = scene.harmonic_balance  # upper bounds for all cases:
         self.harmonics = max(self._swept.get("harmonic_balance.harmonics", (base.harmonics,)))
         if base.tolerance is not None or "harmonic_balance.tolerance" in self._swept:
-            self.harmonics = max(self.harmonics, MOST_HARMONICS)
+            self.harmonics = max(self.harmonics, MAX_HARMONIC_ORDER)
         if not any(isinstance(self._case(n), Scene) for n in range(math.prod(self.shape))):
             reason = self._case(0)
             raise InputError("sweep.over", reason, "values of which a combination can be used")

@@ -38,13 +38,25 @@ from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linea
 from fenics_crack.balance.more_modes import UNKNOWN
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import passing_folder
+from fenics_crack.basics.atomic_files import make_temporary_folder
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import DRAWN, QUANTITIES, Place, names_of
-from fenics_crack.basics.progress import reaching
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    SWEEP_PICTURE,
+    Place,
+    observable_names,
+)
+from fenics_crack.basics.progress import add_progress_text
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.suggestions import checked_call
-from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, optional, quantity
+from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.tables import (
+    Conclusion,
+    Tabular,
+    format_count,
+    format_error,
+    format_quantity,
+    import_optional,
+)
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
 from fenics_crack.model.structure import Structure
@@ -141,7 +153,7 @@ def run_sweep(
         wanted = {"verdicts": verdicts, "judged": judged}
         omitted = [name for name, yes in wanted.items() if not yes]
         omitted += [f"vibration_{place}" for place in sorted(natural)]
-        where = Path(path or passing_folder() / "sweep.h5")
+        where = Path(path or make_temporary_folder() / "sweep.h5")
         file = SweepFile(where, scene, plan.harmonics, plan.rows, omitted)
         managers.append(Manager(plan, file, comm.size, progress=progress))
         return Asked(
@@ -156,7 +168,7 @@ def run_sweep(
     worker, shared = Worker(asked, managers[0].plan if managers else Plan(scene)), comm.Dup()
     with StopRequest() as stop:
         if managers:
-            with reaching(managers[0].how_far):
+            with add_progress_text(managers[0].how_far):
                 managers[0].run(worker, shared, stop)
         else:
             serve(worker, shared)
@@ -213,7 +225,7 @@ class SweepResult(Tabular):
     KIND: ClassVar[str] = KIND
 
     @classmethod
-    @checked_call
+    @check_calls
     def load(cls, path: str | Path) -> SweepResult:
         """Read the table of a sweep, also while it runs; nothing is computed.
 
@@ -379,9 +391,9 @@ class SweepResult(Tabular):
         """The columns that are drawn and printed, in words and with units: those that the scene's
         ``[output] quantities`` chooses, or a few."""
         seen, found = self.scene.point_names, {}
-        for name in self.scene.quantities or names_of(where=DRAWN):
-            words, unit = QUANTITIES[name].words, QUANTITIES[name].unit
-            if QUANTITIES[name].of is not Place.POINT:
+        for name in self.scene.quantities or observable_names(required_flags=SWEEP_PICTURE):
+            words, unit = OBSERVABLES_BY_NAME[name].words, OBSERVABLES_BY_NAME[name].unit
+            if OBSERVABLES_BY_NAME[name].place is not Place.POINT:
                 found[name] = words, unit
             elif seen:
                 found |= {f"{at}.{name}": (f"{words}, {where}", unit) for at, where in seen.items()}
@@ -405,7 +417,7 @@ class SweepResult(Tabular):
         ImportError
             xarray is not installed: the package does without it.
         """
-        dataset, units = optional("xarray", "to_xarray").Dataset, self._units()
+        dataset, units = import_optional("xarray", "to_xarray").Dataset, self._units()
         swept = {a.key: [v if np.isscalar(v) else str(v) for v in a.values] for a in self.axes}
         columns = {
             name: ([*swept], np.reshape(values, self.shape), {"units": units.get(name, "")})
@@ -418,27 +430,27 @@ class SweepResult(Tabular):
         swept = {axis.key: unit_of(axis.key) for axis in self.axes}
         return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """What the last sentence on the sweep says."""
         solved, known = self.converged, []
-        total, cases = self.errors.sum(axis=0)[solved], counted(solved.size, "case")
+        total, cases = self.errors.sum(axis=0)[solved], format_count(solved.size, "case")
         if np.any(np.isfinite(height := np.where(solved, self["response"], np.nan))):
             place = np.unravel_index(int(np.nanargmax(height)), height.shape)
-            size = quantity(float(height[place]), "m")
+            size = format_quantity(float(height[place]), "m")
             known.append(f"the largest response is {size} half peak-to-peak at ")
             known[0] += in_words(self.axes, [*map(int, place)])
         largest, unknown = total.max(initial=0.0), int(np.sum(total >= UNKNOWN))
         if not self.scene.harmonic_balance.error:
             known.append("errors and stability are not estimated (harmonic_balance.error = false)")
         elif largest > 0.0 and not unknown:
-            error = error_in_words(largest)
+            error = format_error(largest)
             known.append(f"largest estimated error by modes and harmonics {error}")
         names, counts = np.unique(self["verdict"][solved], return_counts=True)
         verdicts = [f"{n} {name}" for n, name in zip(counts, names, strict=True) if name]
-        return Said(
+        return Conclusion(
             "sweep complete" if solved.all() else f"{solved.sum()} of {cases} converged",
             ", ".join(known),
-            f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
+            f"it could not be estimated in {format_count(unknown, 'case')}" if unknown else "",
             [*report_linearity(self["closed_share"][solved]), ", ".join(verdicts)],
         )
 
@@ -468,11 +480,11 @@ def by_reason(
     ordered, shown = sorted(kinds.values(), key=len, reverse=True), 4
     for cases in ordered[:shown]:
         index, reason = cases[0]
-        number = f"{counted(len(cases), 'case')} {what}, the first at"
+        number = f"{format_count(len(cases), 'case')} {what}, the first at"
         yield f"{number} {in_words(found.axes, index)}: {reason}"
     if more := ordered[shown:]:
         left = sum(map(len, more))
-        yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
+        yield f"{format_count(left, 'case')} {what} for other reasons: column status of the table"
 
 
 def in_words(axes: Sequence[Axis], index: Sequence[int]) -> str:

@@ -13,7 +13,7 @@ import pytest
 from ranks import LIMIT
 from surroundings import DEMOS, ROOT, main, no_rank
 
-from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.caches import replace_unusable_caches
 from fenics_crack.cli import doctor
 
 
@@ -45,7 +45,7 @@ def open_cache(patch: pytest.MonkeyPatch, folder: Path) -> None:
     (folder / "fenics").chmod(0o777)
     patch.setenv("MPLCONFIGDIR", str(folder))
     patch.setenv("XDG_CACHE_HOME", str(folder))
-    settle_caches.cache_clear()
+    replace_unusable_caches.cache_clear()
 
 
 def without(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Said, Table
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.tables import Conclusion, Table
+from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.files.store import IDENTIFICATION, Stored
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
@@ -44,7 +44,7 @@ class Identified:
                 raise LookupError("priors")
         drawn = b""
         with suppress(OSError):
-            drawn = content_of(picture, links=False)
+            drawn = read_regular_file(picture, links=False)
         if not drawn.startswith(PNG):
             raise InputError("result", str(stored.path), f"with {picture.name} in its folder")
         return cls(scene, summary, picture)
@@ -71,7 +71,7 @@ def report_of_identification(found: Identified) -> Report:
     )
     return Report(
         table,
-        Said(values.get("conclusion", values["verdict"]), others=[*places, values["reason"]]),
+        Conclusion(values.get("conclusion", values["verdict"]), others=[*places, values["reason"]]),
         notes=[f"priors: {priors}", *(f"next to measure: {one}" for one in values["advice"])],
         warnings=values["warnings"],
         tables={
