@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
 from fenics_crack.cli.drawn import Drawn
-from fenics_crack.files.store import Stored
+from fenics_crack.files.store import StoredFile
 
 
 class Kind(NamedTuple):
@@ -117,7 +117,7 @@ def draw(result: Any, drawn: Drawn) -> None:
     loaded(kind.draw)(result, **where)
 
 
-def result_of(stored: Stored) -> Any:
+def result_of(stored: StoredFile) -> Any:
     """The result of a file that one rank has read.
 
     Raises

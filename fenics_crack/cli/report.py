@@ -32,7 +32,7 @@ from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
-from fenics_crack.files.store import Stored, read, versions
+from fenics_crack.files.store import StoredFile, library_versions, read_result_file
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene, unit_of
@@ -90,7 +90,7 @@ def report(arguments: Namespace, _: None, console: Console) -> None:
     console.note(str(target), note)
 
 
-def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
+def _read_result_files(paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
     """Read result files and those in folders, without sweeps that are parts of others.
 
     Returns
@@ -106,12 +106,12 @@ def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
     InputError
         A file cannot be read, or there is no result in a folder.
     """
-    result_files: list[Stored] = []
+    result_files: list[StoredFile] = []
     for path in paths:
         files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
         if not files:
             raise InputError("result", str(path), "a folder with results, .h5 files")
-        result_files += map(read, files)
+        result_files += map(read_result_file, files)
     result_files = [file for file in result_files if file.kind != KEPT_KIND] or result_files
     whole_files = [file for file in result_files if not is_part(file)]
     part_paths = (
@@ -124,7 +124,7 @@ def _read_result_files(paths: Sequence[Path]) -> tuple[list[Stored], str]:
 
 
 def _draw_curves(
-    result_files: Sequence[Stored], labels: Sequence[str], folder: Path, kind: str
+    result_files: Sequence[StoredFile], labels: Sequence[str], folder: Path, kind: str
 ) -> Path:
     """Draw the responses of several curves on the same axes; return the file.
 
@@ -165,7 +165,7 @@ def _draw_curves(
 # --- the page -------------------------------------------------------------------------------------
 
 
-def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str]) -> None:
+def _write_report(files: Sequence[StoredFile], target: Path, command: Sequence[str]) -> None:
     """Write the page of some results.
 
     Parameters
@@ -219,7 +219,7 @@ def _write_report(files: Sequence[Stored], target: Path, command: Sequence[str])
     )
 
 
-def _describe_result(file: Stored, result: Any, folder: Path) -> dict[str, Any]:
+def _describe_result(file: StoredFile, result: Any, folder: Path) -> dict[str, Any]:
     """Return parts of the page about a result, by the template's names."""
     summary, pictures = report_of(result), Drawn(folder)
     try:
@@ -274,13 +274,15 @@ def _value(key: str, value: object) -> str:
     return value_in_words(key, value)
 
 
-def _versions(files: Sequence[Stored]) -> Table:
+def _versions(files: Sequence[StoredFile]) -> Table:
     """List the versions that made the results, and those that made the page."""
     rows = []
     for file in files:
         file_versions = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"
         rows.append((str(file.path), file_versions))
-    page_versions = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
+    page_versions = (
+        f"Python {platform.python_version()}, {library_versions()}, h5py {h5py.__version__}"
+    )
     rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
     return Table(("file", "made with"), rows)
 

@@ -43,7 +43,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel, WheelStructure, count_basis_families
 from fenics_crack.fem.build import assemble
-from fenics_crack.files.saved import Saved
+from fenics_crack.files.saved import SavedResult
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
@@ -175,7 +175,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
 
 @dataclass(frozen=True, repr=False)
-class NodalDiameters(Saved):
+class NodalDiameters(SavedResult):
     """Natural frequencies of a tuned bladed disk without a crack, over the nodal diameter.
 
     Attributes
@@ -275,7 +275,7 @@ def report_of_diameters(diameters: NodalDiameters) -> Report:
 
 
 @dataclass(frozen=True, repr=False)
-class Amplification(Saved):
+class Amplification(SavedResult):
     """Amplification factors of random patterns of mistuning, without contact.
 
     Attributes

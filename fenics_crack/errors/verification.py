@@ -29,9 +29,9 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 from fenics_crack.errors.convergence import GridConvergence, Varied
-from fenics_crack.files.codec import Parts, from_text, text_of
-from fenics_crack.files.saved import Saved
-from fenics_crack.files.store import Stored
+from fenics_crack.files.codec import Datasets, dataclass_from_json, to_json_text
+from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 
 DOUBTS = {
@@ -46,7 +46,7 @@ DOUBTS = {
 
 
 @dataclass(frozen=True, repr=False)
-class Verification(Saved):
+class Verification(SavedResult):
     """Contributions to the error of a scene's result.
 
     Attributes
@@ -114,14 +114,14 @@ class Verification(Saved):
 
     def text(self) -> str:
         """Return everything but the scene as text, a dataset of a file."""
-        return text_of(self, "", {})
+        return to_json_text(self, "", {})
 
-    def _packed(self) -> Parts:
+    def _pack_fields(self) -> Datasets:
         return {"verification": self.text()}
 
     @classmethod
-    def _unpacked(cls, parts: Parts, scene: Scene | None) -> Verification:
-        return from_text(cls, parts["verification"], scene)
+    def _unpack_fields(cls, parts: Datasets, scene: Scene | None) -> Verification:
+        return dataclass_from_json(cls, parts["verification"], scene)
 
     # --- numbers ----------------------------------------------------------------------------------
 
@@ -404,7 +404,7 @@ class Verification(Saved):
         return f"{text}; extrapolated {self.extrapolated(name):.5g}"
 
 
-def verification_of(result_file: Stored) -> Verification | None:
+def verification_of(result_file: StoredFile) -> Verification | None:
     """Return the verification in the file of a result; None: none.
 
     Raises
@@ -412,10 +412,10 @@ def verification_of(result_file: Stored) -> Verification | None:
     InputError
         It does not fit.
     """
-    with result_file.taken() as parts:
+    with result_file.checked_datasets() as parts:
         if "verification" not in parts:
             return None
-        verification = from_text(Verification, parts["verification"], result_file.scene())
+        verification = dataclass_from_json(Verification, parts["verification"], result_file.scene())
         verification.to_dict()  # whose rows have every part
         return verification
 

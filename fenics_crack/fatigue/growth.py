@@ -43,7 +43,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
 from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.saved import Saved
+from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, check_known, without_tips
@@ -64,7 +64,7 @@ ENDS: dict[End, str] = {
 
 
 @dataclass(frozen=True, repr=False)
-class Growth(Saved):
+class Growth(SavedResult):
     """A crack's length over the cycles, and what the vibration does meanwhile.
 
     Attributes

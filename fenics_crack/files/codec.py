@@ -22,14 +22,14 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 
-T = TypeVar("T")
-Parts = dict[str, Any]
-WRONG = (
+DataclassType = TypeVar("DataclassType")
+Datasets = dict[str, Any]
+DATASET_ERRORS = (
     LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError,
     StopIteration,
 )  # fmt: skip
 """Errors of a dataset that is not what its field is."""
-_ARRAYS = {
+_ARRAY_KINDS_BY_FIELD = {
     **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces"), "bifuc"),
     **dict.fromkeys(("indices", "indptr", "dofs", "cells", "cracks"), "iu"),
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
@@ -37,19 +37,19 @@ _ARRAYS = {
 """Kinds of the types of arrays by their fields, where not every real one is valid."""
 
 
-def packed(result: Any, *apart: str) -> Parts:
+def pack_dataclass(result: Any, *apart: str) -> Datasets:
     """Return the datasets of a dataclass, but for the fields ``apart``."""
-    found: Parts = {}
+    found: Datasets = {}
     for name in (item.name for item in fields(result) if item.name not in apart):
         value = getattr(result, name)
         if np.isscalar(value) or _is_array(value):
             found[name] = value
         elif value is not None and not isinstance(value, Scene) and not callable(value):
-            found[name] = text_of(value, name, found)
+            found[name] = to_json_text(value, name, found)
     return found
 
 
-def text_of(value: Any, name: str, arrays: Parts) -> str:
+def to_json_text(value: Any, name: str, arrays: Datasets) -> str:
     """Return a value as JSON text, without a scene in it; its arrays join some datasets, by names
     that begin with its own."""
 
@@ -75,9 +75,9 @@ def _is_array(value: Any) -> bool:
     return isinstance(value, np.ndarray) and value.dtype.kind != "U"
 
 
-def unpacked(
-    kind: type[T], parts: Mapping[str, Any], scene: Scene | None = None, **known: Any
-) -> T:
+def unpack_dataclass(
+    kind: type[DataclassType], parts: Mapping[str, Any], scene: Scene | None = None, **known: Any
+) -> DataclassType:
     """Return a dataclass from the datasets of its fields; those of others are left alone.
 
     Parameters
@@ -96,20 +96,20 @@ def unpacked(
     ValueError, LookupError and others of :data:`WRONG`
         A dataset is missing, or is not what its field is.
     """
-    found: T = _Reader(parts, scene).made(kind, parts, known)
+    found: DataclassType = _DatasetReader(parts, scene).made(kind, parts, known)
     return found
 
 
-def from_text(kind: type[T], text: str, scene: Scene | None) -> T:
+def dataclass_from_json(kind: type[DataclassType], text: str, scene: Scene | None) -> DataclassType:
     """Return a dataclass from the JSON text of :func:`text_of`; raises as :func:`unpacked`."""
-    found: T = _Reader({}, scene).value(kind, text, "text")
+    found: DataclassType = _DatasetReader({}, scene).value(kind, text, "text")
     return found
 
 
-_types = cache(get_type_hints)
+_field_types = cache(get_type_hints)
 
 
-class _Reader(NamedTuple):
+class _DatasetReader(NamedTuple):
     """Values of declared types from the datasets and the scene of a file."""
 
     parts: Mapping[str, Any]
@@ -122,7 +122,7 @@ class _Reader(NamedTuple):
             needed = item.default is MISSING and item.default_factory is MISSING
             if item.name not in known and (needed or item.name in stored):
                 value = stored.get(item.name)
-                found[item.name] = self.value(_types(kind)[item.name], value, item.name)
+                found[item.name] = self.value(_field_types(kind)[item.name], value, item.name)
         try:
             return kind(**found)
         except InputError as error:
@@ -136,7 +136,7 @@ class _Reader(NamedTuple):
             stored = self.parts[stored] if stored in self.parts else json.loads(stored)
         if origin in (Union, UnionType):
             for one in inside:
-                with suppress(*WRONG):
+                with suppress(*DATASET_ERRORS):
                     return self.value(one, stored, name)
         elif origin in (dict, Mapping) and isinstance(stored, dict):
             key, item = inside
@@ -165,6 +165,6 @@ def check_arrays(parts: Mapping[str, Any]) -> None:
     kind of their field."""
     for name, array in parts.items():
         if isinstance(array, np.ndarray):
-            kinds = _ARRAYS.get(name.rpartition(".")[2], "bifu")
+            kinds = _ARRAY_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
             if array.dtype.kind not in kinds or np.any(np.abs(array) > LARGEST):
                 raise ValueError(f"its {name} does not fit")

@@ -14,32 +14,32 @@ from typing import Any
 import h5py
 import numpy as np
 
-MOST_ITEMS = 10_000
+MAX_ENTRIES = 10_000
 """Maximum datasets, attributes, and words of a list."""
-SWEEP = "sweep"
+SWEEP_KIND = "sweep"
 """Kind of file that is filled in while it is read."""
-FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
+ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+ALLOWED_LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
 
 
 def read(path: str, most: int) -> dict[str, np.ndarray]:
     """The content as JSON, but for its arrays, which are those without a name of their own."""
     with h5py.File(path, "r", locking=False) as file:
-        head, arrays = content(file, os.path.getsize(path), most)
+        head, arrays = read_content(file, os.path.getsize(path), most)
     numbered = {f"arr_{number}": array for number, array in enumerate(arrays)}
     return {"head": np.array(json.dumps(head)), **numbered}
 
 
-def content(file: h5py.File, size: int, most: int) -> tuple[dict, list[np.ndarray]]:
+def read_content(file: h5py.File, size: int, most: int) -> tuple[dict, list[np.ndarray]]:
     """Attributes, words, names of arrays and places of columns; and the arrays."""
-    if max(len(file), len(file.attrs)) > MOST_ITEMS:
-        raise ValueError(f"it has more than {MOST_ITEMS} parts")
-    attributes = texts(file)
-    items = {name: dataset(file, name, size, most) for name in file}
+    if max(len(file), len(file.attrs)) > MAX_ENTRIES:
+        raise ValueError(f"it has more than {MAX_ENTRIES} parts")
+    attributes = read_text_attributes(file)
+    items = {name: open_checked_dataset(file, name, size, most) for name in file}
     for name, item in items.items():
-        attributes |= {f"{name}/{key}": text for key, text in texts(item).items()}
+        attributes |= {f"{name}/{key}": text for key, text in read_text_attributes(item).items()}
     head: dict[str, Any] = {"attributes": attributes, "words": {}, "arrays": [], "columns": {}}
-    if attributes.get("kind") == SWEEP:
+    if attributes.get("kind") == SWEEP_KIND:
         for name, item in items.items():
             place = item.id.get_offset()
             if place is None or place + stated_bytes(item) > size:
@@ -54,11 +54,11 @@ def content(file: h5py.File, size: int, most: int) -> tuple[dict, list[np.ndarra
             head["arrays"].append(name)
             arrays.append(item[()])
         else:
-            head["words"][name] = words(item, most)
+            head["words"][name] = read_words(item, most)
     return head, arrays
 
 
-def texts(item: h5py.File | h5py.Dataset) -> dict[str, str]:
+def read_text_attributes(item: h5py.File | h5py.Dataset) -> dict[str, str]:
     """Its attributes."""
     found = {}
     for name, value in item.attrs.items():
@@ -69,7 +69,7 @@ def texts(item: h5py.File | h5py.Dataset) -> dict[str, str]:
     return found
 
 
-def dataset(file: h5py.File, name: str, size: int, most: int) -> h5py.Dataset:
+def open_checked_dataset(file: h5py.File, name: str, size: int, most: int) -> h5py.Dataset:
     """A dataset whose numbers are in the file itself."""
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name!r} is a link")
@@ -77,9 +77,9 @@ def dataset(file: h5py.File, name: str, size: int, most: int) -> h5py.Dataset:
     if not isinstance(item, h5py.Dataset):
         raise ValueError(f"{name!r} is no dataset")
     plan = item.id.get_create_plist()
-    if plan.get_layout() not in LAYOUTS or plan.get_external_count():
+    if plan.get_layout() not in ALLOWED_LAYOUTS or plan.get_external_count():
         raise ValueError(f"{name!r} lies in another file")
-    if {plan.get_filter(number)[0] for number in range(plan.get_nfilters())} - FILTERS:
+    if {plan.get_filter(number)[0] for number in range(plan.get_nfilters())} - ALLOWED_FILTERS:
         raise ValueError(f"{name!r} is packed in an unknown way")
     words = h5py.check_string_dtype(item.dtype)
     if item.shape is None or item.ndim > 8 or (words is None and item.dtype.kind not in "biufcS"):
@@ -97,9 +97,9 @@ def stated_bytes(item: h5py.Dataset) -> int:
     return math.prod(item.shape) * item.dtype.itemsize
 
 
-def words(item: h5py.Dataset, most: int) -> str | list[str]:
+def read_words(item: h5py.Dataset, most: int) -> str | list[str]:
     """A word, or a list of words, of at most so many bytes."""
-    if item.ndim > 1 or item.size > MOST_ITEMS:
+    if item.ndim > 1 or item.size > MAX_ENTRIES:
         raise ValueError(f"{item.name!r} is no list of words")
     found = item.asstr()[()]
     many = [found] if isinstance(found, str) else [str(word) for word in found]

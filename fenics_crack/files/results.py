@@ -17,8 +17,8 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.files.codec import Parts, packed, unpacked
-from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.files.codec import Datasets, pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
 from fenics_crack.model.contact import (
     ContactLaw,
     UnilateralConstraint,
@@ -37,8 +37,8 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
 Result = Modes | PeriodicSolution | ResponseCurve | TimeHistory
-Law = ContactLaw | None
-Shapes = dict[str, tuple[int, ...]]
+OptionalLaw = ContactLaw | None
+ShapeByName = dict[str, tuple[int, ...]]
 
 
 def save(
@@ -79,17 +79,17 @@ def save(
     --------
     >>> fc.save(solution, "solution.h5", scene)
     """
-    if type(result) not in _FORMS:
-        names = ", ".join(kind.__name__ for kind in _FORMS)
+    if type(result) not in _FUNCTIONS_BY_CLASS:
+        names = ", ".join(kind.__name__ for kind in _FUNCTIONS_BY_CLASS)
         raise InputError("result", type(result).__name__, f"one of {names}")
-    parts = _FORMS[type(result)][0](result) | {"verification": errors}
+    parts = _FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
     if watched:
         kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
         parts |= {"watched": [*watched], f"watched_{kind}": np.stack([*watched.values()], axis=-1)}
-    write(parts, path, result.KIND, scene, result.structure.comm)
+    write_result_file(parts, path, result.KIND, scene, result.structure.comm)
 
 
-def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
+def load(path: str | Path, structure: Structure, contact: OptionalLaw = None) -> Result:
     """Read a result written by :func:`save`; nothing is solved again (collective).
 
     :func:`fenics_crack.load_run` reads a file with a scene without a structure at hand;
@@ -118,20 +118,20 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     >>> fc.save(solution, "solution.h5")
     >>> again = fc.load("solution.h5", structure, contact)
     """
-    return unpack(read(path, structure.comm), structure, contact)
+    return unpack_result(read_result_file(path, structure.comm), structure, contact)
 
 
-def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
+def unpack_result(stored: StoredFile, structure: Structure, contact: OptionalLaw = None) -> Result:
     """The same of a file that is read (collective)."""
-    kind = type_of(stored)
-    with stored.taken() as parts:
+    kind = result_class(stored)
+    with stored.checked_datasets() as parts:
         if (friction := friction_of(contact)) is not None and "law_direction" in parts:
             known = {name: parts[f"law_{name}"] for name in ("direction", "turning")}
             contact = replace(friction, **known)
-        return _FORMS[kind][1](parts, structure, contact)
+        return _FUNCTIONS_BY_CLASS[kind][1](parts, structure, contact)
 
 
-def type_of(stored: Stored) -> type[Result]:
+def result_class(stored: StoredFile) -> type[Result]:
     """Class of the result in a file written by :func:`save`.
 
     Raises
@@ -139,19 +139,19 @@ def type_of(stored: Stored) -> type[Result]:
     InputError
         The file holds something else.
     """
-    for kind in _FORMS:
+    for kind in _FUNCTIONS_BY_CLASS:
         if kind.KIND == stored.kind:
             return kind
     if stored.kind == "backbone":
-        raise stored.refused("of another kind; follow_resonance takes the place of backbones")
+        raise stored.refusal("of another kind; follow_resonance takes the place of backbones")
     allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
-    raise stored.refused(allowed)
+    raise stored.refusal(allowed)
 
 
 # --- modes ----------------------------------------------------------------------------------------
 
 
-def _pack_modes(modes: Modes) -> Parts:
+def _pack_modes(modes: Modes) -> Datasets:
     """Datasets of the modes; those of a structure without a mesh by its dofs (collective)."""
     whole = modes.structure.whole
     if whole.drawable_nodes is None:
@@ -159,10 +159,10 @@ def _pack_modes(modes: Modes) -> Parts:
         return {"omega": modes.omega, "shapes": by_dof.T}
     mesh = NodalMesh(modes.structure)
     shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
-    return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
+    return {"omega": modes.omega, "nodes": _node_positions_and_midpoints(mesh), "shapes": shapes}
 
 
-def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Modes:
+def _unpack_modes(parts: Datasets, structure: Structure, contact: OptionalLaw = None) -> Modes:
     """Modes from these datasets, on any number of ranks (collective).
 
     Raises
@@ -182,7 +182,7 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     assert whole.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    marks, then, d = _marks(mesh), parts["nodes"], mesh.dimension
+    marks, then, d = _node_positions_and_midpoints(mesh), parts["nodes"], mesh.dimension
     check_shapes(parts, {"shapes": (len(omega), len(then), d), "nodes": (-1, 2 * d)})
     distance, place = cKDTree(then).query(marks)
     same = len(then) == len(marks) and len(set(place)) == len(place)
@@ -196,7 +196,7 @@ def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Mo
     return Modes(omega, rows.T, whole)
 
 
-def _marks(mesh: NodalMesh) -> np.ndarray:
+def _node_positions_and_midpoints(mesh: NodalMesh) -> np.ndarray:
     """Position of each node, and mean midpoint of its cells, by its crack face: (n, 2 d)."""
     sums, counts = np.zeros_like(mesh.points), np.zeros((len(mesh.points), 1))
     middles = mesh.points[mesh.cells].mean(axis=1)
@@ -209,28 +209,32 @@ def _marks(mesh: NodalMesh) -> np.ndarray:
 # --- solutions ------------------------------------------------------------------------------------
 
 
-def _pack_solution(solution: PeriodicSolution) -> Parts:
-    of_report = {f"error_{name}": value for name, value in packed(solution.report).items()}
-    parts = packed(solution, *_GIVEN, "displacement_coefficients", "stability")
+def _pack_solution(solution: PeriodicSolution) -> Datasets:
+    of_report = {f"error_{name}": value for name, value in pack_dataclass(solution.report).items()}
+    parts = pack_dataclass(solution, *_FIELDS_NOT_STORED, "displacement_coefficients", "stability")
     if is_rigid(solution.contact) and friction_of(solution.contact) is None:
         parts["weight"] = solution.contact.weight
     if solution.stability is not None:
-        parts |= packed(solution.stability)
-    return parts | of_report | _law_parts(solution.contact, solution.structure)
+        parts |= pack_dataclass(solution.stability)
+    return parts | of_report | _law_datasets(solution.contact, solution.structure)
 
 
-def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
+def _unpack_solution(
+    parts: Datasets, structure: Structure, contact: OptionalLaw
+) -> PeriodicSolution:
     gap = parts["gap_coefficients"]
     shape = len(gap) | 1, gap.shape[-1]
     waves = "gap_coefficients", "force_coefficients"
     check_shapes(parts, dict.fromkeys([*waves, *(f"tangential_{name}" for name in waves)], shape))
     check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
-    _check_pairs(structure, gap)
+    _check_n_pairs(structure, gap)
     _check_law(parts, contact, structure)
-    return solution_from(parts, structure, contact)
+    return rebuild_solution(parts, structure, contact)
 
 
-def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
+def rebuild_solution(
+    parts: Datasets, structure: Structure, contact: OptionalLaw
+) -> PeriodicSolution:
     """A solution from its waves, its errors and what else belongs to it (collective).
 
     Parameters
@@ -247,7 +251,7 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
         The structure is another one.
     """
     gap, force = parts["gap_coefficients"], parts["force_coefficients"]
-    _check_pairs(structure, gap)
+    _check_n_pairs(structure, gap)
     if is_rigid(contact) and friction_of(contact) is None:
         contact = UnilateralConstraint(parts.get("weight"))
     parts.setdefault("error_confirmed", True)  # of earlier versions
@@ -261,27 +265,29 @@ def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicS
     compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(rows)
     compliance.destroy()
-    solution = unpacked(
+    solution = unpack_dataclass(
         PeriodicSolution,
         parts,
         structure=structure,
         contact=contact,
         displacement_coefficients=displacement,
-        stability=unpacked(Stability, parts) if "multipliers" in parts else None,
-    ).reported(unpacked(ErrorReport, errors))
+        stability=unpack_dataclass(Stability, parts) if "multipliers" in parts else None,
+    ).reported(unpack_dataclass(ErrorReport, errors))
     if solution.converged:
-        _check_gap(structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual))
+        _check_gap_coefficients(
+            structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual)
+        )
     return solution
 
 
-def _check_pairs(structure: Structure, gaps: np.ndarray) -> None:
+def _check_n_pairs(structure: Structure, gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if gaps.shape[-1] != structure.n_pairs:
         allowed = f"one with {gaps.shape[-1]} pairs"
         raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
 
 
-def _check_gap(
+def _check_gap_coefficients(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
     """Raise InputError unless displacement and gap coefficients agree, to rounding of the common
@@ -297,23 +303,23 @@ def _check_gap(
 # --- curves ---------------------------------------------------------------------------------------
 
 
-def _pack_curve(curve: ResponseCurve) -> Parts:
+def _pack_curve(curve: ResponseCurve) -> Datasets:
     """Return the parts of a curve, and its special points; of exact orbits the verdicts follow."""
     special = curve.at_bifurcations.part(slice(1, -1))
-    parts = packed(curve, *_GIVEN, "points")
+    parts = pack_dataclass(curve, *_FIELDS_NOT_STORED, "points")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     points = {"values": special.values, "omega": special.omega}
     if curve.exact:
-        parts |= _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
-        points |= _of_dofs(special) | {"multipliers": special.multipliers}
+        parts |= _states_by_dof(curve) | {"couplings": _gap_and_load_rows(curve.structure)}
+        points |= _states_by_dof(special) | {"multipliers": special.multipliers}
     else:
         parts |= {"unknowns": curve.points, "undecided": curve.undecided}
         points |= {str(number): point for number, point in enumerate(special.points)}
     parts |= {f"bifurcation_{name}": value for name, value in points.items()}
-    return parts | _law_parts(curve.contact, curve.structure)
+    return parts | _law_datasets(curve.contact, curve.structure)
 
 
-def _of_dofs(curve: ResponseCurve) -> Parts:
+def _states_by_dof(curve: ResponseCurve) -> Datasets:
     """States of exact orbits: displacements [m] and velocities [m/s] of the modes that move, by
     dof, whose signs are known: (n, 2, n_dofs); and with friction the places where pairs stick:
     (n, n_pairs) [m]."""
@@ -330,7 +336,7 @@ def _of_dofs(curve: ResponseCurve) -> Parts:
     return found
 
 
-def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
+def _unpack_curve(parts: Datasets, structure: Structure, contact: OptionalLaw) -> ResponseCurve:
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     _check_law(parts, contact, structure)
@@ -340,17 +346,17 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     if missing or parts["parameter"] not in BALANCE_EQUATIONS or parts["subharmonic"] < 1:
         raise ValueError("its parts do not fit")
     numbers = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
-    shapes: Shapes = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}
-    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
+    shapes: ShapeByName = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}
+    given: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
     special: Sequence[np.ndarray]
     if exact:
-        signs = _signs(structure, parts["couplings"])
+        signs = _find_dof_signs(structure, parts["couplings"])
         for at, count in counts.items():
             shapes[f"{at}states"] = count, 2, structure.n_dofs
             shapes[f"{at}places"] = count, structure.n_pairs
         check_shapes(parts, shapes)
-        curve = unpacked(ResponseCurve, parts, **given, points=parts["states"])
-        points, special = (_read_states(parts, at, curve, signs) for at in counts)
+        curve = unpack_dataclass(ResponseCurve, parts, **given, points=parts["states"])
+        points, special = (_states_by_mode(parts, at, curve, signs) for at in counts)
         curve = replace(curve, points=points)
         if not curve.orbit(0).residual <= 1e-4:  # nan neither
             raise InputError("structure", "another load, mesh or material", "that of the file")
@@ -358,16 +364,18 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         names = [f"bifurcation_{number}" for number in range(len(parts["kinds"]))]
         unknowns = parts["unknowns"]
         seen = add_friction_pairs(contact, structure)
-        _check_pairs(seen, unknowns)
+        _check_n_pairs(seen, unknowns)
         shapes["unknowns"] = counts[""], unknowns.shape[1] | 1, seen.n_pairs
         shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
         check_shapes(parts, shapes)
         special = [resize_harmonics(parts[name], unknowns.shape[1] // 2) for name in names]
         if "undecided" in parts:  # of earlier versions, whose multiplier decides nothing there
             parts["multipliers"] = np.where(parts["undecided"], np.nan, parts["multipliers"])
-        curve = unpacked(ResponseCurve, parts, **given, points=unknowns, tolerance=None)
+        curve = unpack_dataclass(ResponseCurve, parts, **given, points=unknowns, tolerance=None)
         first = curve.solution(0)
-        _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
+        _check_gap_coefficients(
+            first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4
+        )
     values = parts["bifurcation_values"].tolist()
     frequencies = parts.get("bifurcation_omega", [curve.problem_at(v).omega for v in values])
     multipliers = parts["bifurcation_multipliers"][:, None] if exact else [None] * len(values)
@@ -375,7 +383,9 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in columns))
 
 
-def _read_states(parts: Parts, at: str, curve: ResponseCurve, signs: np.ndarray) -> np.ndarray:
+def _states_by_mode(
+    parts: Datasets, at: str, curve: ResponseCurve, signs: np.ndarray
+) -> np.ndarray:
     """States in modes of those by dofs, of all points or of the special ones."""
     values, of_dofs = parts[f"{at}values"], signs * parts[f"{at}states"]
     places = parts.get(f"{at}places", np.zeros((len(values), 0)))
@@ -387,21 +397,21 @@ def _read_states(parts: Parts, at: str, curve: ResponseCurve, signs: np.ndarray)
 # --- motion in time -------------------------------------------------------------------------------
 
 
-def _pack_history(history: TimeHistory) -> Parts:
+def _pack_history(history: TimeHistory) -> Datasets:
     if history.structure.comm.size > 1:
         raise InputError("result", "spread over several ranks", "a time history of one rank")
-    parts = packed(history, *_GIVEN, "final_state")
-    parts["couplings"] = _couplings(history.structure)
+    parts = pack_dataclass(history, *_FIELDS_NOT_STORED, "final_state")
+    parts["couplings"] = _gap_and_load_rows(history.structure)
     parts["final_state"] = history.final_state[:2]
     if history.friction is not None:
         parts["final_places"] = history.final_state[2]
     return parts
 
 
-def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
-    signs = _signs(structure, parts["couplings"])
+def _unpack_history(parts: Datasets, structure: Structure, contact: OptionalLaw) -> TimeHistory:
+    signs = _find_dof_signs(structure, parts["couplings"])
     count, dofs = parts["time"].size, parts["recorded_dofs"]
-    shapes: Shapes = {"time": (count,), "recorded_dofs": (dofs.size,)}
+    shapes: ShapeByName = {"time": (count,), "recorded_dofs": (dofs.size,)}
     of_pairs = "gap", "contact_force", "tangential_gap", "tangential_force"
     shapes |= {name: (count, structure.n_pairs) for name in of_pairs}
     shapes |= {"recorded": (count, dofs.size), "final_state": (2, structure.n_local)}
@@ -412,20 +422,20 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
     places = (parts["final_places"],) if "final_places" in parts else ()
     state = (*(signs * parts["final_state"]), *places)
     parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
-    return unpacked(TimeHistory, parts, structure=structure, final_state=state)
+    return unpack_dataclass(TimeHistory, parts, structure=structure, final_state=state)
 
 
 # --- dofs and laws --------------------------------------------------------------------------------
 
 
-def _couplings(structure: Structure) -> np.ndarray:
+def _gap_and_load_rows(structure: Structure) -> np.ndarray:
     """B^T and the load, by which a file identifies the dofs: (n_pairs + 2K+1, n_local)."""
     return np.vstack([structure.gap.toarray().T, structure.force])
 
 
-def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
+def _find_dof_signs(structure: Structure, then: np.ndarray) -> np.ndarray:
     """Signs (n_local,) of the dofs since a file: those of modes found again may differ."""
-    now = _couplings(structure)
+    now = _gap_and_load_rows(structure)
     if then.shape != now.shape:
         found = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
         allowed = f"one with {then.shape[1]} dofs and {len(then) - len(structure.force)} pairs"
@@ -441,7 +451,7 @@ LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0
 """Gaps at which the forces of a user's law are evaluated [m]."""
 
 
-def _law_parts(contact: Law, structure: Structure) -> Parts:
+def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     """Name, stiffness and sharpness of a law, or forces of one's own, by which a file identifies
     it."""
     names = (
@@ -456,9 +466,9 @@ def _law_parts(contact: Law, structure: Structure) -> Parts:
     return {"law": type(contact).__name__, **known}
 
 
-def _check_law(parts: Parts, contact: Law, structure: Structure) -> None:
+def _check_law(parts: Datasets, contact: OptionalLaw, structure: Structure) -> None:
     """Raise InputError unless the law of the datasets is the one given."""
-    now = _law_parts(contact, structure)
+    now = _law_datasets(contact, structure)
     names = {"law", "law_stiffness", "law_sharpness", "law_force"} | now.keys()
     then = {name: parts[name] for name in names if name in parts}
     force, forces = now.pop("law_force", None), then.pop("law_force", None)
@@ -469,11 +479,11 @@ def _check_law(parts: Parts, contact: Law, structure: Structure) -> None:
         raise InputError("contact", contact, "the law of the file: its forces are others")
 
 
-_GIVEN = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
+_FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
 """Fields that are not in a file, or by other datasets."""
-Pack = Callable[[Any], Parts]
-Unpack = Callable[[Parts, Structure, Law], Result]
-_FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
+PackFunction = Callable[[Any], Datasets]
+UnpackFunction = Callable[[Datasets, Structure, OptionalLaw], Result]
+_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
     ResponseCurve: (_pack_curve, _unpack_curve),

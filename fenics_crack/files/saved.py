@@ -9,12 +9,12 @@ from mpi4py import MPI
 
 from fenics_crack.basics.suggestions import check_calls
 from fenics_crack.basics.tables import Tabular
-from fenics_crack.files.codec import Parts, packed, unpacked
-from fenics_crack.files.store import Stored, read, write
+from fenics_crack.files.codec import Datasets, pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import StoredFile, read_result_file, write_result_file
 from fenics_crack.scene.scene import Scene
 
 
-class Saved(Tabular):
+class SavedResult(Tabular):
     """A frozen dataclass with a scene whose fields a file has (:mod:`fenics_crack.files.codec`)."""
 
     KIND: ClassVar[str]
@@ -29,7 +29,7 @@ class Saved(Tabular):
         InputError
             The file cannot be written.
         """
-        write(self._packed(), path, self.KIND, self.scene, comm)
+        write_result_file(self._pack_fields(), path, self.KIND, self.scene, comm)
 
     @classmethod
     @check_calls
@@ -41,20 +41,20 @@ class Saved(Tabular):
         InputError
             The file cannot be read, is damaged, or is of something else.
         """
-        return cls.of(read(path))
+        return cls.of(read_result_file(path))
 
     @classmethod
-    def of(cls, stored: Stored) -> Self:
+    def of(cls, stored: StoredFile) -> Self:
         """The same of a file that has been read."""
-        stored.fitting_argument(cls.KIND)
-        with stored.taken() as parts:
-            found = cls._unpacked(parts, stored.scene())
+        stored.check_kind(cls.KIND)
+        with stored.checked_datasets() as parts:
+            found = cls._unpack_fields(parts, stored.scene())
             repr(found), found.table()  # whose columns are of one length
             return found
 
-    def _packed(self) -> Parts:
-        return packed(self)
+    def _pack_fields(self) -> Datasets:
+        return pack_dataclass(self)
 
     @classmethod
-    def _unpacked(cls, parts: Parts, scene: Scene | None) -> Self:
-        return unpacked(cls, parts, scene)
+    def _unpack_fields(cls, parts: Datasets, scene: Scene | None) -> Self:
+        return unpack_dataclass(cls, parts, scene)

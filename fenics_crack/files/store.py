@@ -38,7 +38,7 @@ from fenics_crack.basics.untrusted_files import (
     run_reader,
 )
 from fenics_crack.fem.model_files import list_included_files
-from fenics_crack.files.codec import WRONG, check_arrays
+from fenics_crack.files.codec import DATASET_ERRORS, check_arrays
 from fenics_crack.scene.scene import Scene, files_of, with_files
 from fenics_crack.version import VERSION
 
@@ -46,15 +46,15 @@ if TYPE_CHECKING:
     import h5py
 
 
-IDENTIFICATION = "identification"
+IDENTIFICATION_KIND = "identification"
 """Kind of the file of ``identify``, which draws its picture itself."""
-PROGRAM = "fenics_crack"
-MISSING = "missing"
+PROGRAM_NAME = "fenics_crack"
+MISSING_FILE_DIGEST = "missing"
 """In place of the digest of a file that cannot be read."""
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-def write(
+def write_result_file(
     parts: Mapping[str, Any],
     path: str | Path,
     kind: str,
@@ -97,8 +97,8 @@ def write(
                         {"compression": "gzip"} if is_compressed and np.size(value) > 1000 else {}
                     )
                     dataset = file.create_dataset(name, data=value, **packed)
-                    dataset.attrs.update(about(name, parts))
-            file.attrs["digest"] = digest(texts(file), parts)
+                    dataset.attrs.update(describe_dataset(name, parts))
+            file.attrs["digest"] = content_digest(attribute_texts(file), parts)
         write_file_whole(path, image.getvalue())
 
     on_root(comm, work)
@@ -106,13 +106,13 @@ def write(
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     """Write the attributes: what is in the file, what made it, and from which scene."""
-    file.attrs.update(kind=kind, program=PROGRAM, version=VERSION, versions=versions())
+    file.attrs.update(kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions())
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(digests_of(scene))
+        file.attrs["meshes"] = "\n".join(scene_file_digests(scene))
 
 
-def versions() -> str:
+def library_versions() -> str:
     """Versions of what the program uses; of SLEPc, DOLFINx and gmsh where they are loaded."""
     parts = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
     found = {name: ".".join(map(str, one.Sys.getVersion())) for name, one in parts.items() if one}
@@ -123,7 +123,7 @@ def versions() -> str:
 
 
 @functools.cache
-def fingerprint() -> str:
+def program_fingerprint() -> str:
     """What this program is, and what is installed that meshes and assembles: sizes and times of its
     sources, and of the files that load these."""
     specs = map(find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh"))
@@ -134,15 +134,15 @@ def fingerprint() -> str:
 
 def scene_text(scene: Scene) -> str:
     """The scene as it stands in a file: TOML, with the full paths of its files."""
-    return with_full_paths(scene).as_toml()
+    return scene_with_full_paths(scene).as_toml()
 
 
-def with_full_paths(scene: Scene) -> Scene:
+def scene_with_full_paths(scene: Scene) -> Scene:
     """The scene with the full paths of its files."""
     return with_files(scene, lambda path: str(Path(path).absolute()))
 
 
-def texts(file: h5py.File) -> dict[str, str]:
+def attribute_texts(file: h5py.File) -> dict[str, str]:
     """Attributes of a file, and of its datasets by names like "omega/unit"."""
     found = {name: str(value) for name, value in file.attrs.items()}
     for name, item in file.items():
@@ -150,17 +150,17 @@ def texts(file: h5py.File) -> dict[str, str]:
     return found
 
 
-def column_of(dataset: h5py.Dataset) -> Column:
+def locate_column(dataset: h5py.Dataset) -> Column:
     """Type, shape and place of a dataset that is filled in later."""
     return Column(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
 
-def places(columns: Mapping[str, Column]) -> dict[str, str]:
+def column_texts(columns: Mapping[str, Column]) -> dict[str, str]:
     """The same in words."""
     return {name: str(column) for name, column in columns.items()}
 
 
-def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
+def content_digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
     """SHA-256 of attributes, but for the digest, and of datasets: names, types, shapes and bytes.
 
     Parameters
@@ -206,7 +206,7 @@ class Column:
         """Bytes."""
         return math.prod(self.shape) * self.dtype.itemsize
 
-    def of(self, path: Path, first: int = 0, count: int | None = None) -> np.ndarray:
+    def read_values(self, path: Path, first: int = 0, count: int | None = None) -> np.ndarray:
         """Its numbers, or ``count`` of them from the ``first`` on (count,); OSError, ValueError."""
         start = self.offset + first * self.dtype.itemsize
         wanted = math.prod(self.shape) if count is None else count
@@ -217,7 +217,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Stored:
+class StoredFile:
     """Contents of a file whose digest has been verified.
 
     Attributes
@@ -260,34 +260,34 @@ class Stored:
     def check_files(self, scene: Scene, *, needed: bool = True) -> None:
         """Raise InputError if a file of the scene, of its mesh or matrices, has changed, or has
         gone where it is needed."""
-        files = _files_of(scene)
+        files = _list_scene_files(scene)
         for (key, path), known in zip(files, self._digests, strict=False):
             found = _file_digest(path)
-            if found != known and (needed or found != MISSING):
+            if found != known and (needed or found != MISSING_FILE_DIGEST):
                 allowed = f"the file with which {self.path} was computed; it has changed or gone"
                 raise InputError(key, path, allowed)
         if needed and len(self._digests) != len(files):
             raise self._older("digests of all files of its matrices")
 
-    def refused(self, allowed: str) -> InputError:
+    def refusal(self, allowed: str) -> InputError:
         """The error of a file that is not as allowed."""
         return InputError("path", str(self.path), allowed)
 
-    def fitting_argument(self, kind: str) -> None:
+    def check_kind(self, kind: str) -> None:
         """Raise InputError if something else is in the file."""
         if self.kind != kind:
-            raise self.refused(f"a file with a {kind}; in this one is a {self.kind}")
+            raise self.refusal(f"a file with a {kind}; in this one is a {self.kind}")
 
     @contextlib.contextmanager
-    def taken(self) -> Iterator[dict[str, Any]]:
+    def checked_datasets(self) -> Iterator[dict[str, Any]]:
         """Its datasets, to be taken apart; InputError if they are not as expected."""
         try:
             check_arrays(self.parts)
             yield dict(self.parts)
         except InputError:
             raise
-        except WRONG as error:
-            raise self.refused(f"a {self.kind} written by save ({error})") from None
+        except DATASET_ERRORS as error:
+            raise self.refusal(f"a {self.kind} written by save ({error})") from None
 
     @property
     def _digests(self) -> list[str]:
@@ -298,17 +298,17 @@ class Stored:
         known = self.attributes.get("digest")
         if known is None:
             raise self._older("a digest")
-        if digest(self.attributes, self.parts or places(self.columns)) != known:
-            raise self.refused("a whole file; this one is damaged")
+        if content_digest(self.attributes, self.parts or column_texts(self.columns)) != known:
+            raise self.refusal("a whole file; this one is damaged")
 
     def _older(self, what: str) -> InputError:
         version = self.attributes.get("version", "unknown")
         older = f"a file with {what}, which older versions did not write (this one: {version})"
         remedy = "make it again with the command that wrote it, a sweep in a new folder"
-        return self.refused(f"{older}; {remedy}")
+        return self.refusal(f"{older}; {remedy}")
 
 
-def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:
+def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:
     """Read a file and verify its digest (collective); rank 0 lets a program of its own read it.
 
     Raises
@@ -316,17 +316,19 @@ def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:
     InputError
         The file cannot be read, is damaged, of an older version, or not one of this program.
     """
-    return on_root(comm, lambda: _read(Path(path)))
+    return on_root(comm, lambda: _read_and_check(Path(path)))
 
 
-def _read(path: Path) -> Stored:
+def _read_and_check(path: Path) -> StoredFile:
     def refusal(why: str) -> InputError:
         kinds = "one of the .h5 files that solve, curve and the other commands write"
         return InputError("path", str(path), f"a readable result file, {kinds} ({why})")
 
     try:
         size = regular_file_size(path, None)
-        if read_first_bytes(path, len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
+        if (
+            read_first_bytes(path, len(HDF5_SIGNATURE)) != HDF5_SIGNATURE
+        ):  # where it may also begin later
             raise refusal("it does not begin as HDF5 files do")
         seconds = 5 + size // 10**7  # of processor time: any file is read at 10 MB/s and more
         found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds, 2**28 + 2**27)
@@ -337,18 +339,18 @@ def _read(path: Path) -> Stored:
     if isinstance(found, str):
         raise refusal(found)
     try:
-        stored = _taken_over(path, found)
+        stored = _stored_file_from_arrays(path, found)
     except (KeyError, TypeError, ValueError) as error:  # its reader has been led astray
         raise refusal(str(error)) from None
-    if stored.attributes.get("program") != PROGRAM or "kind" not in stored.attributes:
-        raise InputError("path", str(path), f"a result file of {PROGRAM}")
+    if stored.attributes.get("program") != PROGRAM_NAME or "kind" not in stored.attributes:
+        raise InputError("path", str(path), f"a result file of {PROGRAM_NAME}")
     stored.check_digest()
     if missing := {"version", "versions"} - stored.attributes.keys():
         raise InputError("path", str(path), f"a file with the attribute {min(missing)}")
     return stored
 
 
-def _taken_over(path: Path, found: Mapping[str, np.ndarray]) -> Stored:
+def _stored_file_from_arrays(path: Path, found: Mapping[str, np.ndarray]) -> StoredFile:
     """Return the file's contents from the arrays that the reader hands over."""
     head = json.loads(str(found["head"]))
     arrays = {name: found[f"arr_{number}"] for number, name in enumerate(head["arrays"])}
@@ -357,7 +359,7 @@ def _taken_over(path: Path, found: Mapping[str, np.ndarray]) -> Stored:
         name: Column(np.dtype(kind), tuple(shape), offset)
         for name, (kind, shape, offset) in head["columns"].items()
     }
-    return Stored(path, head["attributes"], head["words"] | numbers, columns)
+    return StoredFile(path, head["attributes"], head["words"] | numbers, columns)
 
 
 def check_shapes(parts: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -369,7 +371,7 @@ def check_shapes(parts: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]
             raise ValueError(f"its {name} does not fit")
 
 
-def header(path: str | Path) -> Stored:
+def read_header(path: str | Path) -> StoredFile:
     """A file without its numbers, which are verified too; raises as :func:`read`.
 
     It is read again when it has changed.
@@ -377,16 +379,16 @@ def header(path: str | Path) -> Stored:
     try:
         now = os.stat(path)
     except (OSError, ValueError):
-        return read(path)  # which says why it cannot be
-    return _header(Path(path), (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns))
+        return read_result_file(path)  # which says why it cannot be
+    return _read_header_cached(Path(path), (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns))
 
 
 @functools.lru_cache(maxsize=32)
-def _header(path: Path, state: tuple[int, ...]) -> Stored:
-    return replace(_read(path), parts={})
+def _read_header_cached(path: Path, state: tuple[int, ...]) -> StoredFile:
+    return replace(_read_and_check(path), parts={})
 
 
-def _files_of(scene: Scene) -> list[tuple[str, str]]:
+def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
     """The keys that name files of a scene, and these; then those that are read with them."""
     found = files_of(scene)
     named = any(key == "structure.dofs" for key, _ in found)  # takes the place of those beside
@@ -394,9 +396,9 @@ def _files_of(scene: Scene) -> list[tuple[str, str]]:
     return found + [one for one in beside if not (named and one[1].endswith(".dof"))]
 
 
-def digests_of(scene: Scene) -> list[str]:
+def scene_file_digests(scene: Scene) -> list[str]:
     """SHA-256 of the files that a scene names, and of those that are read with them."""
-    return [_file_digest(path) for _, path in _files_of(scene)]
+    return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
 
 def _file_digest(path: str) -> str:
@@ -404,23 +406,26 @@ def _file_digest(path: str) -> str:
     try:
         return file_sha256(path)
     except OSError:
-        return MISSING
+        return MISSING_FILE_DIGEST
 
 
 # --- units ----------------------------------------------------------------------------------------
 
-ROWS = (
+COEFFICIENT_ROWS_TEXT = (
     "rows a0, a1, b1, ..., aH, bH of a0 + sum_k a_k cos(k w t) + b_k sin(k w t), "
     "w = omega / subharmonic"
 )
-GAPS = f"{ROWS}; a column for each pair; positive: penetration"
-ABOUT: dict[str, tuple[str, str]] = {
+GAP_ROWS_TEXT = f"{COEFFICIENT_ROWS_TEXT}; a column for each pair; positive: penetration"
+UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "omega": ("rad/s", "load frequency, or natural frequency"),
-    "gap_coefficients": ("m", GAPS),
-    "force_coefficients": ("N", f"{ROWS}; a column for each pair"),
-    "tangential_gap_coefficients": ("m", f"{ROWS}; a column for each pair"),
-    "tangential_force_coefficients": ("N", f"{ROWS}; a column for each pair"),
-    "watched_coefficients": ("m", f"{ROWS}; along a curve points before rows; last: 'watched'"),
+    "gap_coefficients": ("m", GAP_ROWS_TEXT),
+    "force_coefficients": ("N", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "tangential_gap_coefficients": ("m", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "tangential_force_coefficients": ("N", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "watched_coefficients": (
+        "m",
+        f"{COEFFICIENT_ROWS_TEXT}; along a curve points before rows; last: 'watched'",
+    ),
     "watched_displacement": ("m", "instants; 'watched'"),
     "multipliers": ("1", "Floquet multipliers, those of a curve the largest of each point"),
     "rest_amplitude": ("m", "half peak-to-peak of the motion from rest at the watched dof"),
@@ -433,7 +438,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "law_turning": ("1", "sliding across these lines over that along them"),
     "law_tangential_stiffness": ("N/m", "of all pairs, or of each"),
     "law_force": ("N", "of a law of one's own, of all pairs together, at gaps of 1e-12 to 10 m"),
-    "unknowns": ("m", f"points; {GAPS}; gaps, or slow gaps where static_above is there"),
+    "unknowns": ("m", f"points; {GAP_ROWS_TEXT}; gaps, or slow gaps where static_above is there"),
     "states": ("m, m/s", "points; displacement and velocity at phase zero of the load; dofs"),
     "places": ("m", "points; tangential gaps at which pairs stick at phase zero; pairs"),
     "bifurcation_places": ("m", "bifurcations; pairs"),
@@ -478,7 +483,7 @@ ABOUT: dict[str, tuple[str, str]] = {
 """Unit, and what it is, axis by axis."""
 
 
-def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
+def describe_dataset(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
     """The attributes of a dataset, of those of its file; none where it is a count or a word."""
     if name in ("values", "bifurcation_values") and "parameter" in parts:
         parameter = str(parts["parameter"])  # most are factors
@@ -486,8 +491,8 @@ def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
     elif name.startswith("error_"):
         found = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():
-        found = ABOUT["unknowns"][0], GAPS
+        found = UNIT_AND_MEANING_BY_NAME["unknowns"][0], GAP_ROWS_TEXT
     else:  # of a dataclass in others its last part
         last = name.rpartition(".")[2]
-        found = ABOUT.get(last, (UNIT_BY_NAME.get(last, ""), ""))
+        found = UNIT_AND_MEANING_BY_NAME.get(last, (UNIT_BY_NAME.get(last, ""), ""))
     return {key: words for key, words in zip(("unit", "about"), found, strict=True) if words}

@@ -22,7 +22,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.files.results import Result
-from fenics_crack.files.store import with_full_paths
+from fenics_crack.files.store import scene_with_full_paths
 from fenics_crack.monitoring.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
@@ -145,7 +145,7 @@ def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
     """Describe how the scene of a result differs, or return "" (collective)."""
     scenes = with_crack_length(scene, run.structure.comm), run.scene
     compared_scenes = [
-        with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
+        scene_with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
     ]
     scene_words, result_words = differences(compared_scenes)
     sentence_start = (

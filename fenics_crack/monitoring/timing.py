@@ -23,7 +23,7 @@ from fenics_crack.basics.tables import (
     format_count,
     format_quantity,
 )
-from fenics_crack.files.saved import Saved
+from fenics_crack.files.saved import SavedResult
 from fenics_crack.scene.scene import Scene
 
 NO_RESONANCE: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
@@ -55,7 +55,7 @@ CONSTANT_FREQUENCY = (
 
 
 @dataclass(frozen=True, repr=False)
-class Timing(Saved):
+class Timing(SavedResult):
     """Vibration of blade tips, from their arrival times.
 
     Attributes

@@ -26,8 +26,8 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, force_parts
-from fenics_crack.files.codec import packed, unpacked
-from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.files.codec import pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
 from fenics_crack.model.body import DEFAULT_SETTING, Body
 from fenics_crack.model.factor import square_matrix
 from fenics_crack.model.matrices import AbsentMatrix
@@ -152,7 +152,8 @@ class PreparedStructure:
     def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
         """Return the structure in the setting of a scene, its load's rows weighted.
 
-        Rank 0 has all rows. An error of :data:`fenics_crack.files.codec.WRONG` where the datasets
+        Rank 0 has all rows. An error of
+        :data:`fenics_crack.files.codec.DATASET_ERRORS` where the datasets
         are no structure (collective).
         """
         n_dofs, n_pairs = self._check(), len(self.clearance)
@@ -201,7 +202,7 @@ class PreparedStructure:
     def _check(self) -> int:
         """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
         nodes, places = self.nodes, np.array([*self.pairs.places.values()])
-        arrays = {name: array for name, array in packed(self).items() if np.ndim(array)}
+        arrays = {name: array for name, array in pack_dataclass(self).items() if np.ndim(array)}
         arrays |= {"pairs.places": places} | (
             {"free dofs": np.unique(nodes.dofs[nodes.dofs >= 0])} if nodes else {}
         )
@@ -294,8 +295,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
         raise InputError("structure", repr(structure), allowed)
     twin = coarser(prepared)
     studies = prepared, *([] if isinstance(twin, str) else [twin[0]])
-    parts = packed(PreparedFile(*map(_of_study, studies)))
-    write(parts, path, KIND, scene, structure.whole.comm)
+    parts = pack_dataclass(PreparedFile(*map(_of_study, studies)))
+    write_result_file(parts, path, KIND, scene, structure.whole.comm)
 
 
 def _of_study(study: Study) -> PreparedStructure:
@@ -340,12 +341,12 @@ def load_prepared(
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     >>> fc.solve(fc.load_prepared("plate.h5", {"excitation.frequency": 800.0}))
     """
-    stored = read(path, comm)
+    stored = read_result_file(path, comm)
     scene = on_root(comm, lambda: _scene_of(stored, changes or {}))
     return prepare(scene, comm, whole=True, last=[_made(stored, scene, comm)])
 
 
-def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
+def _scene_of(stored: StoredFile, changes: Mapping[str, object]) -> Scene:
     """The scene of a file that has been read, changed.
 
     Raises
@@ -353,10 +354,10 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
     InputError
         It is of another kind, or a changed key needs a mesh.
     """
-    stored.fitting_argument(KIND)
+    stored.check_kind(KIND)
     known = stored.scene()
     if known is None:
-        raise stored.refused("one with its scene")
+        raise stored.refusal("one with its scene")
     stored.check_files(known, needed=False)
     scene, before = known.replace(changes), parts_shared(known, MPI.COMM_SELF)
 
@@ -413,7 +414,7 @@ def load_weights(old_rows: np.ndarray, scene: Scene) -> np.ndarray:
     return weights
 
 
-def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
+def _made(stored: StoredFile, scene: Scene, comm: MPI.Comm) -> Made:
     """The structure of a file for a scene, with that of its coarser mesh (collective).
 
     Raises
@@ -424,6 +425,6 @@ def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
     known = stored.scene()
     assert known is not None
     weights = _weights(known, scene)
-    with stored.taken() as parts:
-        file: PreparedFile = unpacked(PreparedFile, parts)
+    with stored.checked_datasets() as parts:
+        file: PreparedFile = unpack_dataclass(PreparedFile, parts)
         return file.make_structures(scene, weights, comm)

@@ -36,8 +36,8 @@ from fenics_crack.basics.tables import (
     speed_axis,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.saved import Saved
-from fenics_crack.files.store import Stored
+from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import StoredFile
 from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
@@ -75,7 +75,7 @@ Peaks = Callable[[Modes], np.ndarray]
 
 
 @dataclass(frozen=True, repr=False)
-class Campbell(Saved):
+class Campbell(SavedResult):
     """Natural frequencies over the speed.
 
     Attributes
@@ -125,7 +125,7 @@ class Campbell(Saved):
     frequency_bilinear = hertz_property("omega_bilinear")
 
     @classmethod
-    def of(cls, stored: Stored) -> Campbell:
+    def of(cls, stored: StoredFile) -> Campbell:
         """A diagram from a file that has been read, whose mesh has not changed."""
         found = super().of(stored)
         stored.check_files(found.scene)

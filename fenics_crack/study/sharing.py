@@ -17,7 +17,7 @@ from mpi4py import MPI
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import clearance_of, damping_of
-from fenics_crack.files.store import digests_of
+from fenics_crack.files.store import scene_file_digests
 from fenics_crack.model.body import DEFAULT_SETTING
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -101,7 +101,7 @@ def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
     matrices = (
         scene.geometry, scene.material, _without(scene.mesh, "error", "coarser"), contact,
         [_without(crack, "clearance") for crack in cracks], scene.rotation, scene.disk,
-        scene.structure, on_root(comm, lambda: digests_of(scene)),
+        scene.structure, on_root(comm, lambda: scene_file_digests(scene)),
     )  # fmt: skip
     return matrices, loads_of(scene), ([crack.clearance for crack in cracks], scene.damping)
 

@@ -42,7 +42,7 @@ from fenics_crack.basics.observables import (
 from fenics_crack.basics.tables import UNIT_BY_NAME
 from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
-from fenics_crack.files.store import about
+from fenics_crack.files.store import describe_dataset
 from fenics_crack.scene.scene import LOOKED_AT, Scene, asked_quantities
 from fenics_crack.scene.words import differences
 from fenics_crack.version import VERSION
@@ -263,7 +263,7 @@ def _stored(value: Any, size: int) -> Any:
 
 def _made(
     path: Path, scene: Scene, harmonics: int, rows: int, omitted: Sequence[str]
-) -> store.Stored | None:
+) -> store.StoredFile | None:
     """A new file; None where another program has been quicker."""
     shape = scene.given("sweep").shape
     sizes = {name: (unit, kind, shape) for name, (unit, kind) in _kept(scene).items()}
@@ -290,14 +290,17 @@ def _image(
     scene: Scene,
     sizes: Mapping[str, tuple[str, str, tuple[int, ...]]],
     omitted: Sequence[str],
-) -> store.Stored:
+) -> store.StoredFile:
     """Write a new file with datasets of some units, types and shapes; its header."""
     import h5py  # what only reads has its reader
 
     with h5py.File(image, "w", libver="earliest") as file:
         store.write_header(file, KIND, scene)
         file.attrs["omitted"] = " ".join(omitted)
-        texts, columns = store.texts(file), {}  # kept as written: to read them takes longer
+        texts, columns = (
+            store.attribute_texts(file),
+            {},
+        )  # kept as written: to read them takes longer
         for name, (unit, kind, size) in sizes.items():
             plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -306,10 +309,10 @@ def _image(
             said = {"unit": unit} | ({"about": words} if (words := _words(name)) else {})
             for key, text in said.items():
                 column.attrs[key] = texts[f"{name}/{key}"] = text
-            columns[name] = store.column_of(column)
-        texts["digest"] = store.digest(texts, store.places(columns))
+            columns[name] = store.locate_column(column)
+        texts["digest"] = store.content_digest(texts, store.column_texts(columns))
         file.attrs["digest"] = texts["digest"]
-        return store.Stored(path, texts, {}, columns)
+        return store.StoredFile(path, texts, {}, columns)
 
 
 def _copy_written(image: int, whole: int) -> None:
@@ -328,7 +331,7 @@ def _copy_written(image: int, whole: int) -> None:
 def _words(name: str) -> str:
     """Describe a column or a wave; "" where its name does."""
     if name in WAVES:
-        return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
+        return f"axes of the sweep; {describe_dataset(f'{name}_coefficients', {})['about']}"
     quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
     known = {name: row.words for name, row in OBSERVABLES_BY_NAME.items()}
     return known.get(quantity) or NATURAL.get(quantity, ("",))[0]
@@ -350,11 +353,11 @@ def _of_cases(columns: Mapping[str, np.ndarray], state: np.ndarray) -> np.ndarra
     return found
 
 
-def _of_scene(path: Path, scene: Scene) -> store.Stored:
+def _of_scene(path: Path, scene: Scene) -> store.StoredFile:
     """The header of a file; InputError unless it is the sweep of a scene by this version of the
     program."""
-    stored = store.header(path)
-    stored.fitting_argument(KIND)
+    stored = store.read_header(path)
+    stored.check_kind(KIND)
     begun = stored.scene()
     asked = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
     if begun is None or begun.replace(UNUSED) != asked.replace(UNUSED):
@@ -363,15 +366,15 @@ def _of_scene(path: Path, scene: Scene) -> store.Stored:
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", value, allowed)
     if (version := stored.attributes["version"]) != VERSION:
-        raise stored.refused(f"a new name: it was begun by version {version}, this is {VERSION}")
+        raise stored.refusal(f"a new name: it was begun by version {version}, this is {VERSION}")
     stored.check_files(begun)
     if not _kept(scene).keys() <= stored.columns.keys():
-        raise stored.refused("a whole sweep")
+        raise stored.refusal("a whole sweep")
     scene_of(stored)
     return stored
 
 
-def _check_omitted(stored: store.Stored, omitted: Sequence[str]) -> None:
+def _check_omitted(stored: store.StoredFile, omitted: Sequence[str]) -> None:
     """Raise InputError where more or less was asked of the cases in a file than is of its others;
     that is not known of older files."""
     begun = stored.attributes.get("omitted", " ".join(omitted)).split()
@@ -391,28 +394,28 @@ def _kept(scene: Scene) -> dict[str, tuple[str, str]]:
     return {"state": ("", "u1")} | columns_of(scene) | checksums
 
 
-def scene_of(stored: store.Stored) -> Scene:
+def scene_of(stored: store.StoredFile) -> Scene:
     """Return the scene of a sweep's file; InputError unless all its columns fit it."""
-    stored.fitting_argument(KIND)
+    stored.check_kind(KIND)
     scene = stored.scene()
     if scene is None or scene.sweep is None:
-        raise stored.refused("a sweep with its scene")
+        raise stored.refusal("a sweep with its scene")
     total, column_formats = 0, _kept(scene)
     for name in sorted(column_formats.keys() & (stored.columns.keys() | REQUIRED_COLUMNS)):
         column = stored.columns.get(name)
         if column is None:
             requirement = f"a sweep with a column {name!r}: this one is of an older version"
-            raise stored.refused(f"{requirement}; solve it anew in another folder")
+            raise stored.refusal(f"{requirement}; solve it anew in another folder")
         column_type = np.dtype(column_formats[name][1])
         if column.shape != scene.given("sweep").shape or column.dtype != column_type:
-            raise stored.refused("a whole sweep")
+            raise stored.refusal("a whole sweep")
         total += column.size
     if total > MAX_FILE_BYTES:
-        raise stored.refused(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
+        raise stored.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene
 
 
-def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:
+def _cases(stored: store.StoredFile, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """``state`` and the columns (n,) of all cases, and which of them are damaged.
 
     The state is the one that the checksum confirms: with another one, or none, a case is pending.
@@ -424,13 +427,13 @@ def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], n
     return columns, damaged
 
 
-def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+def _numbers(stored: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
     """All that is kept of each case (n,), beside its waves."""
     try:  # the state first: what is written later counts as pending
         names = [name for name in _kept(scene) if name in stored.columns]
-        return {name: stored.columns[name].of(stored.path).ravel() for name in names}
+        return {name: stored.columns[name].read_values(stored.path).ravel() for name in names}
     except (OSError, ValueError):
-        raise stored.refused("a whole sweep") from None
+        raise stored.refusal("a whole sweep") from None
 
 
 def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -444,7 +447,7 @@ def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.
     return {"state": state} | found, (state == State.PENDING) & (stated != State.PENDING)
 
 
-def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
+def _whole_cases(stored: store.StoredFile, scene: Scene) -> np.ndarray:
     """The state of each case in the shape of the axes; of damaged ones State.PENDING."""
     state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(scene.given("sweep").shape)
     for index in np.argwhere(state == State.CONVERGED):
@@ -453,7 +456,7 @@ def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
     return state
 
 
-def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+def read_columns(stored: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
     """``state`` and the columns in the shape of the axes.
 
     Pending cases, and columns that an earlier version did not write, have nan, 0 in columns of
@@ -464,7 +467,7 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     if damaged.any():
         first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
         cases = f"{damaged.sum()} of its cases are damaged, the first at {first}"
-        raise stored.refused(f"a whole sweep: {cases}; the command sweep computes them again")
+        raise stored.refusal(f"a whole sweep: {cases}; the command sweep computes them again")
     for name, (_, kind) in ({"state": ("", "u1")} | columns_of(scene)).items():
         values = columns.get(name, np.full(math.prod(shape), BLANKS.get(kind[0], 0), kind))
         if name != "state":
@@ -478,26 +481,28 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Gap [m] and force [N] coefficients of a case that converged, with friction tangential ones
     behind the normal ones: (2H+1, n_rows) each."""
-    stored = store.header(path)
-    stored.fitting_argument(KIND)
+    stored = store.read_header(path)
+    stored.check_kind(KIND)
     found = _waves(stored, index)
     if found is None:
         allowed = f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
-        raise stored.refused(allowed)
+        raise stored.refusal(allowed)
     return found
 
 
-def _waves(stored: store.Stored, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
+def _waves(
+    stored: store.StoredFile, index: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray] | None:
     """The same, or None if they are damaged."""
     columns, path, found = stored.columns, stored.path, []
     try:
         case = int(np.ravel_multi_index(index, columns["state"].shape))
-        rows = 2 * int(columns["harmonics"].of(path, case, 1)[0]) + 1
-        known = columns[WAVES_CHECKSUM].of(path, case, 1)[0]
+        rows = 2 * int(columns["harmonics"].read_values(path, case, 1)[0]) + 1
+        known = columns[WAVES_CHECKSUM].read_values(path, case, 1)[0]
         for name in WAVES:
             most, pairs = columns[name].shape[-2:] if name in columns else (rows, 0)
             first = case * most * pairs
-            wave = columns[name].of(path, first, rows * pairs) if pairs else np.zeros(0)
+            wave = columns[name].read_values(path, first, rows * pairs) if pairs else np.zeros(0)
             found.append(wave.reshape(rows, pairs))
     except (OSError, ValueError, KeyError):
         return None

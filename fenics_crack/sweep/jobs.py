@@ -20,7 +20,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
-from fenics_crack.files.store import Stored
+from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
 from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk
@@ -179,7 +179,7 @@ class Manager:
         return f"{self._done} of {self._file.state.size} cases of the sweep"
 
     @property
-    def stored(self) -> Stored:
+    def stored(self) -> StoredFile:
         """The file's header, when all is done; raises the error that has ended the sweep."""
         if self._error is not None:
             raise self._error

@@ -57,8 +57,8 @@ from fenics_crack.basics.tables import (
     format_quantity,
     import_optional,
 )
-from fenics_crack.files.results import solution_from
-from fenics_crack.files.store import Stored, header
+from fenics_crack.files.results import rebuild_solution
+from fenics_crack.files.store import StoredFile, read_header
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.conclusion import report_linearity
 from fenics_crack.scene.fields import Axis
@@ -234,10 +234,10 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        return cls.of(header(Path(path)))
+        return cls.of(read_header(Path(path)))
 
     @classmethod
-    def of(cls, stored: Stored) -> SweepResult:
+    def of(cls, stored: StoredFile) -> SweepResult:
         """The same of a file whose header is at hand."""
         scene = scene_of(stored)
         return cls(stored.path, scene, read_columns(stored, scene))
@@ -334,7 +334,7 @@ class SweepResult(Tabular):
             As :meth:`gap`; or a mesh file has changed.
         """
         place = self._place(index)
-        header(self.path).check_files(self.scene)
+        read_header(self.path).check_files(self.scene)
         plan = Plan(self.scene)
         case = plan.case(place)
         assert isinstance(case, Scene)
@@ -369,7 +369,7 @@ class SweepResult(Tabular):
         parts |= {f"error_{name}": float(self[f"{name}_error"][place]) for name in ERROR_PARTS}
         if problem.is_projected:
             parts["weight"] = default_weight(problem.compliance())
-        return solution_from(parts, structure, law)
+        return rebuild_solution(parts, structure, law)
 
     def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """The place of a case that converged."""
@@ -460,7 +460,7 @@ class SweepResult(Tabular):
         return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
 
 
-def is_part(stored: Stored) -> bool:
+def is_part(stored: StoredFile) -> bool:
     """Return True for the file of a sweep that another computation has made for itself: it leaves
     out errors that the command ``sweep`` estimates."""
     return stored.kind == KIND and bool(stored.attributes.get("omitted"))

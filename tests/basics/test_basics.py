@@ -668,7 +668,7 @@ from surroundings import main
 fc.prepare, fc.Scene
 
 def counted():
-    pools = threads._pools(len(sys.modules))
+    pools = threads._load_openblas_libraries(len(sys.modules))
     return len(pools), {pool("get_num_threads") == begin for pool, begin in pools}, {
         pool("get_num_threads") for pool, _ in pools}
 
@@ -691,7 +691,7 @@ from surroundings import main
 
 def counted(*_):
     import scipy.linalg
-    print({pool("get_num_threads") for pool, _ in threads._pools(-1)})
+    print({pool("get_num_threads") for pool, _ in threads._load_openblas_libraries(-1)})
 
 with patch("fenics_crack.cli.command_line._command", counted):
     main(["check", "demos/paper_plate.toml"])
@@ -708,7 +708,7 @@ import os, sys
 import fenics_crack as fc
 from fenics_crack.basics import threads
 study = fc.prepare(fc.Scene.load("demos/breathing_plate.toml"), whole=True)
-library, = threads._openmp(len(sys.modules))
+library, = threads._load_openmp_libraries(len(sys.modules))
 print(library.omp_get_max_active_levels() > 0)
 before = len(os.listdir("/proc/self/task"))
 fc.solve_modes(study.structure, 2)

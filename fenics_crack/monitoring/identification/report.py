@@ -13,7 +13,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import Conclusion, Table
 from fenics_crack.basics.untrusted_files import read_regular_file
-from fenics_crack.files.store import IDENTIFICATION, Stored
+from fenics_crack.files.store import IDENTIFICATION_KIND, StoredFile
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
@@ -25,7 +25,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 class Identified:
     """Result of ``identify`` and the files that it has written."""
 
-    KIND: ClassVar[str] = IDENTIFICATION
+    KIND: ClassVar[str] = IDENTIFICATION_KIND
     scene: Scene
     summary: Mapping[str, Any]
     """Contents of ``identify.json``."""
@@ -33,10 +33,10 @@ class Identified:
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
-    def of(cls, stored: Stored) -> Identified:
+    def of(cls, stored: StoredFile) -> Identified:
         """By its file and the picture beside it."""
         picture = stored.path.with_name("posterior.png")
-        with stored.taken() as parts:
+        with stored.checked_datasets() as parts:
             scene, summary = stored.scene(), json.loads(parts["summary"])
             if scene is None:
                 raise LookupError("scene")

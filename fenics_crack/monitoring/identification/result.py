@@ -27,7 +27,7 @@ import numpy as np
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import Table, Tabular, format_count
-from fenics_crack.files.store import IDENTIFICATION, write
+from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.monitoring.identification.model import Model, Passages, Quantities
 from fenics_crack.monitoring.identification.nuisance import OF_SIZE
@@ -423,7 +423,7 @@ class Identification(Tabular):
                 parts[f"{key}_{number}"] = axis
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         parts["summary"] = text
-        write(parts, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
+        write_result_file(parts, Path(folder) / "identify.h5", IDENTIFICATION_KIND, self.scene)
         write_file_whole(Path(folder) / "identify.json", text + "\n")
 
     # --- shown ------------------------------------------------------------------------------------
