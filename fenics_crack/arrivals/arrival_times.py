@@ -87,7 +87,7 @@ class ArrivalTimes(Tabular):
             except (TypeError, ValueError):
                 raise InputError(name, getattr(self, name), "numbers") from None
             object.__setattr__(self, name, values)
-        check_number("tip_radius", self.tip_radius, 0.0, above=True)
+        check_number("tip_radius", self.tip_radius, 0.0, excludes_bound=True)
         check_probes(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
             problem = f"of shape {self.marks.shape}"
@@ -553,7 +553,7 @@ def write_record(
         for number, probe in enumerate(np.argsort(np.argsort(angles_of_blades[blade])), 1):
             columns[f"blade {blade} probe {number} [s]"] = arrivals.time[:, probe].tolist()
     columns[RADIUS_COLUMN] = [first_blade.tip_radius] * len(first_blade)
-    Table.of(columns, {}).save(path)
+    Table.from_dict(columns, {}).save(path)
 
 
 def _unit_factor(path: str | Path, name: str, factors: dict[str, float]) -> float:

@@ -79,8 +79,8 @@ def fit_frequency(
     --------
     >>> fit = fc.fit_frequency(arrivals, 1800.0, 2200.0)
     """
-    check_number("low", low, 0.0, above=True)
-    check_number("high", high, low, above=True)
+    check_number("low", low, 0.0, excludes_bound=True)
+    check_number("high", high, low, excludes_bound=True)
     check_count("harmonics", harmonics, 1)
     arrivals.check_places(angle_deviation)
     is_seen = np.isfinite(arrivals.time)

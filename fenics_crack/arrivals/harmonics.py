@@ -316,7 +316,7 @@ def wanted(
     if not candidates:
         raise InputError("orders", candidates, "one or more numbers > 0")
     for order in candidates:
-        check_number("orders", order, 0.0, above=True)
+        check_number("orders", order, 0.0, excludes_bound=True)
     return np.unique(np.array(candidates, dtype=float)), np.arange(1, harmonics + 1) / subharmonic
 
 

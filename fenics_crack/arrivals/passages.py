@@ -277,7 +277,7 @@ def fit_passage(
     --------
     >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
     """
-    check_number("speed", speed, 0.0, above=True)
+    check_number("speed", speed, 0.0, excludes_bound=True)
     candidates, _ = wanted(orders, 1, 1)
     record = Record(arrivals, _stiffening_function(stiffening))
     runs = record.runs(arrivals.displacement, speed)

@@ -263,9 +263,9 @@ def solve_harmonic_balance(
     >>> error = solution.report.total
     """
     check_choice("form", form, FORMS)
-    check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
+    check_number("residual_tolerance", residual_tolerance, 0.0, excludes_bound=True)
     if tolerance is not None:
-        check_number("tolerance", tolerance, 0.0, above=True)
+        check_number("tolerance", tolerance, 0.0, excludes_bound=True)
         if harmonics is not None:
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:

@@ -74,7 +74,7 @@ class Observable:
         Place at which the number is read.
     words, unit : str
         Description and unit.
-    read_value : callable, optional
+    read_number : callable, optional
         Function that returns the number, given the object at the place. Default: ``float``, for an
         entry of :meth:`fenics_crack.BilinearFrequencies.nearest`.
     flags : ObservableFlag
@@ -84,7 +84,7 @@ class Observable:
     place: Place
     words: str
     unit: str
-    read_value: Callable[[Any], Any] = float
+    read_number: Callable[[Any], Any] = float
     flags: ObservableFlag = FILES_ONLY
 
     def __repr__(self) -> str:
@@ -170,13 +170,13 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "delta_K_equivalent": _tip_row("range of K_I, R = 0, that makes the crack grow as much",
         "Pa m^0.5", lambda tip: tip.equivalent, REQUIRES_GROWTH_LAW),
     "delta_K_effective_deepest": _ellipse_row("range of K_I while open, at the deepest place",
-        read_value=lambda ellipse: np.ptp(ellipse.deepest.one.clip(0.0))),
+        read_number=lambda ellipse: np.ptp(ellipse.deepest.one.clip(0.0))),
     "delta_K_effective_surface": _ellipse_row("range of K_I while open, mean of the ends",
-        read_value=lambda ellipse: np.mean([np.ptp(end.one.clip(0.0)) for end in ellipse.ends])),
+        read_number=lambda ellipse: np.mean([np.ptp(end.one.clip(0.0)) for end in ellipse.ends])),
     "delta_K_equivalent_deepest": _ellipse_row("range that makes it grow as much in depth",
-        read_value=lambda ellipse: ellipse.deepest.equivalent),
+        read_number=lambda ellipse: ellipse.deepest.equivalent),
     "delta_K_equivalent_surface": _ellipse_row("range that makes it grow as much along the face",
-        read_value=lambda ellipse: np.mean([end.equivalent for end in ellipse.ends])),
+        read_number=lambda ellipse: np.mean([end.equivalent for end in ellipse.ends])),
     "reaction_force": _clamp_row("largest force of the clamp", "N",
         lambda reaction: _max_vector_norm(reaction.force)),
     "reaction_moment": _clamp_row("largest moment of the clamp, about its centre", "N m",
@@ -211,8 +211,8 @@ def read_observables(
 ) -> dict[str, float]:
     """Return the numbers at a place by name.
 
-    ``place_object`` is the object that each :attr:`Observable.read_value` takes. Observables with
+    ``place_object`` is the object that each :attr:`Observable.read_number` takes. Observables with
     any of the ``excluded_flags`` are left out.
     """
     names = observable_names(place, excluded_flags=excluded_flags)
-    return {name: float(OBSERVABLES_BY_NAME[name].read_value(place_object)) for name in names}
+    return {name: float(OBSERVABLES_BY_NAME[name].read_number(place_object)) for name in names}

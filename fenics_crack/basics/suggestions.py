@@ -1,8 +1,8 @@
-"""Suggestions for a name that does not exist, misspelt or another program's word for it, and for a
-number with a decimal comma or in another unit.
+"""Suggest a replacement for a wrong name or number.
 
-Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
-package, and arguments of its functions.
+A wrong name may be misspelt, or another program's word. A wrong number may have a decimal comma or
+another unit. The functions serve errors about keys and values of a scene, commands, names of the
+package, and arguments of functions.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from fenics_crack.basics.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 MIN_LIKENESS = 0.7
-"""Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
+"""Minimum likeness of a misspelt word and the suggested word (ratio of difflib)."""
 SAME_WORD_LIKENESS = 0.85
-"""Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
+"""Minimum likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
 SEARCH_WORDS_BY_CALL = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
@@ -50,10 +50,12 @@ SEARCH_WORDS_BY_CALL = {
     "result.displacement(time)": "displacement displacements x u q solution vector mode shape",
     "result.time": "t times instants",
 }
-"""Calls to write, by the words that other programs and people have for them; what several kinds of
-results have is of a "result"."""
+"""Words that other programs and people use, by the call to write here.
+
+A "result" stands for several kinds of results.
+"""
 OWN_VERB_BY_FOREIGN_VERB = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
-"""First words of names, and those of this package for the same."""
+"""First word of this package's names, by the first word in other programs."""
 
 
 DESCRIPTION_BY_CLASS_NAME = {
@@ -62,7 +64,7 @@ DESCRIPTION_BY_CLASS_NAME = {
     "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
     "float": "a number",
 }  # fmt: skip
-"""Words for classes of arguments; those of Python's own are always compared."""
+"""Words for classes of arguments; Python's own classes are always compared."""
 FACTOR_BY_UNIT_PREFIX = {
     "G": 1e9,
     "M": 1e6,
@@ -73,6 +75,7 @@ FACTOR_BY_UNIT_PREFIX = {
     "u": 1e-6,
     "n": 1e-9,
 }
+"""Factor from a prefixed unit to the unit."""
 FOREIGN_UNIT_FACTORS = {
     "kg/m^3": {"g/cm^3": 1e3, "kg/dm^3": 1e3, "t/m^3": 1e3, "t/mm^3": 1e12},
     "Pa": {"N/mm^2": 1e6, "N/m^2": 1.0},
@@ -81,162 +84,221 @@ FOREIGN_UNIT_FACTORS = {
     "m/s^2": {"g": 9.80665},
     "": {"%": 1e-2},
 }
-"""Units of others by a key's unit, and what they are in that."""
+"""Factors from other units to a key's unit, by key's unit and other unit."""
 UNIT_SPELLING_TABLE = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
+"""Table for ``str.translate``: other spellings of units, and the spelling here."""
 NUMBER_WITH_UNIT_PATTERN = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
+"""Pattern with two groups, a number and a unit."""
 
 
 def find_similar_names(
-    word: object, known: Iterable[str], likeness: float = MIN_LIKENESS
+    word: object, known_names: Iterable[str], min_likeness: float = MIN_LIKENESS
 ) -> list[str]:
-    """The known word that a misspelt one may stand for, or two that are as near; or none."""
+    """Return the known name most like a word, two if equally like, or none."""
     import difflib  # takes a while, and mistakes alone need it
 
-    by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
-    found = difflib.get_close_matches(lower, by_lower, 2, likeness)
-    ratios = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
-    return [by_lower[name] for name, one in zip(found, ratios, strict=True) if one == ratios[0]]
+    name_by_lower_case = {name.lower(): name for name in known_names}
+    lower_word = str(word).lower()[:100]
+    similar_names = difflib.get_close_matches(lower_word, name_by_lower_case, 2, min_likeness)
+    ratios = [difflib.SequenceMatcher(None, name, lower_word).ratio() for name in similar_names]
+    return [
+        name_by_lower_case[name]
+        for name, ratio in zip(similar_names, ratios, strict=True)
+        if ratio == ratios[0]
+    ]
 
 
 def find_similar_or_longer_names(
-    name: str, known: Collection[str], likeness: float = MIN_LIKENESS
+    name: str, known_names: Collection[str], min_likeness: float = MIN_LIKENESS
 ) -> list[str]:
-    """The same, or the known names in which a short one begins a word, as "tol" "tolerance"."""
-    begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
-    longer = [other for other in known if begun.search(other) and len(name) >= 3]
-    return find_similar_names(name, known, likeness) or sorted(longer, key=len)
+    """Return similar known names; otherwise known names in which a word begins with the name.
+
+    A name needs three letters for the second search: "tol" finds "tolerance".
+    """
+    beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
+    longer_names = [
+        known_name
+        for known_name in known_names
+        if beginning_pattern.search(known_name) and len(name) >= 3
+    ]
+    return find_similar_names(name, known_names, min_likeness) or sorted(longer_names, key=len)
 
 
 def find_calls_by_synonyms(name: str) -> list[str]:
-    """Return the calls to write for a name in the words of others: those that share the most of its
-    words, or none. Those of a result are left out where there are functions."""
-    parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
-    counts = {
-        text: sum(
-            bool(find_similar_names(part, words.split(), SAME_WORD_LIKENESS)) for part in parts
+    """Return the calls with most of a name's words among their search words.
+
+    The list is empty if no word matches. With functions ``fc....`` among the calls, calls of a
+    result are left out.
+    """
+    name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
+    count_by_call = {
+        call: sum(
+            bool(find_similar_names(name_word, synonyms.split(), SAME_WORD_LIKENESS))
+            for name_word in name_words
         )
-        for text, words in SEARCH_WORDS_BY_CALL.items()
+        for call, synonyms in SEARCH_WORDS_BY_CALL.items()
     }
-    most = max(counts.values())
-    calls = [text for text, count in counts.items() if count == most > 0]
-    return [text for text in calls if text.startswith("fc.")] or calls
+    max_count = max(count_by_call.values())
+    calls = [call for call, count in count_by_call.items() if count == max_count > 0]
+    return [call for call in calls if call.startswith("fc.")] or calls
 
 
 def did_you_mean_text(names: Sequence[str]) -> str:
-    """A question after what may be meant, with a space behind it; empty if there is nothing."""
+    """Return the question "did you mean ...? " with up to three names; "" without names."""
     return f"did you mean {' or '.join(names[:3])}? " if names else ""
 
 
-def suggest_replacements(name: str, known: Sequence[str]) -> str:
-    """A question after what may be meant by a name that the package, with its known names, does not
-    have; empty if nothing is similar."""
+def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
+    """Return a question with replacements for a name that the package lacks.
+
+    Without a similar name, and for private names, the text is "".
+    """
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
-    others = find_calls_by_synonyms(name)
-    verb, _, rest = name.partition("_")
-    same = (
-        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{rest}", known)
-        if rest and verb in OWN_VERB_BY_FOREIGN_VERB
+    synonym_calls = find_calls_by_synonyms(name)
+    verb, _, name_rest = name.partition("_")
+    names_with_own_verb = (
+        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{name_rest}", known_names)
+        if name_rest and verb in OWN_VERB_BY_FOREIGN_VERB
         else []
     )
-    if same:
-        return did_you_mean_text([f"fc.{other}" for other in same])
-    similar = (
-        find_similar_names(name, known, SAME_WORD_LIKENESS)
-        if others
-        else find_similar_or_longer_names(name, known)
+    if names_with_own_verb:
+        return did_you_mean_text([f"fc.{known_name}" for known_name in names_with_own_verb])
+    similar_names = (
+        find_similar_names(name, known_names, SAME_WORD_LIKENESS)
+        if synonym_calls
+        else find_similar_or_longer_names(name, known_names)
     )
-    similar = [other for other in similar if not any(other in text for text in others)]
-    return did_you_mean_text([*(f"fc.{other}" for other in similar), *others])
+    similar_names = [
+        known_name
+        for known_name in similar_names
+        if not any(known_name in call for call in synonym_calls)
+    ]
+    return did_you_mean_text(
+        [*(f"fc.{known_name}" for known_name in similar_names), *synonym_calls]
+    )
 
 
-def check_options(whose: str, options: Mapping[str, object], known: Collection[str]) -> None:
+def check_options(
+    function_name: str, options: Mapping[str, object], option_names: Collection[str]
+) -> None:
     """Raise InputError for a keyword that is no option of a function."""
     for key, value in options.items():
-        if key not in known:
-            question = did_you_mean_text(find_similar_or_longer_names(key, known))
-            allowed = f"left out; {question}the options of {whose} are {', '.join(known)}"
-            raise InputError(key, value, allowed)
+        if key not in option_names:
+            question = did_you_mean_text(find_similar_or_longer_names(key, option_names))
+            requirement = (
+                f"left out; {question}the options of {function_name} are {', '.join(option_names)}"
+            )
+            raise InputError(key, value, requirement)
 
 
 def _class_names_of(value: object) -> set[str]:
-    """Return the names of the classes that a value is of."""
-    names = {base.__name__.removesuffix("_") for base in type(value).__mro__}  # also NumPy's bool_
-    kinds_by_name: dict[str, Any] = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
-    kinds_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
-    return names | {name for name, kind in kinds_by_name.items() if isinstance(value, kind)}
+    """Return the names of a value's classes, with the abstract classes that are compared."""
+    class_names = {
+        base.__name__.removesuffix("_") for base in type(value).__mro__
+    }  # also NumPy's bool_
+    class_by_name: dict[str, Any] = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
+    class_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
+    return class_names | {
+        name for name, class_or_type in class_by_name.items() if isinstance(value, class_or_type)
+    }
 
 
-def fit_argument(key: str, value: Any, annotation: str, kinds: Collection[str]) -> Any:
-    """Return an argument that fits an annotation: the value, or the result of a Run.
+def fit_argument(key: str, value: Any, annotation: str, known_class_names: Collection[str]) -> Any:
+    """Return a value that fits an annotation: the argument, or the result of a Run.
 
-    Raise InputError where all alternatives of the annotation are among some kinds, and the value is
-    of none of them; which words are allowed each function says. Classes are compared by their
-    names: no module is imported for that.
+    Raise InputError if the value is of no class of the annotation. This is checked only if every
+    class there is in ``known_class_names`` or has a description; a lone ``str`` is left to the
+    function. Classes are compared by name: no module is imported for the check.
     """
     class_names = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
-    names = _class_names_of(value)
-    if {"str"} != {*class_names} <= {*kinds, *DESCRIPTION_BY_CLASS_NAME} and names.isdisjoint(
-        class_names
-    ):
-        if "Run" in names and not _class_names_of(value.result).isdisjoint(class_names):
+    value_class_names = _class_names_of(value)
+    if {"str"} != {*class_names} <= {
+        *known_class_names,
+        *DESCRIPTION_BY_CLASS_NAME,
+    } and value_class_names.isdisjoint(class_names):
+        if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(class_names):
             return value.result
         is_plain = isinstance(value, str | int | float | None)
-        words = (
-            DESCRIPTION_BY_CLASS_NAME.get(n) or f"a{'n' * (n[0] in 'AEIO')} {n}"
-            for n in class_names
+        descriptions = (
+            DESCRIPTION_BY_CLASS_NAME.get(class_name)
+            or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
+            for class_name in class_names
         )
-        raise InputError(key, value if is_plain else type(value).__name__, " or ".join(words))
+        raise InputError(
+            key, value if is_plain else type(value).__name__, " or ".join(descriptions)
+        )
     return value
 
 
 def check_calls(
     function: Function,
-    keys: Callable[[str], Sequence[str]] | None = None,
-    kinds: Collection[str] = (),
+    find_scene_keys: Callable[[str], Sequence[str]] | None = None,
+    known_class_names: Collection[str] = (),
 ) -> Function:
-    """Decorate a function so that it refuses a call that does not fit it, with what may be meant.
+    """Decorate a function to check its arguments, and to suggest others.
 
-    That is another argument, a key of the scene that ``keys`` finds for it, or another function. A
-    ``comm`` that is no communicator is refused, too, and what is of none of the ``kinds`` of its
-    annotation; of a Run its result is taken where that is of these.
+    A wrong argument raises a TypeError with suggestions: another argument, a key of the scene from
+    ``find_scene_keys``, or another function. A ``comm`` that is no communicator raises an
+    InputError. Each argument goes through :func:`fit_argument`, with ``known_class_names``.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
     signature = signature_of(function)
-    open_ended = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
-    known = [name for name, one in signature.parameters.items() if one.kind is not one.VAR_KEYWORD]
-    known = [name for name in known if name not in ("self", "cls")]
-    named = {name for name, one in signature.parameters.items() if one.kind is one.KEYWORD_ONLY}
-    shown = [f"{name}=..." if name in named else name for name in known]
+    takes_any_keyword = any(
+        parameter.kind is parameter.VAR_KEYWORD for parameter in signature.parameters.values()
+    )
+    argument_names = [
+        name
+        for name, parameter in signature.parameters.items()
+        if parameter.kind is not parameter.VAR_KEYWORD
+    ]
+    argument_names = [name for name in argument_names if name not in ("self", "cls")]
+    keyword_only_names = {
+        name
+        for name, parameter in signature.parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    }
+    argument_texts = [
+        f"{name}=..." if name in keyword_only_names else name for name in argument_names
+    ]
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
         try:
-            bound = signature.bind(*args, **options)
+            bound_arguments = signature.bind(*args, **options)
         except TypeError as error:
             name, reason = function.__name__, str(error)
-            wrong = next((one for one in options if one not in signature.parameters), None)
+            unknown_keyword = next(
+                (parameter for parameter in options if parameter not in signature.parameters), None
+            )
             if reason == "too many positional arguments":
-                names = []
-            elif wrong is None or open_ended:
-                names = [text for text in find_calls_by_synonyms(name) if f"fc.{name}(" not in text]
+                suggestions = []
+            elif unknown_keyword is None or takes_any_keyword:
+                suggestions = [
+                    call for call in find_calls_by_synonyms(name) if f"fc.{name}(" not in call
+                ]
             else:
-                reason = f"got an unexpected keyword argument {wrong!r}"
-                names = find_similar_or_longer_names(wrong, known)
-                if not names and keys is not None:
-                    names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
-            question = f"{did_you_mean_text(names)}its arguments are {', '.join(shown)}"
+                reason = f"got an unexpected keyword argument {unknown_keyword!r}"
+                suggestions = find_similar_or_longer_names(unknown_keyword, argument_names)
+                if not suggestions and find_scene_keys is not None:
+                    suggestions = [
+                        f'scene.replace({{"{key}": ...}})'
+                        for key in find_scene_keys(unknown_keyword)
+                    ]
+            question = (
+                f"{did_you_mean_text(suggestions)}its arguments are {', '.join(argument_texts)}"
+            )
             raise TypeError(f"{name}() {reason}; {question}") from None
-        given = bound.arguments
-        if "comm" in given:
+        arguments = bound_arguments.arguments
+        if "comm" in arguments:
             from fenics_crack.basics.ranks import check_communicator
 
-            check_communicator(given["comm"])
-        for name, value in given.items():
+            check_communicator(arguments["comm"])
+        for name, value in arguments.items():
             annotation = str(signature.parameters[name].annotation)
-            given[name] = fit_argument(name, value, annotation, kinds)
-        return function(*bound.args, **bound.kwargs)
+            arguments[name] = fit_argument(name, value, annotation, known_class_names)
+        return function(*bound_arguments.args, **bound_arguments.kwargs)
 
     return cast(Function, call)
 
@@ -245,27 +307,38 @@ def check_calls(
 
 
 def convert_number(text: str, unit: str) -> float | None:
-    """A number with a decimal comma, or in another unit than a key's, in that of the key."""
-    found = NUMBER_WITH_UNIT_PATTERN.fullmatch(text.strip()[:100].translate(UNIT_SPELLING_TABLE))
+    """Convert a number with a decimal comma, or in another unit, to a unit.
+
+    Returns
+    -------
+    float or None
+        Number in ``unit``; None if the text is no number or the unit is unknown.
+    """
+    number_match = NUMBER_WITH_UNIT_PATTERN.fullmatch(
+        text.strip()[:100].translate(UNIT_SPELLING_TABLE)
+    )
     try:
-        value = float(found[1].replace(",", ".")) if found else None
+        number = float(number_match[1].replace(",", ".")) if number_match else None
     except ValueError:
         return None
-    if found is None or value is None:
+    if number_match is None or number is None:
         return None
-    given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
-    if given == unit:
-        return value
-    factor = FOREIGN_UNIT_FACTORS.get(unit, {}).get(given)
-    if factor is None and unit and given.endswith(unit):
-        factor = FACTOR_BY_UNIT_PREFIX.get(given.removesuffix(unit))
-    if factor is None or not math.isfinite(value * factor):
+    given_unit = re.sub(r"([a-z])([23])\b", r"\1^\2", (number_match[2] or unit).strip())
+    if given_unit == unit:
+        return number
+    factor = FOREIGN_UNIT_FACTORS.get(unit, {}).get(given_unit)
+    if factor is None and unit and given_unit.endswith(unit):
+        factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
+    if factor is None or not math.isfinite(number * factor):
         return None
-    return float(f"{value * factor:.12g}")  # no 0.30000000000000004
+    return float(f"{number * factor:.12g}")  # no 0.30000000000000004
 
 
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
-    """Yield the values that may be meant by one that is no number, or no list of numbers."""
+    """Yield values that may be meant instead of a wrong value.
+
+    Candidates are a number or None, a whole number, and a list of numbers.
+    """
     if isinstance(value, str):
         number = convert_number(value, unit)
         yield number
@@ -273,10 +346,10 @@ def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
             yield int(number)
         value = value.strip("[] ").split(",")
     if isinstance(value, list | tuple):
-        yield [convert_number(one, unit) if isinstance(one, str) else one for one in value]
+        yield [convert_number(entry, unit) if isinstance(entry, str) else entry for entry in value]
 
 
 def format_scene_value(value: object) -> str:
-    """A value as a scene has it, numbers in short: "2.1e+11"."""
-    short = f"{value:g}" if isinstance(value, float) else ""
-    return short if short and float(short) == value else repr(value)
+    """Return a value as text for a scene, numbers in short: "2.1e+11"."""
+    short_text = f"{value:g}" if isinstance(value, float) else ""
+    return short_text if short_text and float(short_text) == value else repr(value)

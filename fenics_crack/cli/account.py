@@ -232,7 +232,7 @@ def _rounded(table: Table) -> Table:
 def printed(report: Report) -> Table:
     """The table of a report that is printed; with a scene one of its frequencies, in rad/s or in
     Hz, and one of its speeds, likewise."""
-    table, scene = report.shown or report.table, report.scene
+    table, scene = report.printed_table or report.table, report.scene
     if scene is None:
         return table
     return _with_columns(table, lambda name, unit: not _is_twin(name, unit, scene))

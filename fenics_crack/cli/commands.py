@@ -93,14 +93,14 @@ def tell(
 
         def write() -> None:
             report.table.save(f"{path}.json")
-            (report.rows or report.table).save(f"{path}.csv")
+            (report.csv_table or report.table).save(f"{path}.csv")
             files.close()
 
         on_root(console.comm, write)
     if pictures:
         on_root(console.comm, lambda: draw(result, Drawn(path.parent, pictures)))
     console.table(printed(report) if console.form == "text" else report.table)
-    for heading, further in report.further.items():
+    for heading, further in report.further_tables.items():
         console.note(f"{heading}:\n{further.formatted('text')}".rstrip())
     drawn = f".{pictures}" if pictures else f"pictures: {command('plot', f'{path}.h5')}"
     console.note(f"{path}.h5, .csv, .json{', ' if pictures else '; '}{drawn}", replaced)
@@ -112,8 +112,8 @@ def say(report: Report, console: Console) -> Exit:
     console.note(*report.notes)
     console.remark(*report.remarks)
     console.warn(*report.warnings)
-    console.note(report.closing)
-    return report.exit
+    console.note(report.closing_sentence)
+    return report.exit_code
 
 
 def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
@@ -226,4 +226,4 @@ def identify(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     console.note(f"{folder / 'identify.h5'}, .json; {names}", replaced)
     report = report_of(Identified(scene, found.summary(), folder / "posterior.png"))
     remarks = [*report.remarks, *remarks_on_scene(scene)]
-    return say(replace(report, remarks=remarks, done=not found.doubts), console)
+    return say(replace(report, remarks=remarks, has_converged=not found.doubts), console)

@@ -306,7 +306,7 @@ class Console:
         they are done: where no progress is shown, now and then, and none beside ``bars`` of all
         that is done."""
         started, silent = time.perf_counter(), self.quiet or (bars and self.progress)
-        with nullcontext() if silent else StageLines(kept=self.progress):
+        with nullcontext() if silent else StageLines(keeps_lines=self.progress):
             begin_stage(name)
             yield
         if self.verbose:
@@ -334,7 +334,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
 
     def work() -> str:
         try:
-            if read_regular_file(table, links=False) == text.encode():
+            if read_regular_file(table, follows_links=False) == text.encode():
                 return ""
         except FileNotFoundError:
             return ""

@@ -358,7 +358,7 @@ def draw_identified(found: Identified, file: Drawn) -> None:
     path = file("posterior", "Probability of cracks, given the measurements.")
     source = found.picture.with_suffix(path.suffix)
     try:
-        write_file_whole(path, read_regular_file(source, links=False))
+        write_file_whole(path, read_regular_file(source, follows_links=False))
     except OSError:
         allowed = f"png, or the --pictures of identify: there is no {source}"
         raise InputError("--pictures", path.suffix[1:], allowed) from None

@@ -230,19 +230,21 @@ def _describe_result(file: StoredFile, result: Any, folder: Path) -> dict[str, A
         pictures.notes.append(f"no picture: {error}")
     file_time = datetime.fromtimestamp(file.path.stat().st_mtime, UTC).astimezone()
     box = (
-        "bad" if not summary.done else "doubtful" if summary.missed or summary.warnings else "good"
+        "bad"
+        if not summary.has_converged
+        else ("doubtful" if summary.misses_tolerance or summary.warnings else "good")
     )
-    tables = summary.tables or {"In numbers": printed(summary)}
+    tables = summary.page_tables or {"In numbers": printed(summary)}
     return {
         "heading": KINDS[file.kind].heading,
-        "closing": f"{_sentence(summary.closing)}.",
+        "closing": f"{_sentence(summary.closing_sentence)}.",
         "box": box,
         "notes": [*map(_sentence, filter(None, (*summary.notes, *dict.fromkeys(pictures.notes))))],
         "doubts": [*map(_sentence, summary.warnings), *map(str, summary.remarks)],  # with keys
         "pictures": [
             _picture(path, words) for path, words in pictures.files.items() if path.exists()
         ],
-        "tables": {**tables, **summary.further},
+        "tables": {**tables, **summary.further_tables},
         "path": file.path,
         "written": f"{file_time:{DATE_FORMAT}}",
     }

@@ -82,11 +82,11 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     if table.columns[0] != "name":
         return Report(table, conclusion_of(run), remarks=run.remarks, **how)
     how |= {
-        "shown": account.in_short(table, run.scene, PRINTED_TABLE),
-        "tables": _in_numbers(run, table),
+        "printed_table": account.in_short(table, run.scene, PRINTED_TABLE),
+        "page_tables": _in_numbers(run, table),
     }
     report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
-    row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
+    row = ["conclusion", OTHERS["conclusion"][0], report.closing_sentence, "-"]
     row += ["" for _ in table.columns[len(row) :]]
     return replace(report, table=Table(table.columns, [*table.rows, row]))
 
@@ -140,12 +140,12 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     return _report(
         run,
         table,
-        rows=_waves(run, waves_of(run)),
+        csv_table=_waves(run, waves_of(run)),
         notes=notes,
         warnings=warnings,
-        further=_of_blades(run, "Blades") | _along_fronts(run),
-        done=found.converged,
-        missed=missed or bool(unknown_of_solution(run)),
+        further_tables=_of_blades(run, "Blades") | _along_fronts(run),
+        has_converged=found.converged,
+        misses_tolerance=missed or bool(unknown_of_solution(run)),
     )
 
 
@@ -167,7 +167,7 @@ def _along_fronts(run: Run[Any]) -> dict[str, Table]:
     columns = {"position": found.positions, **found.numbers, "K_I while closed": found.closed}
     units = {name: "m" if name == "position" else "Pa m^0.5" for name in columns}
     lists = {name: [float(f"{x:.4g}") for x in values] for name, values in columns.items()}
-    return {"Stress intensity along the crack fronts": Table.of(lists, units)}
+    return {"Stress intensity along the crack fronts": Table.from_dict(lists, units)}
 
 
 def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
@@ -230,7 +230,7 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
         unsettled = f"the motion has not settled after {found.periods} of {asked.periods} periods"
         warnings.append(f"{unsettled}{_longer_period(found)}")
     warnings += account.of_size(run, np.abs(waves.motion).max(axis=0))
-    return _report(run, table, rows=_waves(run, waves), warnings=warnings, done=done)
+    return _report(run, table, csv_table=_waves(run, waves), warnings=warnings, has_converged=done)
 
 
 def _longer_period(found: TimeHistory) -> str:
@@ -372,14 +372,14 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     return _report(
         run,
         special,
-        rows=curve_points(run, along),
-        shown=account.in_short(few, scene, SPECIAL_POINTS_TABLE),
+        csv_table=curve_points(run, along),
+        printed_table=account.in_short(few, scene, SPECIAL_POINTS_TABLE),
         notes=notes,
         warnings=warnings,
-        tables={"Special points": account.in_short(special, scene, SPECIAL_POINTS_TABLE)},
-        further=_of_blades(run, "Blades, each at its largest response"),
-        done=bool(found.complete) and found.status != INTERRUPTED_STATUS,
-        missed=bool(unknown_error(run)),
+        page_tables={"Special points": account.in_short(special, scene, SPECIAL_POINTS_TABLE)},
+        further_tables=_of_blades(run, "Blades, each at its largest response"),
+        has_converged=bool(found.complete) and found.status != INTERRUPTED_STATUS,
+        misses_tolerance=bool(unknown_error(run)),
     )
 
 

@@ -31,12 +31,12 @@ def report_of_verification(found: Verification) -> Report:
     return Report(
         found.table(),
         found.said(),
-        shown=found.totals(),
+        printed_table=found.totals(),
         notes=found.statement[: -len(found.warnings) or None],
         warnings=found.warnings,
         remarks=remarks_on_scene(found.scene),
-        done=not found.failures,
-        missed=bool(found.doubt(next(iter(found.values)))),
+        has_converged=not found.failures,
+        misses_tolerance=bool(found.doubt(next(iter(found.values)))),
     )
 
 
@@ -56,12 +56,13 @@ def report_of_sweep(found: SweepResult) -> Report:
     return Report(
         found.table(),
         found.said(),
-        shown=shown,
+        printed_table=shown,
         notes=[f"cases: {states}{how}", higher],
         warnings=[*warnings_of(found)],
-        tables=tables,
+        page_tables=tables,
         remarks=[*remarks_on_scene(found.scene), *stepped_over(found)],
-        done=not found.failed and found.complete,  # mpirun calls all other ends an aborted job
+        # mpirun calls all other ends an aborted job.
+        has_converged=not found.failed and found.complete,
     )
 
 

@@ -85,7 +85,7 @@ class StepLimits:
     turning_back: float = 0.1
 
     def __post_init__(self) -> None:
-        check_number("longest_step", self.longest_step, 0.0, above=True)
+        check_number("longest_step", self.longest_step, 0.0, excludes_bound=True)
         if self.longest_step > 1.0:
             raise InputError("longest_step", self.longest_step, "at most 1")
         check_count("most_points", self.most_points, 1)
@@ -375,7 +375,7 @@ class Continuation(GrowingCurve):
         if exact and tolerance is None:
             tolerance = DEFAULT_ERROR_TOLERANCE if branch_of is None else branch_of.tolerance
         if tolerance is not None:
-            check_number("tolerance", tolerance, 0.0, above=True)
+            check_number("tolerance", tolerance, 0.0, excludes_bound=True)
         if problem.samples is not None:
             check_count("samples", problem.samples, 4 * problem.harmonics + 1)
             if tolerance is not None:

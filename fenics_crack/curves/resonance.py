@@ -262,7 +262,7 @@ def _prepare_search(
     """
     for key, value in ("near", near_omega), ("tolerance", tolerance):
         if value is not None:
-            check_number(key, value, 0.0, above=True)
+            check_number(key, value, 0.0, excludes_bound=True)
     if not is_small(problem.structure):
         reduced_structure = reduce_structure(problem.structure, method="massless")
         problem = replace(problem, structure=reduced_structure)

@@ -228,7 +228,9 @@ class NodalDiameters(SavedResult):
         answer = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
         remarks = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
         return Conclusion(
-            f"{format_count(len(self.omega), 'nodal diameter')} found", answer, others=remarks
+            f"{format_count(len(self.omega), 'nodal diameter')} found",
+            answer,
+            further_clauses=remarks,
         )
 
     def _title(self) -> str:
@@ -412,7 +414,7 @@ def report_of_amplification(factors: Amplification) -> Report:
     )
     share_table = Table(["share of patterns [%]", "amplification factor"], rows)
     notes = [f"the tuned wheel without a crack: {tuned_peak}"]
-    return Report(factors.table(), factors.said(), shown=share_table, notes=notes)
+    return Report(factors.table(), factors.said(), printed_table=share_table, notes=notes)
 
 
 PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]

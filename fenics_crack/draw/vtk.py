@@ -368,7 +368,7 @@ class PeriodFields:
     ) -> None:
         check_count("frames", frames, 1)
         if magnification is not None:
-            check_number("magnification", magnification, 0.0, above=True)
+            check_number("magnification", magnification, 0.0, excludes_bound=True)
         if material is not None and not isinstance(material, Material):
             raise InputError("material", material, "that of a scene (scene.material), or None")
         structure = solution.structure.whole

@@ -182,7 +182,7 @@ class Growth(SavedResult):
         known = f"the cycles are uncertain by a factor of {self.factor:.3g}"
         known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
         drop = f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
-        return Conclusion(f"the crack grows {way}: {ENDS[self.end]}", known, others=[drop])
+        return Conclusion(f"the crack grows {way}: {ENDS[self.end]}", known, further_clauses=[drop])
 
     def _size(self, row: int) -> str:
         length = format_quantity(float(self.length[row]), "m")
@@ -207,7 +207,7 @@ def report_of_growth(found: Growth) -> Report:
         table,
         found.said(),
         found.scene,
-        shown=Table(table.columns, [table.rows[place] for place in places]),
+        printed_table=Table(table.columns, [table.rows[place] for place in places]),
         warnings=found.remarks,
         remarks=remarks_on_scene(found.scene),
     )
@@ -785,7 +785,7 @@ def _swept(
             scene.replace({**table, "output.quantities": asked}),
             file, comm, progress=progress, judged=False,
         )  # fmt: skip
-    if stop.asked(comm):
+    if stop.is_requested(comm):
         raise StoppedError("growth was stopped; the same command goes on with it")
     return found
 

@@ -114,7 +114,7 @@ def _assemble_parts(
     pairs : Pairs
     """
     _check_space(space)
-    check_number("thickness", thickness, 0.0, above=True)
+    check_number("thickness", thickness, 0.0, excludes_bound=True)
     with report_read_errors(
         "loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"
     ):

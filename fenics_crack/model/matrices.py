@@ -439,7 +439,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
         if symmetry != "general" and shape[0] != shape[1]:
             raise ValueError(f"{symmetry}, but of shape {shape}")
-        table = parse_number_rows(lines, "%", most=n_entries + 1)
+        table = parse_number_rows(lines, "%", max_rows=n_entries + 1)
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
         count = "more" if n_found > n_entries else n_found  # reading stops after one too many

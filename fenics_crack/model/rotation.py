@@ -430,7 +430,7 @@ class RunUpStructure(QuasiStaticReduction):
         InputError
             The speed is not positive, or so high that the plate is unstable.
         """
-        check_number("speed", speed, 0.0, above=True)
+        check_number("speed", speed, 0.0, excludes_bound=True)
         return RunUpStructure(self.body.ritz, float(speed))._in_setting(self.setting)
 
     def stiffening(self, omega: float) -> float:

@@ -147,7 +147,7 @@ def report_of_timing(timing: Timing) -> Report:
         timing.table(),
         conclusion,
         timing.scene,
-        shown=table,
+        printed_table=table,
         notes=notes,
         warnings=[*timing.doubts, *warnings],
         remarks=() if timing.scene is None else remarks_on_scene(timing.scene),

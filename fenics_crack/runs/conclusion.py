@@ -150,7 +150,7 @@ def _of_solution(run: Answer) -> Conclusion:
     solution: PeriodicSolution = run.result
     doubt = unknown_of_solution(run)
     if not solution.converged:
-        return Conclusion("not converged", unknown=doubt)
+        return Conclusion("not converged", unknown_error_reason=doubt)
     size, report = format_quantity(solution.amplitude(run.watched_dof), "m"), solution.report
     error = f", estimated relative error of the gap {format_percent(report.total)}"
     if not report.estimated:
@@ -236,7 +236,9 @@ def _of_history(run: Answer) -> Conclusion:
         answer = f"the {name} falls from {start_size} to {end_size} half peak-to-peak over "
         early_end = [] if history.periods >= table.periods else ["the decay ended early"]
         return Conclusion(
-            "integrated", f"{answer}{history.periods} periods", others=["free decay", *early_end]
+            "integrated",
+            f"{answer}{history.periods} periods",
+            further_clauses=["free decay", *early_end],
         )
     has_settled = history.settled <= table.settle
     size = history.indicators(run.watched_dof).amplitude
@@ -250,7 +252,7 @@ def _of_history(run: Answer) -> Conclusion:
     if (distance := history.distance) < 1.0:
         change += f", estimated distance from the settled motion {distance:.2g}"
     outcome = "settled" if has_settled else "the motion has not settled"
-    return Conclusion("integrated", answer, others=[f"{outcome} after {change}"])
+    return Conclusion("integrated", answer, further_clauses=[f"{outcome} after {change}"])
 
 
 _CONCLUSIONS: dict[str, Callable[[Answer], Conclusion]] = {

@@ -361,7 +361,7 @@ class Scene:
         """``damping.modes``; "all" where the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
-    @partial(check_calls, keys=lambda name: meant_keys(name))
+    @partial(check_calls, find_scene_keys=lambda name: meant_keys(name))
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 

@@ -436,7 +436,7 @@ def report_of_campbell(found: Campbell) -> Report:
     return Report(
         found.table(),
         found.said(),
-        shown=found.table(*columns),
+        printed_table=found.table(*columns),
         notes=notes,
         remarks=remarks_on_scene(scene),
     )

@@ -263,7 +263,7 @@ def stations_of_fronts(names: Sequence[str]) -> dict[str, list[int]]:
 def leading(tips: list[AtTip]) -> int:
     """The crack tip whose effective range is the largest."""
     return int(
-        np.argmax([OBSERVABLES_BY_NAME["delta_K_effective"].read_value(tip) for tip in tips])
+        np.argmax([OBSERVABLES_BY_NAME["delta_K_effective"].read_number(tip) for tip in tips])
     )
 
 

@@ -161,7 +161,7 @@ class SweepFile:
             path, "path", "a file that can be written, by one sweep at a time"
         ):
             made = None if os.path.lexists(path) else _made(path, scene, harmonics, rows, omitted)
-            regular_file_size(path, None, links=False)  # nothing is written elsewhere
+            regular_file_size(path, None, follows_links=False)  # nothing is written elsewhere
             self._file = os.open(path, os.O_RDWR)
             try:
                 busy = _lock(self._file)
@@ -272,7 +272,7 @@ def _made(
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
     with contextlib.suppress(FileExistsError):
         with (
-            partial_file(path, new=True) as partial,
+            partial_file(path, must_be_new=True) as partial,
             open(partial, "wb", buffering=0) as whole,
             open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
         ):

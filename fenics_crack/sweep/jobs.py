@@ -67,7 +67,7 @@ class Worker:
         """Let go of what was built."""
         self._built = None
         gc.collect()  # structures and their rotations know each other
-        collect_garbage(MPI.COMM_SELF, stopped=stopped)
+        collect_garbage(MPI.COMM_SELF, was_stopped=stopped)
 
     def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         """Do a job, and yield what is found of each chunk; ``go_on`` is called before each of
@@ -192,10 +192,10 @@ class Manager:
 
         def go_on() -> bool:
             while self._given_out and comm.iprobe():
-                if stop.asked(MPI.COMM_SELF):
+                if stop.is_requested(MPI.COMM_SELF):
                     self._left.clear()  # no job is handed out any more
                 self._hear(comm)
-            return self._error is None and not stop.asked(MPI.COMM_SELF)
+            return self._error is None and not stop.is_requested(MPI.COMM_SELF)
 
         try:
             for rank in others:
@@ -210,7 +210,7 @@ class Manager:
             while go_on() and self._given_out:
                 self._hear(comm)
         except BaseException as error:
-            second = isinstance(error, KeyboardInterrupt) and stop.asked(MPI.COMM_SELF)
+            second = isinstance(error, KeyboardInterrupt) and stop.is_requested(MPI.COMM_SELF)
             if not second:  # else what is written is all
                 self._fail(error)
         self._left.clear()

@@ -172,7 +172,7 @@ def run_sweep(
                 managers[0].run(worker, shared, stop)
         else:
             serve(worker, shared)
-    worker.free(stopped=stop.asked(comm))
+    worker.free(stopped=stop.is_requested(comm))
     shared.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))
 

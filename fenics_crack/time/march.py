@@ -460,7 +460,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             gap_motion = window.gap[:, : structure.n_pairs] + structure.clearance
             newest = gap_motion, load_records  # slow modes hardly move the gaps
             change, previous = np.inf if previous is None else _change(newest, previous), newest
-            if change < request.settle or stop.asked(structure.comm):
+            if change < request.settle or stop.is_requested(structure.comm):
                 break
     seconds = clock.perf_counter() - started
 

@@ -120,7 +120,7 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
     monkeypatch.setattr(progress.time, "perf_counter", lambda: 7.0)
     stream.seek(0)
     stream.truncate()
-    with progress.StageLines(stream, kept=kept):
+    with progress.StageLines(stream, keeps_lines=kept):
         progress.begin_stage("path")
         assert passed.wait(LIMIT)
     shown = stream.getvalue()

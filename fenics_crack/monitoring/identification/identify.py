@@ -344,7 +344,7 @@ def solve_forward(
             sweep = run_sweep(
                 swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
             )
-        if stop.asked(comm):
+        if stop.is_requested(comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
         return sweep
 

@@ -106,13 +106,13 @@ class Measurement:
         check_choice("measurements.quantity", self.quantity, kinds)
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
-        check_number("measurements.deviation", self.deviation, 0.0, above=True)
+        check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
         if self.natural:
             if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
                 allowed = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed)
         else:
-            check_number("measurements.frequency", self.frequency, 0.0, above=True)
+            check_number("measurements.frequency", self.frequency, 0.0, excludes_bound=True)
         if at_probe:
             check_number("measurements.phase", self.phase)
             if abs(self.phase) > 2.0 * RAD_PER_TURN:  # a period that may begin elsewhere
@@ -290,7 +290,7 @@ class Measurements(Tabular):
 
         check_count("order", order, 1)
         if noise is not None:
-            check_number("noise", noise, 0.0, above=True)
+            check_number("noise", noise, 0.0, excludes_bound=True)
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
         arrivals.check_places(angle_deviation)

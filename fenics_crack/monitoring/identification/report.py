@@ -44,7 +44,7 @@ class Identified:
                 raise LookupError("priors")
         drawn = b""
         with suppress(OSError):
-            drawn = read_regular_file(picture, links=False)
+            drawn = read_regular_file(picture, follows_links=False)
         if not drawn.startswith(PNG):
             raise InputError("result", str(stored.path), f"with {picture.name} in its folder")
         return cls(scene, summary, picture)
@@ -71,10 +71,12 @@ def report_of_identification(found: Identified) -> Report:
     )
     return Report(
         table,
-        Conclusion(values.get("conclusion", values["verdict"]), others=[*places, values["reason"]]),
+        Conclusion(
+            values.get("conclusion", values["verdict"]), further_clauses=[*places, values["reason"]]
+        ),
         notes=[f"priors: {priors}", *(f"next to measure: {one}" for one in values["advice"])],
         warnings=values["warnings"],
-        tables={
+        page_tables={
             "Unknowns": table,
             "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
         },

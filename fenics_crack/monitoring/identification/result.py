@@ -106,7 +106,7 @@ def worth_of(
     """
     names = ("frequency_deviation", "harmonic_deviation")
     for name, deviation in zip(names, deviations, strict=True):
-        check_number(name, deviation, 0.0, above=True)
+        check_number(name, deviation, 0.0, excludes_bound=True)
     model, made = likelihood.quantities.model, likelihood.quantities.rows
     rows = tuple(measurements or ())
     for row in rows:
