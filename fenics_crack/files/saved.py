@@ -1,4 +1,4 @@
-"""Results that their files hold by themselves, without a structure."""
+"""Save and load results whose files need no structure."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fenics_crack.scene.scene import Scene
 
 
 class SavedResult(Tabular):
-    """A frozen dataclass with a scene whose fields a file has (:mod:`fenics_crack.files.codec`)."""
+    """A frozen dataclass with a scene; :mod:`fenics_crack.files.codec` stores its fields."""
 
     KIND: ClassVar[str]
     scene: Scene | None
@@ -39,22 +39,24 @@ class SavedResult(Tabular):
         Raises
         ------
         InputError
-            The file cannot be read, is damaged, or is of something else.
+            The file cannot be read, is damaged, or holds something else.
         """
         return cls.of(read_result_file(path))
 
     @classmethod
-    def of(cls, stored: StoredFile) -> Self:
-        """The same of a file that has been read."""
-        stored.check_kind(cls.KIND)
-        with stored.checked_datasets() as parts:
-            found = cls._unpack_fields(parts, stored.scene())
-            repr(found), found.table()  # whose columns are of one length
-            return found
+    def of(cls, stored_file: StoredFile) -> Self:
+        """Return the result in a file that has been read; raises as :meth:`load`."""
+        stored_file.check_kind(cls.KIND)
+        with stored_file.checked_datasets() as datasets:
+            result = cls._unpack_fields(datasets, stored_file.scene())
+            repr(result), result.table()  # whose columns are of one length
+            return result
 
     def _pack_fields(self) -> Datasets:
+        """Return the datasets of the fields."""
         return pack_dataclass(self)
 
     @classmethod
-    def _unpack_fields(cls, parts: Datasets, scene: Scene | None) -> Self:
-        return unpack_dataclass(cls, parts, scene)
+    def _unpack_fields(cls, datasets: Datasets, scene: Scene | None) -> Self:
+        """Return the result from its datasets and the file's scene."""
+        return unpack_dataclass(cls, datasets, scene)

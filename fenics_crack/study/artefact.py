@@ -358,7 +358,7 @@ def _scene_of(stored: StoredFile, changes: Mapping[str, object]) -> Scene:
     known = stored.scene()
     if known is None:
         raise stored.refusal("one with its scene")
-    stored.check_files(known, needed=False)
+    stored.check_files(known, is_required=False)
     scene, before = known.replace(changes), parts_shared(known, MPI.COMM_SELF)
 
     def needs_mesh(changed: Scene) -> bool:

@@ -431,7 +431,7 @@ def _numbers(stored: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
     """All that is kept of each case (n,), beside its waves."""
     try:  # the state first: what is written later counts as pending
         names = [name for name in _kept(scene) if name in stored.columns]
-        return {name: stored.columns[name].read_values(stored.path).ravel() for name in names}
+        return {name: stored.columns[name].read_numbers(stored.path).ravel() for name in names}
     except (OSError, ValueError):
         raise stored.refusal("a whole sweep") from None
 
@@ -497,12 +497,12 @@ def _waves(
     columns, path, found = stored.columns, stored.path, []
     try:
         case = int(np.ravel_multi_index(index, columns["state"].shape))
-        rows = 2 * int(columns["harmonics"].read_values(path, case, 1)[0]) + 1
-        known = columns[WAVES_CHECKSUM].read_values(path, case, 1)[0]
+        rows = 2 * int(columns["harmonics"].read_numbers(path, case, 1)[0]) + 1
+        known = columns[WAVES_CHECKSUM].read_numbers(path, case, 1)[0]
         for name in WAVES:
             most, pairs = columns[name].shape[-2:] if name in columns else (rows, 0)
             first = case * most * pairs
-            wave = columns[name].read_values(path, first, rows * pairs) if pairs else np.zeros(0)
+            wave = columns[name].read_numbers(path, first, rows * pairs) if pairs else np.zeros(0)
             found.append(wave.reshape(rows, pairs))
     except (OSError, ValueError, KeyError):
         return None

@@ -305,7 +305,7 @@ def content_of(path: Path) -> dict[str, object]:
     """Return all that a file holds, by its names."""
     if path.name != "sweep.h5":
         whole = read_result_file(path)
-        return whole.parts | whole.attributes
+        return whole.datasets | whole.attributes
     swept = SweepResult.load(path)
     return swept.columns | {f"gap {case}": swept.gap(case) for case in range(4)}
 

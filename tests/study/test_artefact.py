@@ -265,7 +265,7 @@ def test_a_killed_writer_leaves_the_whole_file(file: Path, tmp_path: Path) -> No
         f"stored = read_result_file({str(file)!r})\n"
         "print('x', end='', flush=True)\n"
         "while True:\n"
-        f"    write_result_file(stored.parts, {str(path)!r}, stored.kind, stored.scene())\n"
+        f"    write_result_file(stored.datasets, {str(path)!r}, stored.kind, stored.scene())\n"
     )
     writer = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
     assert writer.stdout is not None and writer.stdout.read(1)

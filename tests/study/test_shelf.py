@@ -338,4 +338,4 @@ def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
     SHELVES[0].keep(MPI.COMM_SELF)
     SHELVES.clear()
-    assert "coarser_structure" not in read_result_file(tmp_path / "prepared.h5").parts
+    assert "coarser_structure" not in read_result_file(tmp_path / "prepared.h5").datasets
