@@ -25,7 +25,7 @@ DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written directly."""
 DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 """Numbers of errors of a disk without room; other errors come from an unusable path."""
-REPLACED_FILES_FOLDER = "before"
+REPLACED_FILES_FOLDER_NAME = "before"
 """Name of the folder with replaced files, below the folder of the new files."""
 
 
@@ -55,7 +55,7 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
         file.write(content_bytes)
 
 
-def write_files_together(contents_by_path: Iterable[tuple[Path, str]]) -> None:
+def write_files_together(path_text_pairs: Iterable[tuple[Path, str]]) -> None:
     """Write all files or none, given pairs of path and text.
 
     Raises
@@ -64,7 +64,7 @@ def write_files_together(contents_by_path: Iterable[tuple[Path, str]]) -> None:
         From :func:`report_write_errors`.
     """
     with complete_files_together():
-        for path, content in contents_by_path:
+        for path, content in path_text_pairs:
             write_file_whole(path, content)
 
 
@@ -79,15 +79,15 @@ def complete_files_together() -> Iterator[contextlib.ExitStack]:
     InputError
         From :func:`report_write_errors`.
     """
-    with contextlib.ExitStack() as file_group:
-        _PENDING_FILE_GROUPS.append(file_group)
+    with contextlib.ExitStack() as file_stack:
+        _OPEN_FILE_STACKS.append(file_stack)
         try:
-            yield file_group
+            yield file_stack
         finally:
-            _PENDING_FILE_GROUPS.remove(file_group)
+            _OPEN_FILE_STACKS.remove(file_stack)
 
 
-_PENDING_FILE_GROUPS: list[contextlib.ExitStack] = []
+_OPEN_FILE_STACKS: list[contextlib.ExitStack] = []
 """Unfinished files of each block of :func:`complete_files_together`, the innermost last."""
 
 
@@ -113,13 +113,11 @@ def partial_file(
         From :func:`report_write_errors`.
     """
     with contextlib.ExitStack() as single_file_stack:
-        file_group = (
-            _PENDING_FILE_GROUPS[-1]
-            if _PENDING_FILE_GROUPS and not must_be_new
-            else single_file_stack
+        file_stack = (
+            _OPEN_FILE_STACKS[-1] if _OPEN_FILE_STACKS and not must_be_new else single_file_stack
         )
-        file_group.enter_context(report_write_errors(path, key))
-        hidden_path = file_group.enter_context(_hidden_file(Path(path), must_be_new=must_be_new))
+        file_stack.enter_context(report_write_errors(path, key))
+        hidden_path = file_stack.enter_context(_hidden_file(Path(path), must_be_new=must_be_new))
         with report_write_errors(path, key):
             yield hidden_path
 
@@ -127,8 +125,8 @@ def partial_file(
 @contextlib.contextmanager
 def _hidden_file(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
     """Yield a hidden path beside a file, and rename it after the block."""
-    unforeseeable_text = os.urandom(4).hex()
-    hidden_path = final_path.parent / f".{unforeseeable_text}.{final_path.name}"
+    random_text = os.urandom(4).hex()
+    hidden_path = final_path.parent / f".{random_text}.{final_path.name}"
     if final_path.is_dir() and not final_path.is_symlink():  # of several files none gets its name
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     try:
@@ -161,27 +159,29 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
     """
     if _is_link_or_file(kept_folder):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-    present_names = [
+    existing_file_names = [
         name
         for name in file_names
         if (folder / name).is_file() and not (folder / name).is_symlink()
     ]
-    for name in present_names:
+    for name in existing_file_names:
         with _hidden_file(kept_folder / name) as hidden_path:
             try:
                 os.link(folder / name, hidden_path)  # a new file takes the place of the first name
             except OSError:  # a file system without links
                 shutil.copy2(folder / name, hidden_path)
-    for absent_name in {*file_names} - {*present_names} if present_names else ():
-        if (kept_folder / absent_name).is_symlink() or not (kept_folder / absent_name).is_dir():
-            (kept_folder / absent_name).unlink(missing_ok=True)
-    return bool(present_names)
+    for missing_file_name in {*file_names} - {*existing_file_names} if existing_file_names else ():
+        if (kept_folder / missing_file_name).is_symlink() or not (
+            kept_folder / missing_file_name
+        ).is_dir():
+            (kept_folder / missing_file_name).unlink(missing_ok=True)
+    return bool(existing_file_names)
 
 
 def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping[str, str]) -> None:
     """Replace all files of the given names in a folder.
 
-    The earlier files are kept in :data:`REPLACED_FILES_FOLDER` below. A name without a text is
+    The earlier files are kept in :data:`REPLACED_FILES_FOLDER_NAME` below. A name without a text is
     removed.
 
     Raises
@@ -189,9 +189,9 @@ def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping
     InputError
         From :func:`prepare_folder` and :func:`report_write_errors`.
     """
-    prepare_folder(folder, (REPLACED_FILES_FOLDER,), "folder")
+    prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME,), "folder")
     with report_write_errors(folder, "folder"):
-        keep_files(file_names, folder, folder / REPLACED_FILES_FOLDER)
+        keep_files(file_names, folder, folder / REPLACED_FILES_FOLDER_NAME)
         write_files_together((folder / name, content) for name, content in text_by_name.items())
         for name in {*file_names} - {*text_by_name}:
             (folder / name).unlink(missing_ok=True)

@@ -36,7 +36,7 @@ def replace_unusable_caches() -> None:
         _set_private_folder("HOME", Path(home_folder), "no folder that can be entered")
     cache_folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
-        check_private_folder(cache_folder / "fenics", is_made=False)
+        check_private_folder(cache_folder / "fenics", makes_folder=False)
     except OSError as error:
         _set_private_folder(
             "XDG_CACHE_HOME", cache_folder, f"not {PRIVATE_FOLDER_REQUIREMENT}, {error.strerror}"
@@ -50,14 +50,14 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
         private_path = check_private_folder(
             Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77
         )
-        check_private_folder(private_path, is_made=False)
+        check_private_folder(private_path, makes_folder=False)
     os.environ[variable_name] = str(private_path)
     # Python prints a warning without a handler.
     LOGGER.warning("%s: %s; %s is used", unusable_path, reason, private_path)
 
 
 def check_private_folder(
-    folder_path: Path, forbidden_permissions: int = 0o22, *, is_made: bool = True
+    folder_path: Path, forbidden_mode_bits: int = 0o22, *, makes_folder: bool = True
 ) -> Path:
     """Return the path without links of a folder that others cannot change.
 
@@ -68,9 +68,9 @@ def check_private_folder(
     ----------
     folder_path : Path
         The folder. Folders above may be sticky, like ``/tmp``.
-    forbidden_permissions : int
+    forbidden_mode_bits : int
         Mode bits that the folder must not have, by default to write for group and others.
-    is_made : bool
+    makes_folder : bool
         Make the folder and those above. Otherwise the folder may be missing, and must have room for
         a cache.
 
@@ -80,18 +80,20 @@ def check_private_folder(
         Others can write the folder, it cannot be written, or it has no room.
     """
     folder = folder_path.resolve()
-    for ancestor in (*reversed(folder.parents), folder) if is_made else ():
+    for ancestor in (*reversed(folder.parents), folder) if makes_folder else ():
         ancestor.mkdir(mode=0o700, exist_ok=True)
-    present_folders = [
+    folders_with_status = [
         (ancestor, ancestor.stat()) for ancestor in (folder, *folder.parents) if ancestor.exists()
     ]
-    for ancestor, file_status in present_folders:
+    for ancestor, file_status in folders_with_status:
         is_sticky = file_status.st_mode & 0o1000
-        forbidden_bits = forbidden_permissions if ancestor == folder else (0 if is_sticky else 0o22)
+        forbidden_bits = forbidden_mode_bits if ancestor == folder else (0 if is_sticky else 0o22)
         if file_status.st_mode & forbidden_bits or file_status.st_uid not in (0, os.geteuid()):
             raise OSError(0, f"others can write {ancestor}")
-    with tempfile.TemporaryFile(dir=present_folders[0][0]) as temporary_file:
-        if not is_made:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB in many files
+    with tempfile.TemporaryFile(dir=folders_with_status[0][0]) as temporary_file:
+        if (
+            not makes_folder
+        ):  # it takes milliseconds; the forms of a scene take 1 to 2 MiB in many files
             os.posix_fallocate(
                 temporary_file.fileno(),
                 0,

@@ -82,8 +82,10 @@ class InputError(ValueError):
         except (ValueError, RecursionError):  # a number of thousands of digits, or such a nest
             value = f"({type(self.value).__name__} too long to be shown)"
         key, value = (re.sub("(?s)(.{1000}).+", r"\1...", text) for text in (key, value))
-        key_and_value = f"{key} is missing" if self.value is None else f"{key} = {value}"
-        text = f"{key_and_value}: must be {self.allowed}".replace("must be left out", "not allowed")
+        key_and_value_text = f"{key} is missing" if self.value is None else f"{key} = {value}"
+        text = f"{key_and_value_text}: must be {self.allowed}".replace(
+            "must be left out", "not allowed"
+        )
         return text if text.isprintable() else " ".join(text.split())
 
 
@@ -123,11 +125,11 @@ def report_read_errors(key: str, path: object, requirement: str) -> Iterator[Non
     except InputError:
         raise
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(key, str(path), f"a readable file ({reason})") from error
+        reason_text = error.strerror or str(error)
+        raise InputError(key, str(path), f"a readable file ({reason_text})") from error
     except Exception as error:  # of whatever reads it
-        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-        raise InputError(key, str(path), f"{requirement} ({reason})") from error
+        reason_text = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise InputError(key, str(path), f"{requirement} ({reason_text})") from error
 
 
 def check_number(

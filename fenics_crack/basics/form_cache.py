@@ -36,23 +36,26 @@ def load_form(
     compile_form : callable
         Function that loads or compiles the form, given options of DOLFINx.
     """
-    folder, compiler = on_root(comm, lambda: _find_form_folder(record_file))
+    form_folder, compiler_command = on_root(comm, lambda: _find_form_folder(record_file))
     previous_compiler = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
-    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler}"
+    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler_command}"
     try:
         # Ranks of another machine, which have such a folder for themselves, wait [s] for one.
-        compiled_form = compile_form({"cache_dir": folder, "timeout": 300})
+        compiled_form = compile_form({"cache_dir": form_folder, "timeout": 300})
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(form_folder, ignore_errors=True)
         raise
     finally:
         del os.environ["CC"]
         os.environ.update({"CC": previous_compiler} if previous_compiler else {})
-    if compiler:
+    if compiler_command:
         on_root(
-            comm, lambda: write_file_whole(folder.with_name(record_file.name), _record_text(folder))
+            comm,
+            lambda: write_file_whole(
+                form_folder.with_name(record_file.name), _record_text(form_folder)
+            ),
         )
     return compiled_form
 
@@ -71,15 +74,18 @@ def _find_form_folder(record_file: Path) -> tuple[Path, str]:
         record_file = check_private_folder(record_file.parent) / record_file.name
     with suppress(OSError, ValueError):
         record_text = read_utf8_text(record_file)
-        folder = record_file.with_name(record_text.partition("\n")[0])
-        if _record_text(folder) == record_text:
-            return folder, ""
-    compiler = find_c_compiler()
-    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record_file.parent)), compiler
+        form_folder = record_file.with_name(record_text.partition("\n")[0])
+        if _record_text(form_folder) == record_text:
+            return form_folder, ""
+    compiler_command = find_c_compiler()
+    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record_file.parent)), compiler_command
 
 
-def _record_text(folder: Path) -> str:
+def _record_text(form_folder: Path) -> str:
     """Return the text of a record: the folder's name, then SHA-256 and name of each file."""
     return "\n".join(
-        (folder.name, *(f"{file_sha256(file)} {file.name}" for file in sorted(folder.iterdir())))
+        (
+            form_folder.name,
+            *(f"{file_sha256(file)} {file.name}" for file in sorted(form_folder.iterdir())),
+        )
     )

@@ -23,19 +23,19 @@ def keep_interrupt_handler() -> Iterator[None]:
     In other threads than the main thread Python forbids gmsh to set a handler: there, nothing is
     set.
     """
-    interrupt_handler, set_handler = signal.getsignal(signal.SIGINT), signal.signal
+    interrupt_handler, set_signal_handler = signal.getsignal(signal.SIGINT), signal.signal
 
-    def set_in_main_thread(signal_number: int, handler: Any) -> Any:
+    def set_handler_in_main_thread(signal_number: int, handler: Any) -> Any:
         if threading.current_thread() is threading.main_thread():
-            return set_handler(signal_number, handler)
+            return set_signal_handler(signal_number, handler)
         return signal.getsignal(signal_number)
 
-    signal.signal = set_in_main_thread  # type: ignore[assignment]
+    signal.signal = set_handler_in_main_thread  # type: ignore[assignment]
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, interrupt_handler)
-        signal.signal = set_handler
+        signal.signal = set_signal_handler
 
 
 with keep_interrupt_handler(), report_missing_libraries():

@@ -45,8 +45,8 @@ def report_missing_libraries() -> Iterator[None]:
             raise InputError(
                 error.name or "a library", None, f"installed: {INSTALLATION_ADVICE}"
             ) from error
-        library_name, _, reason = str(error).partition(": ")
-        if not reason.startswith("cannot open shared object file"):
+        library_name, _, reason_text = str(error).partition(": ")
+        if not reason_text.startswith("cannot open shared object file"):
             raise
         requirement = "installed by the system's packages (docs/install.md lists them)"
         raise InputError(library_name, None, requirement) from error
@@ -60,28 +60,30 @@ def find_c_compiler() -> str:
     InputError
         There is no compiler, or Python's headers are missing.
     """
-    user_compiler = os.environ.get("CC")
-    commands = (
-        [user_compiler]
-        if user_compiler
-        else [sysconfig.get_config_var("CC") or "cc", "gcc", "clang"]
+    user_command = os.environ.get("CC")
+    candidate_commands = (
+        [user_command] if user_command else [sysconfig.get_config_var("CC") or "cc", "gcc", "clang"]
     )
-    found_commands = [command for command in commands if program_on_path(shlex.split(command)[0])]
-    if not found_commands:
+    present_commands = [
+        command for command in candidate_commands if program_on_path(shlex.split(command)[0])
+    ]
+    if not present_commands:
         requirement = "a C compiler, by which DOLFINx compiles forms: install gcc or clang"
-        raise InputError("CC", commands[0], requirement)
+        raise InputError("CC", candidate_commands[0], requirement)
     header_file = Path(sysconfig.get_path("include"), "Python.h")
     if not header_file.exists():
         requirement = "there: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
         raise InputError("Python.h", str(header_file), requirement)
-    return found_commands[0]
+    return present_commands[0]
 
 
 def read_version_line(command: str) -> str:
     """Return the first line that a program prints for ``--version``."""
-    words = [*shlex.split(command), "--version"]
-    process = subprocess.run(words, capture_output=True, text=True, timeout=30, check=False)
-    return process.stdout.partition("\n")[0]
+    command_words = [*shlex.split(command), "--version"]
+    finished_process = subprocess.run(
+        command_words, capture_output=True, text=True, timeout=30, check=False
+    )
+    return finished_process.stdout.partition("\n")[0]
 
 
 def check_launcher(
@@ -104,18 +106,20 @@ def check_launcher(
     InputError
         The ranks do not know each other: each would solve everything alone.
     """
-    n_launched = max(
+    n_launched_programs = max(
         int(os.environ.get(variable_name, n_ranks)) for variable_name in variable_names
     )
-    if n_ranks <= 1 and n_ranks < n_launched:
-        raise foreign_launcher_error(f"{n_launched} programs of one rank each", mpi_library)
+    if n_ranks <= 1 and n_ranks < n_launched_programs:
+        raise foreign_launcher_error(
+            f"{n_launched_programs} programs of one rank each", mpi_library
+        )
 
 
-def foreign_launcher_error(launcher_text: str, mpi_library: str) -> InputError:
+def foreign_launcher_error(launcher_description: str, mpi_library: str) -> InputError:
     """Return the error of an mpirun that belongs to another MPI library."""
     mpirun_path = Path(sys.prefix, "bin", "mpirun")
     return InputError(
         "mpirun",
-        launcher_text,
+        launcher_description,
         f"that of {mpi_library}{f', {mpirun_path}' if mpirun_path.exists() else ''}",
     )

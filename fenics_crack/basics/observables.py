@@ -39,12 +39,12 @@ class Place(Enum):
 class ObservableFlag(Flag):
     """Tables with an observable unless a scene chooses, and requirements of the observable."""
 
-    FILES_ONLY = 0
-    PRINTED_TABLE = auto()
+    IN_FILES_ONLY = 0
+    IN_PRINTED_TABLE = auto()
     """Among the numbers of a motion."""
-    SPECIAL_POINTS_TABLE = auto()
+    IN_SPECIAL_POINTS_TABLE = auto()
     """At special points of a curve and in cases of a sweep; no wider than a terminal."""
-    SWEEP_PICTURE = auto()
+    IN_SWEEP_PICTURES = auto()
     """Over the axes of a sweep."""
     STATED_WITH_ERROR = auto()
     """With an estimated error."""
@@ -57,11 +57,14 @@ class ObservableFlag(Flag):
 
 
 (
-    PRINTED_TABLE, SPECIAL_POINTS_TABLE, SWEEP_PICTURE, STATED_WITH_ERROR, REQUIRES_FRICTION,
-    REQUIRES_GROWTH_LAW, REQUIRES_SOLID,
+    IN_PRINTED_TABLE, IN_SPECIAL_POINTS_TABLE, IN_SWEEP_PICTURES, STATED_WITH_ERROR,
+    REQUIRES_FRICTION, REQUIRES_GROWTH_LAW, REQUIRES_SOLID,
 ) = ObservableFlag  # fmt: skip
-FILES_ONLY, PRINTED_WITH_ERROR = ObservableFlag.FILES_ONLY, PRINTED_TABLE | STATED_WITH_ERROR
-ALL_TABLES = PRINTED_WITH_ERROR | SPECIAL_POINTS_TABLE | SWEEP_PICTURE
+IN_FILES_ONLY, PRINTED_WITH_ERROR = (
+    ObservableFlag.IN_FILES_ONLY,
+    IN_PRINTED_TABLE | STATED_WITH_ERROR,
+)
+IN_ALL_TABLES = PRINTED_WITH_ERROR | IN_SPECIAL_POINTS_TABLE | IN_SWEEP_PICTURES
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,7 +88,7 @@ class Observable:
     words: str
     unit: str
     read_number: Callable[[Any], Any] = float
-    flags: ObservableFlag = FILES_ONLY
+    flags: ObservableFlag = IN_FILES_ONLY
 
     def __repr__(self) -> str:
         return f"{self.words} [{self.unit}]"
@@ -96,10 +99,10 @@ def _max_vector_norm(vectors: np.ndarray) -> Any:
     return np.linalg.norm(vectors, axis=1).max()
 
 
-_point_row, _face_row = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
-_mode_row, _tip_row = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
-_ellipse_row = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW)
-_clamp_row = partial(Observable, Place.CLAMP)
+_make_point_row, _make_face_row = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
+_make_mode_row, _make_tip_row = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
+_make_ellipse_row = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW)
+_make_clamp_row = partial(Observable, Place.CLAMP)
 
 
 # fmt: off
@@ -109,40 +112,44 @@ class Observables:
     """Numbers at a point and at the crack faces; each default is a row of the table."""
 
     omega: Any
-    amplitude: Any = _point_row("half peak-to-peak", "m", lambda point: point.amplitude, ALL_TABLES)
-    mean: Any = _point_row("mean displacement", "m", lambda point: point.mean)
-    harmonic_1: Any = _point_row("amplitude at the load frequency", "m",
+    amplitude: Any = _make_point_row("half peak-to-peak", "m",
+        lambda point: point.amplitude, IN_ALL_TABLES)
+    mean: Any = _make_point_row("mean displacement", "m", lambda point: point.mean)
+    harmonic_1: Any = _make_point_row("amplitude at the load frequency", "m",
         lambda point: point.harmonic(1))
-    harmonic_2: Any = _point_row("amplitude at twice the load frequency", "m",
+    harmonic_2: Any = _make_point_row("amplitude at twice the load frequency", "m",
         lambda point: point.harmonic(2))
-    harmonic_3: Any = _point_row("amplitude at three times the load frequency", "m",
+    harmonic_3: Any = _make_point_row("amplitude at three times the load frequency", "m",
         lambda point: point.harmonic(3))
-    ratio_2_1: Any = _point_row("harmonic ratio 2/1", "1", lambda point: point.ratio(2), ALL_TABLES)
-    ratio_3_1: Any = _point_row("harmonic ratio 3/1", "1", lambda point: point.ratio(3),
-        PRINTED_WITH_ERROR | SWEEP_PICTURE)
-    ratio_half_1: Any = _point_row("harmonic ratio 1/2 over 1", "1",
-        lambda point: point.ratio(0.5), PRINTED_TABLE)
-    ratio_largest: Any = _point_row("largest harmonic above the load's, over harmonic 1", "1",
+    ratio_2_1: Any = _make_point_row("harmonic ratio 2/1", "1", lambda point: point.ratio(2),
+        IN_ALL_TABLES)
+    ratio_3_1: Any = _make_point_row("harmonic ratio 3/1", "1", lambda point: point.ratio(3),
+        PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
+    ratio_half_1: Any = _make_point_row("harmonic ratio 1/2 over 1", "1",
+        lambda point: point.ratio(0.5), IN_PRINTED_TABLE)
+    ratio_largest: Any = _make_point_row("largest harmonic above the load's, over harmonic 1", "1",
         lambda point: point.ratio_largest, PRINTED_WITH_ERROR)
-    largest_order: Any = _point_row("order of the largest harmonic above the load's", "1",
-        lambda point: point.largest_order, PRINTED_TABLE)
-    mean_shift: Any = _point_row("mean displacement over harmonic 1", "1",
-        lambda point: point.mean / point.fundamental, PRINTED_WITH_ERROR | SWEEP_PICTURE)
-    opening: Any = _face_row("largest opening", "m",
-        lambda faces: max(faces.maxima[0], 0.0), ALL_TABLES)
-    penetration: Any = _face_row("largest penetration", "m",
-        lambda faces: max(faces.maxima[1], 0.0), PRINTED_TABLE)
-    contact_force: Any = _face_row("largest contact force of a pair", "N",
-        lambda faces: faces.maxima[2], PRINTED_TABLE)
-    crack_force: Any = _face_row("largest contact force of a crack, all pairs", "N",
+    largest_order: Any = _make_point_row("order of the largest harmonic above the load's", "1",
+        lambda point: point.largest_order, IN_PRINTED_TABLE)
+    mean_shift: Any = _make_point_row("mean displacement over harmonic 1", "1",
+        lambda point: point.mean / point.fundamental, PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
+    opening: Any = _make_face_row("largest opening", "m",
+        lambda faces: max(faces.maxima[0], 0.0), IN_ALL_TABLES)
+    penetration: Any = _make_face_row("largest penetration", "m",
+        lambda faces: max(faces.maxima[1], 0.0), IN_PRINTED_TABLE)
+    contact_force: Any = _make_face_row("largest contact force of a pair", "N",
+        lambda faces: faces.maxima[2], IN_PRINTED_TABLE)
+    crack_force: Any = _make_face_row("largest contact force of a crack, all pairs", "N",
         lambda faces: faces.maxima[3], PRINTED_WITH_ERROR)
-    closed_share: Any = _face_row("contact duty cycle, mean over pairs", "1",
-        lambda faces: (faces.force > 0.0).mean(), ALL_TABLES)
-    friction_loss: Any = _face_row("friction loss of a period", "J",
+    closed_share: Any = _make_face_row("contact duty cycle, mean over pairs", "1",
+        lambda faces: (faces.force > 0.0).mean(), IN_ALL_TABLES)
+    friction_loss: Any = _make_face_row("friction loss of a period", "J",
         lambda faces: faces.losses.sum(), PRINTED_WITH_ERROR | REQUIRES_FRICTION)
-    stick_share: Any = _face_row("share of the period in which pairs stick, mean over pairs", "1",
-        lambda faces: faces.sticks.mean(), PRINTED_TABLE | REQUIRES_FRICTION)
-    slip_share: Any = _face_row("share of the period in which pairs slip, mean over pairs", "1",
+    stick_share: Any = _make_face_row(
+        "share of the period in which pairs stick, mean over pairs", "1",
+        lambda faces: faces.sticks.mean(), IN_PRINTED_TABLE | REQUIRES_FRICTION)
+    slip_share: Any = _make_face_row(
+        "share of the period in which pairs slip, mean over pairs", "1",
         lambda faces: faces.slips.mean(), PRINTED_WITH_ERROR | REQUIRES_FRICTION)
 
 
@@ -150,36 +157,37 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     field.name: field.default
     for field in fields(Observables) if isinstance(field.default, Observable)
 } | {
-    "omega_open": _mode_row("natural frequency, crack open", "rad/s"),
-    "omega_tied": _mode_row("natural frequency, crack bonded", "rad/s"),
-    "omega_bilinear": _mode_row("bilinear frequency", "rad/s"),
-    "over_open": _mode_row("load frequency / natural frequency, crack open", "1",
-        flags=PRINTED_TABLE),
-    "over_tied": _mode_row("load frequency / natural frequency, crack bonded", "1"),
-    "over_bilinear": _mode_row("load frequency / bilinear frequency", "1",
-        flags=PRINTED_TABLE | SPECIAL_POINTS_TABLE),
-    "K_max": _tip_row("largest stress intensity K_I", "Pa m^0.5", lambda tip: tip.one.max()),
-    "K_min": _tip_row("smallest K_I", "Pa m^0.5", lambda tip: tip.one.min()),
-    "delta_K": _tip_row("range of K_I", "Pa m^0.5", lambda tip: np.ptp(tip.one)),
-    "delta_K_effective": _tip_row("range of K_I while the crack tip is open", "Pa m^0.5",
+    "omega_open": _make_mode_row("natural frequency, crack open", "rad/s"),
+    "omega_tied": _make_mode_row("natural frequency, crack bonded", "rad/s"),
+    "omega_bilinear": _make_mode_row("bilinear frequency", "rad/s"),
+    "over_open": _make_mode_row("load frequency / natural frequency, crack open", "1",
+        flags=IN_PRINTED_TABLE),
+    "over_tied": _make_mode_row("load frequency / natural frequency, crack bonded", "1"),
+    "over_bilinear": _make_mode_row("load frequency / bilinear frequency", "1",
+        flags=IN_PRINTED_TABLE | IN_SPECIAL_POINTS_TABLE),
+    "K_max": _make_tip_row("largest stress intensity K_I", "Pa m^0.5", lambda tip: tip.one.max()),
+    "K_min": _make_tip_row("smallest K_I", "Pa m^0.5", lambda tip: tip.one.min()),
+    "delta_K": _make_tip_row("range of K_I", "Pa m^0.5", lambda tip: np.ptp(tip.one)),
+    "delta_K_effective": _make_tip_row("range of K_I while the crack tip is open", "Pa m^0.5",
         lambda tip: np.ptp(tip.one.clip(0.0))),
-    "K_II_max": _tip_row("largest stress intensity K_II, of either sign", "Pa m^0.5",
+    "K_II_max": _make_tip_row("largest stress intensity K_II, of either sign", "Pa m^0.5",
         lambda tip: np.abs(tip.two).max()),
-    "K_III_max": _tip_row("largest stress intensity K_III, of either sign", "Pa m^0.5",
+    "K_III_max": _make_tip_row("largest stress intensity K_III, of either sign", "Pa m^0.5",
         lambda tip: np.abs(tip.three).max(), REQUIRES_SOLID),
-    "delta_K_equivalent": _tip_row("range of K_I, R = 0, that makes the crack grow as much",
+    "delta_K_equivalent": _make_tip_row("range of K_I, R = 0, that makes the crack grow as much",
         "Pa m^0.5", lambda tip: tip.equivalent, REQUIRES_GROWTH_LAW),
-    "delta_K_effective_deepest": _ellipse_row("range of K_I while open, at the deepest place",
+    "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
         read_number=lambda ellipse: np.ptp(ellipse.deepest.one.clip(0.0))),
-    "delta_K_effective_surface": _ellipse_row("range of K_I while open, mean of the ends",
+    "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
         read_number=lambda ellipse: np.mean([np.ptp(end.one.clip(0.0)) for end in ellipse.ends])),
-    "delta_K_equivalent_deepest": _ellipse_row("range that makes it grow as much in depth",
+    "delta_K_equivalent_deepest": _make_ellipse_row("range that makes it grow as much in depth",
         read_number=lambda ellipse: ellipse.deepest.equivalent),
-    "delta_K_equivalent_surface": _ellipse_row("range that makes it grow as much along the face",
+    "delta_K_equivalent_surface": _make_ellipse_row(
+        "range that makes it grow as much along the face",
         read_number=lambda ellipse: np.mean([end.equivalent for end in ellipse.ends])),
-    "reaction_force": _clamp_row("largest force of the clamp", "N",
+    "reaction_force": _make_clamp_row("largest force of the clamp", "N",
         lambda reaction: _max_vector_norm(reaction.force)),
-    "reaction_moment": _clamp_row("largest moment of the clamp, about its centre", "N m",
+    "reaction_moment": _make_clamp_row("largest moment of the clamp, about its centre", "N m",
         lambda reaction: _max_vector_norm(reaction.moment)),
 }
 """All observables by name; the keys are columns of tables and files."""
@@ -189,8 +197,8 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
 @cache
 def observable_names(
     *places: Place,
-    required_flags: ObservableFlag = FILES_ONLY,
-    excluded_flags: ObservableFlag = FILES_ONLY,
+    required_flags: ObservableFlag = IN_FILES_ONLY,
+    excluded_flags: ObservableFlag = IN_FILES_ONLY,
 ) -> tuple[str, ...]:
     """Return the names of observables by place and flags.
 
@@ -207,7 +215,7 @@ def observable_names(
 
 
 def read_observables(
-    place: Place, place_object: Any, excluded_flags: ObservableFlag = FILES_ONLY
+    place: Place, place_object: Any, excluded_flags: ObservableFlag = IN_FILES_ONLY
 ) -> dict[str, float]:
     """Return the numbers at a place by name.
 

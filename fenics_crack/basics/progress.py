@@ -39,9 +39,9 @@ def _append_temporarily(entries: list[Any], entry: Any) -> Iterator[None]:
         entries.pop()
 
 
-def prefix_stages(prefix: str) -> AbstractContextManager[None]:
+def prefix_stages(stage_prefix: str) -> AbstractContextManager[None]:
     """Put a prefix before all stages of the block: "16 modes: natural modes"."""
-    return _append_temporarily(_stage_prefixes, prefix)
+    return _append_temporarily(_stage_prefixes, stage_prefix)
 
 
 def add_progress_text(describe_progress: Callable[[], str]) -> AbstractContextManager[None]:
@@ -66,7 +66,7 @@ class StageLines(logging.Handler):
         super().__init__()
         self._stream = stream or sys.stderr
         self._is_terminal, self._keeps_lines = bool(self._stream.isatty()), keeps_lines
-        self._stage, self._start_time, self._end_event = "", 0.0, threading.Event()
+        self._stage_text, self._start_time, self._end_event = "", 0.0, threading.Event()
         self._write_lock = self.lock or nullcontext()
 
     def __enter__(self) -> StageLines:
@@ -86,7 +86,7 @@ class StageLines(logging.Handler):
 
     def _show(self, stage: str) -> None:
         current_time = time.perf_counter()
-        previous_stage, self._stage = self._stage, stage
+        previous_stage, self._stage_text = self._stage_text, stage
         if previous_stage:
             self._write("\r\033[K" if self._is_terminal else "")
             if self._keeps_lines and current_time - self._start_time > 1.0:
@@ -104,11 +104,11 @@ class StageLines(logging.Handler):
         """Print the current stage and its duration every few seconds."""
         while not end_event.wait(MESSAGE_INTERVAL):
             with self._write_lock:
-                seconds = time.perf_counter() - self._start_time
-                texts = [f"  {self._stage} ... {seconds:.0f} s"]
-                texts += [describe_progress() for describe_progress in _progress_functions]
-                progress_text = ", ".join(texts)
-                if self._stage:
+                elapsed_seconds = time.perf_counter() - self._start_time
+                progress_texts = [f"  {self._stage_text} ... {elapsed_seconds:.0f} s"]
+                progress_texts += [describe_progress() for describe_progress in _progress_functions]
+                progress_text = ", ".join(progress_texts)
+                if self._stage_text:
                     self._write(
                         f"\r\033[K{progress_text}" if self._is_terminal else f"{progress_text}\n"
                     )

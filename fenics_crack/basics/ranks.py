@@ -57,15 +57,15 @@ def _start_petsc() -> None:
     .petscrc and petscrc in the working folder, which can load code. petsc4py would read a petsc.cfg
     there, with the place of PETSc; slepc4py below, too.
     """
-    user_options = os.environ.get("PETSC_OPTIONS", "")
+    user_option_text = os.environ.get("PETSC_OPTIONS", "")
     with leave_working_folder():
-        _, architecture = lib.getPathArchPETSc()
-        options_file = os.path.expanduser("~/.petscrc")
-        if os.access(options_file, os.R_OK):
-            os.environ["PETSC_OPTIONS"] = f'-options_file "{options_file}" {user_options}'
-    options = dropwhile(lambda word: not word.startswith("-crack_"), sys.argv)
-    init([sys.executable, "-skip_petscrc", *options], architecture)
-    os.environ["PETSC_OPTIONS"] = user_options
+        _, petsc_architecture = lib.getPathArchPETSc()
+        options_file_path = os.path.expanduser("~/.petscrc")
+        if os.access(options_file_path, os.R_OK):
+            os.environ["PETSC_OPTIONS"] = f'-options_file "{options_file_path}" {user_option_text}'
+    petsc_options = dropwhile(lambda word: not word.startswith("-crack_"), sys.argv)
+    init([sys.executable, "-skip_petscrc", *petsc_options], petsc_architecture)
+    os.environ["PETSC_OPTIONS"] = user_option_text
 
 
 if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
@@ -91,12 +91,12 @@ def list_unread_options() -> list[str]:
     from petsc4py import PETSc
 
     query_option = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None)
-    is_used = ctypes.c_int()
+    is_used_out = ctypes.c_int()
     option_names = [argument for argument in sys.argv[1:] if argument.startswith("-crack_")]
     return [
         option_name
         for option_name in option_names
-        if query_option(option_name[1:].encode(), ctypes.byref(is_used)) or not is_used
+        if query_option(option_name[1:].encode(), ctypes.byref(is_used_out)) or not is_used_out
     ]
 
 
@@ -120,16 +120,16 @@ def check_communicator(comm: object) -> None:
         raise InputError("comm", comm, requirement)
 
 
-SHORTEST_SLEEP, LONGEST_SLEEP = 5e-5, 2e-3
+MIN_SLEEP_SECONDS, MAX_SLEEP_SECONDS = 5e-5, 2e-3
 """Shortest and longest time between two checks [s]: each sleep is twice as long as the last."""
 
 
 def wait_until(is_done: Callable[[], bool]) -> None:
     """Sleep until a function returns True; MPI itself would wait with a busy processor."""
-    pause = SHORTEST_SLEEP
+    sleep_seconds = MIN_SLEEP_SECONDS
     while not is_done():
-        time.sleep(pause)
-        pause = min(2.0 * pause, LONGEST_SLEEP)
+        time.sleep(sleep_seconds)
+        sleep_seconds = min(2.0 * sleep_seconds, MAX_SLEEP_SECONDS)
 
 
 def raise_first_error(comm: MPI.Comm, error: Exception | None) -> None:
@@ -147,13 +147,13 @@ def call_on_each_rank(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
 
     An InputError of the lowest failing rank is raised on every rank.
     """
-    result, error = None, None
+    rank_result, rank_error = None, None
     try:
-        result = function()
+        rank_result = function()
     except InputError as caught_error:
-        error = caught_error
-    raise_first_error(comm, error)
-    return cast(Result, result)
+        rank_error = caught_error
+    raise_first_error(comm, rank_error)
+    return cast(Result, rank_result)
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
@@ -161,18 +161,18 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
 
     An exception of rank 0 is raised on every rank.
     """
-    result, error = None, None
+    root_result, root_error = None, None
     if comm.rank == 0:
         try:
-            result = function()
+            root_result = function()
         except BaseException as caught_error:  # an interrupt too, for which the others would wait
-            error = caught_error
+            root_error = caught_error
     if comm.size > 1:  # the others have nothing else to do
         wait_until(comm.Ibarrier().Test)
-    sent_error = comm.bcast(error)
-    if sent_error is not None:
-        raise error or sent_error  # rank 0's own, with its cause
-    return cast(Result, result if comm.size == 1 else comm.bcast(result))  # packs it
+    shared_error = comm.bcast(root_error)
+    if shared_error is not None:
+        raise root_error or shared_error  # rank 0's own, with its cause
+    return cast(Result, root_result if comm.size == 1 else comm.bcast(root_result))  # packs it
 
 
 def collect_garbage(comm: MPI.Comm, *, was_stopped: bool = False) -> None:
@@ -209,11 +209,11 @@ def _install_handlers(handler_by_signal: Mapping[signal.Signals, Any]) -> dict[s
 @contextmanager
 def ignore_stop_signals() -> Iterator[None]:
     """Ignore :data:`STOP_SIGNALS` during the block, while results are written."""
-    previous_handlers = _install_handlers(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
+    previous_handler_by_signal = _install_handlers(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
     try:
         yield
     finally:
-        _install_handlers(previous_handlers)
+        _install_handlers(previous_handler_by_signal)
 
 
 class StopRequest:
@@ -228,15 +228,19 @@ class StopRequest:
 
     def __init__(self) -> None:
         self._is_requested = False
-        self._previous_handlers: dict[signal.Signals, Any] = {}
+        self._previous_handler_by_signal: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._previous_handlers = _install_handlers(dict.fromkeys(STOP_SIGNALS, self._request_stop))
+        self._previous_handler_by_signal = _install_handlers(
+            dict.fromkeys(STOP_SIGNALS, self._request_stop)
+        )
         return self
 
     def __exit__(self, *exception: object) -> None:
-        _install_handlers(self._previous_handlers)
-        outer_request = getattr(self._previous_handlers.get(signal.SIGINT), "__self__", None)
+        _install_handlers(self._previous_handler_by_signal)
+        outer_request = getattr(
+            self._previous_handler_by_signal.get(signal.SIGINT), "__self__", None
+        )
         if self._is_requested and isinstance(outer_request, StopRequest):
             outer_request._is_requested = True
 

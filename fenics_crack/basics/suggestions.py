@@ -76,7 +76,7 @@ FACTOR_BY_UNIT_PREFIX = {
     "n": 1e-9,
 }
 """Factor from a prefixed unit to the unit."""
-FOREIGN_UNIT_FACTORS = {
+FOREIGN_FACTORS_BY_UNIT = {
     "kg/m^3": {"g/cm^3": 1e3, "kg/dm^3": 1e3, "t/m^3": 1e3, "t/mm^3": 1e12},
     "Pa": {"N/mm^2": 1e6, "N/m^2": 1.0},
     "N/m": {"N/mm": 1e3},
@@ -131,21 +131,25 @@ def find_calls_by_synonyms(name: str) -> list[str]:
     result are left out.
     """
     name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
-    count_by_call = {
-        call: sum(
-            bool(find_similar_names(name_word, synonyms.split(), SAME_WORD_LIKENESS))
+    n_matches_by_call = {
+        call_text: sum(
+            bool(find_similar_names(name_word, synonym_text.split(), SAME_WORD_LIKENESS))
             for name_word in name_words
         )
-        for call, synonyms in SEARCH_WORDS_BY_CALL.items()
+        for call_text, synonym_text in SEARCH_WORDS_BY_CALL.items()
     }
-    max_count = max(count_by_call.values())
-    calls = [call for call, count in count_by_call.items() if count == max_count > 0]
-    return [call for call in calls if call.startswith("fc.")] or calls
+    max_matches = max(n_matches_by_call.values())
+    call_texts = [
+        call_text
+        for call_text, n_matches in n_matches_by_call.items()
+        if n_matches == max_matches > 0
+    ]
+    return [call_text for call_text in call_texts if call_text.startswith("fc.")] or call_texts
 
 
-def did_you_mean_text(names: Sequence[str]) -> str:
+def did_you_mean_text(suggested_names: Sequence[str]) -> str:
     """Return the question "did you mean ...? " with up to three names; "" without names."""
-    return f"did you mean {' or '.join(names[:3])}? " if names else ""
+    return f"did you mean {' or '.join(suggested_names[:3])}? " if suggested_names else ""
 
 
 def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
@@ -155,27 +159,27 @@ def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
     """
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
-    synonym_calls = find_calls_by_synonyms(name)
-    verb, _, name_rest = name.partition("_")
+    synonym_call_texts = find_calls_by_synonyms(name)
+    verb, _, name_after_verb = name.partition("_")
     names_with_own_verb = (
-        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{name_rest}", known_names)
-        if name_rest and verb in OWN_VERB_BY_FOREIGN_VERB
+        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{name_after_verb}", known_names)
+        if name_after_verb and verb in OWN_VERB_BY_FOREIGN_VERB
         else []
     )
     if names_with_own_verb:
         return did_you_mean_text([f"fc.{known_name}" for known_name in names_with_own_verb])
     similar_names = (
         find_similar_names(name, known_names, SAME_WORD_LIKENESS)
-        if synonym_calls
+        if synonym_call_texts
         else find_similar_or_longer_names(name, known_names)
     )
     similar_names = [
         known_name
         for known_name in similar_names
-        if not any(known_name in call for call in synonym_calls)
+        if not any(known_name in call_text for call_text in synonym_call_texts)
     ]
     return did_you_mean_text(
-        [*(f"fc.{known_name}" for known_name in similar_names), *synonym_calls]
+        [*(f"fc.{known_name}" for known_name in similar_names), *synonym_call_texts]
     )
 
 
@@ -185,22 +189,27 @@ def check_options(
     """Raise InputError for a keyword that is no option of a function."""
     for key, value in options.items():
         if key not in option_names:
-            question = did_you_mean_text(find_similar_or_longer_names(key, option_names))
-            requirement = (
-                f"left out; {question}the options of {function_name} are {', '.join(option_names)}"
-            )
+            question_text = did_you_mean_text(find_similar_or_longer_names(key, option_names))
+            requirement = f"left out; {question_text}the options of {function_name} are "
+            requirement += ", ".join(option_names)
             raise InputError(key, value, requirement)
 
 
 def _class_names_of(value: object) -> set[str]:
     """Return the names of a value's classes, with the abstract classes that are compared."""
     class_names = {
-        base.__name__.removesuffix("_") for base in type(value).__mro__
+        base_class.__name__.removesuffix("_") for base_class in type(value).__mro__
     }  # also NumPy's bool_
-    class_by_name: dict[str, Any] = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
-    class_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
+    abstract_class_by_name: dict[str, Any] = {
+        "Mapping": Mapping,
+        "Path": os.PathLike,
+        "None": type(None),
+    }
+    abstract_class_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
     return class_names | {
-        name for name, class_or_type in class_by_name.items() if isinstance(value, class_or_type)
+        name
+        for name, abstract_class in abstract_class_by_name.items()
+        if isinstance(value, abstract_class)
     }
 
 
@@ -211,22 +220,28 @@ def fit_argument(key: str, value: Any, annotation: str, known_class_names: Colle
     class there is in ``known_class_names`` or has a description; a lone ``str`` is left to the
     function. Classes are compared by name: no module is imported for the check.
     """
-    class_names = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
+    annotation_class_names = list(
+        dict.fromkeys(
+            annotation_part.partition("[")[0] for annotation_part in annotation.split(" | ")
+        )
+    )
     value_class_names = _class_names_of(value)
-    if {"str"} != {*class_names} <= {
+    if {"str"} != {*annotation_class_names} <= {
         *known_class_names,
         *DESCRIPTION_BY_CLASS_NAME,
-    } and value_class_names.isdisjoint(class_names):
-        if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(class_names):
+    } and value_class_names.isdisjoint(annotation_class_names):
+        if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(
+            annotation_class_names
+        ):
             return value.result
         is_plain = isinstance(value, str | int | float | None)
-        descriptions = (
+        class_descriptions = (
             DESCRIPTION_BY_CLASS_NAME.get(class_name)
             or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
-            for class_name in class_names
+            for class_name in annotation_class_names
         )
         raise InputError(
-            key, value if is_plain else type(value).__name__, " or ".join(descriptions)
+            key, value if is_plain else type(value).__name__, " or ".join(class_descriptions)
         )
     return value
 
@@ -268,28 +283,30 @@ def check_calls(
         try:
             bound_arguments = signature.bind(*args, **options)
         except TypeError as error:
-            name, reason = function.__name__, str(error)
+            name, reason_text = function.__name__, str(error)
             unknown_keyword = next(
                 (parameter for parameter in options if parameter not in signature.parameters), None
             )
-            if reason == "too many positional arguments":
+            if reason_text == "too many positional arguments":
                 suggestions = []
             elif unknown_keyword is None or takes_any_keyword:
                 suggestions = [
-                    call for call in find_calls_by_synonyms(name) if f"fc.{name}(" not in call
+                    call_text
+                    for call_text in find_calls_by_synonyms(name)
+                    if f"fc.{name}(" not in call_text
                 ]
             else:
-                reason = f"got an unexpected keyword argument {unknown_keyword!r}"
+                reason_text = f"got an unexpected keyword argument {unknown_keyword!r}"
                 suggestions = find_similar_or_longer_names(unknown_keyword, argument_names)
                 if not suggestions and find_scene_keys is not None:
                     suggestions = [
                         f'scene.replace({{"{key}": ...}})'
                         for key in find_scene_keys(unknown_keyword)
                     ]
-            question = (
+            question_text = (
                 f"{did_you_mean_text(suggestions)}its arguments are {', '.join(argument_texts)}"
             )
-            raise TypeError(f"{name}() {reason}; {question}") from None
+            raise TypeError(f"{name}() {reason_text}; {question_text}") from None
         arguments = bound_arguments.arguments
         if "comm" in arguments:
             from fenics_crack.basics.ranks import check_communicator
@@ -326,7 +343,7 @@ def convert_number(text: str, unit: str) -> float | None:
     given_unit = re.sub(r"([a-z])([23])\b", r"\1^\2", (number_match[2] or unit).strip())
     if given_unit == unit:
         return number
-    factor = FOREIGN_UNIT_FACTORS.get(unit, {}).get(given_unit)
+    factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
     if factor is None and unit and given_unit.endswith(unit):
         factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
     if factor is None or not math.isfinite(number * factor):
@@ -351,5 +368,9 @@ def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
 
 def format_scene_value(value: object) -> str:
     """Return a value as text for a scene, numbers in short: "2.1e+11"."""
-    short_text = f"{value:g}" if isinstance(value, float) else ""
-    return short_text if short_text and float(short_text) == value else repr(value)
+    short_number_text = f"{value:g}" if isinstance(value, float) else ""
+    return (
+        short_number_text
+        if short_number_text and float(short_number_text) == value
+        else repr(value)
+    )

@@ -76,18 +76,18 @@ class Table:
 
     def html(self, caption: str) -> str:
         """Return the table for a notebook (the first rows of a long table)."""
-        cells_by_row = [("th", self.columns)]
-        cells_by_row += [
+        tagged_rows = [("th", self.columns)]
+        tagged_rows += [
             ("td", [_value_text(value) for value in row]) for row in self.rows[:MAX_PRINTED_ROWS]
         ]
         if len(self.rows) > MAX_PRINTED_ROWS:
             caption += f"; the first {MAX_PRINTED_ROWS} of {len(self.rows)} rows"
-        row_texts = (
-            "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells)
-            for tag, cells in cells_by_row
+        row_html_texts = (
+            "".join(f"<{cell_tag}>{html.escape(cell)}</{cell_tag}>" for cell in cells)
+            for cell_tag, cells in tagged_rows
         )
-        table_rows = "".join(f"<tr>{row_text}</tr>" for row_text in row_texts)
-        return f"<table><caption>{html.escape(caption)}</caption>{table_rows}</table>"
+        rows_html = "".join(f"<tr>{row_html}</tr>" for row_html in row_html_texts)
+        return f"<table><caption>{html.escape(caption)}</caption>{rows_html}</table>"
 
     def save(self, path: str | Path) -> None:
         """Write the table as JSON if the name ends in ``.json``, else as CSV.
@@ -105,11 +105,14 @@ class Table:
         for column_index, heading in enumerate(self.columns):
             column_values = [row[column_index] for row in printed_rows]
             column_texts = [heading, *map(_value_text, column_values)]
-            width = max(map(len, column_texts))
-            column_texts.insert(1, width * "-")
+            column_width = max(map(len, column_texts))
+            column_texts.insert(1, column_width * "-")
             is_numeric = all(isinstance(value, float | int | np.number) for value in column_values)
             text_columns.append(
-                [text.rjust(width) if is_numeric else text.ljust(width) for text in column_texts]
+                [
+                    text.rjust(column_width) if is_numeric else text.ljust(column_width)
+                    for text in column_texts
+                ]
             )
         lines = ["  ".join(line).rstrip() for line in zip(*text_columns, strict=True)]
         if len(self.rows) > len(printed_rows):
@@ -117,15 +120,17 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def _as_csv(self) -> str:
-        file = io.StringIO()
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(self.columns)
-        writer.writerows(map(_python_value, row) for row in self.rows)
-        return file.getvalue()
+        csv_buffer = io.StringIO()
+        csv_writer = csv.writer(csv_buffer, lineterminator="\n")
+        csv_writer.writerow(self.columns)
+        csv_writer.writerows(map(_python_value, row) for row in self.rows)
+        return csv_buffer.getvalue()
 
     def _as_json(self) -> str:
-        records = [dict(zip(self.columns, map(_json_value, row), strict=True)) for row in self.rows]
-        return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
+        row_dicts = [
+            dict(zip(self.columns, map(_json_value, row), strict=True)) for row in self.rows
+        ]
+        return json.dumps(row_dicts, indent=1, ensure_ascii=False) + "\n"
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,7 @@ class Conclusion:
     def sentence(self, n_warnings: int = 0, n_remarks: int = 0) -> str:
         """Return the sentence, with the numbers of warnings and remarks at the end."""
         count_by_noun = {"warning": n_warnings, "remark": n_remarks}
-        count_text = " and ".join(
+        warning_count_text = " and ".join(
             format_count(count, noun) for noun, count in count_by_noun.items() if count
         )
         doubt_clause = (
@@ -163,7 +168,14 @@ class Conclusion:
         )
         return "; ".join(
             filter(
-                None, (self.outcome, self.answer, doubt_clause, *self.further_clauses, count_text)
+                None,
+                (
+                    self.outcome,
+                    self.answer,
+                    doubt_clause,
+                    *self.further_clauses,
+                    warning_count_text,
+                ),
             )
         )
 
@@ -240,9 +252,9 @@ def import_optional(library: str, method: str) -> Any:
     try:
         return import_module(library)
     except ImportError as error:
-        alternative = "to_dict() has the same columns, and to_csv(path) writes them"
+        alternative_text = "to_dict() has the same columns, and to_csv(path) writes them"
         raise ImportError(
-            f"{method} needs {library} (pip install {library}); {alternative}"
+            f"{method} needs {library} (pip install {library}); {alternative_text}"
         ) from error
 
 
@@ -310,17 +322,17 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
 
     "frequency" [Hz] follows "omega" [rad/s], "rpm" follows "speed" [rad/s]: numbers or lists.
     """
-    second_unit_by_name = {
+    second_name_and_factor = {
         "omega": ("frequency", RAD_PER_TURN),
         "speed": ("rpm", RAD_PER_S_PER_RPM),
     }
-    extended_entries: dict[str, Any] = {}
+    extended_value_by_name: dict[str, Any] = {}
     for name, value in values_by_name.items():
-        extended_entries[name] = value
-        if name in second_unit_by_name:
-            second_name, factor = second_unit_by_name[name]
-            extended_entries[second_name] = (np.array(value) / factor).tolist()
-    return extended_entries
+        extended_value_by_name[name] = value
+        if name in second_name_and_factor:
+            second_name, factor = second_name_and_factor[name]
+            extended_value_by_name[second_name] = (np.array(value) / factor).tolist()
+    return extended_value_by_name
 
 
 def hertz_property(attribute_name: str = "omega") -> Any:
@@ -363,7 +375,9 @@ def format_count(count: int, noun: str) -> str:
 def format_range(values: np.ndarray, number_format: str = ".0f") -> str:
     """Return minimum and maximum as text, "5 to 40"; "9" if they are equal."""
     return " to ".join(
-        dict.fromkeys(format(extreme(values), number_format) for extreme in (np.min, np.max))
+        dict.fromkeys(
+            format(extreme_function(values), number_format) for extreme_function in (np.min, np.max)
+        )
     )
 
 

@@ -57,18 +57,17 @@ def check_debian_modules() -> None:
     version_by_module = (
         dict(re.findall("(.+)==(.+)", pin_file.read_text())) if pin_file.exists() else {}
     )
-    for name in version_by_module.keys() & DEBIAN_MODULES:
-        module_path = getattr(find_spec(name), "origin", None)
+    for module_name in version_by_module.keys() & DEBIAN_MODULES:
+        module_path = getattr(find_spec(module_name), "origin", None)
         if module_path is None or module_path.startswith("/usr/lib/python3/"):
             continue
         from importlib.metadata import version  # takes a while, and is hardly ever needed
 
-        if version(name) != version_by_module[name]:
-            remedy = f"run 'sh install.sh' again, or remove {Path(module_path).parent}"
-            requirement = (
-                f"{version_by_module[name]}, for which Debian's DOLFINx is built: {remedy}"
-            )
-            raise InputError(name, version(name), requirement)
+        if version(module_name) != version_by_module[module_name]:
+            remedy_text = f"run 'sh install.sh' again, or remove {Path(module_path).parent}"
+            requirement = f"{version_by_module[module_name]}, for which Debian's DOLFINx is built"
+            requirement += f": {remedy_text}"
+            raise InputError(module_name, version(module_name), requirement)
 
 
 def is_started_by_mpirun() -> bool:
@@ -85,21 +84,21 @@ def run_single_threaded() -> Iterator[None]:
     (by threadpoolctl): the number then differs from OpenBLAS's default.
     """
     with _lock:
-        openblas_libraries = (
+        openblas_count_pairs = (
             []
             if any(map(os.environ.get, THREAD_COUNT_VARIABLES))
             else _load_openblas_libraries(len(sys.modules))
         )
-        limited_libraries = [
-            (openblas, default_count)
-            for openblas, default_count in openblas_libraries
-            if openblas("get_num_threads") == default_count > 1
+        limited_openblas_pairs = [
+            (openblas, n_default_threads)
+            for openblas, n_default_threads in openblas_count_pairs
+            if openblas("get_num_threads") == n_default_threads > 1
         ]
-        for openblas, _ in limited_libraries:
+        for openblas, _ in limited_openblas_pairs:
             openblas("set_num_threads", 1)
         has_user_setting = os.environ.get(THREAD_COUNT_VARIABLES[0], "1") != "1"
         openmp_libraries = [] if has_user_setting else _load_openmp_libraries(len(sys.modules))
-        max_active_levels = [
+        previous_max_levels = [
             openmp_library.omp_get_max_active_levels() for openmp_library in openmp_libraries
         ]
         for openmp_library in openmp_libraries:
@@ -107,10 +106,12 @@ def run_single_threaded() -> Iterator[None]:
         try:
             yield
         finally:
-            for openmp_library, max_levels in zip(openmp_libraries, max_active_levels, strict=True):
-                openmp_library.omp_set_max_active_levels(max_levels)
-            for openblas, default_count in limited_libraries:
-                openblas("set_num_threads", default_count)
+            for openmp_library, previous_max_level in zip(
+                openmp_libraries, previous_max_levels, strict=True
+            ):
+                openmp_library.omp_set_max_active_levels(previous_max_level)
+            for openblas, n_default_threads in limited_openblas_pairs:
+                openblas("set_num_threads", n_default_threads)
 
 
 class _OpenBlas(NamedTuple):
@@ -143,11 +144,15 @@ def _load_openblas_libraries(n_modules: int) -> list[tuple[_OpenBlas, int]]:
     """
     openblas_libraries: list[_OpenBlas] = []
     all_affixes = [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
-    for library in map(ctypes.CDLL, list_loaded_libraries(r"[^/\s]*openblas")):
+    for shared_library in map(ctypes.CDLL, list_loaded_libraries(r"[^/\s]*openblas")):
         matching_affixes = [
-            affixes for affixes in all_affixes if hasattr(library, "set_num_threads".join(affixes))
+            affixes
+            for affixes in all_affixes
+            if hasattr(shared_library, "set_num_threads".join(affixes))
         ]
-        openblas_libraries += [_OpenBlas(library, affixes) for affixes in matching_affixes[:1]]
+        openblas_libraries += [
+            _OpenBlas(shared_library, affixes) for affixes in matching_affixes[:1]
+        ]
     return [(openblas, openblas.default_thread_count()) for openblas in openblas_libraries]
 
 
@@ -159,7 +164,9 @@ def _load_openmp_libraries(n_modules: int) -> list[ctypes.CDLL]:
     """
     openmp_libraries = map(ctypes.CDLL, list_loaded_libraries(r"lib(?:g|i)?omp"))
     return [
-        library for library in openmp_libraries if hasattr(library, "omp_set_max_active_levels")
+        shared_library
+        for shared_library in openmp_libraries
+        if hasattr(shared_library, "omp_set_max_active_levels")
     ]
 
 
@@ -203,12 +210,12 @@ def set_one_process_variables() -> Iterator[None]:
     Nothing is set if mpirun has started this process; a variable that the user has set stays.
     """
     value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_VARIABLES
-    added_variables = {
+    added_value_by_variable = {
         name: value for name, value in value_by_variable.items() if name not in os.environ
     }
-    os.environ |= added_variables
+    os.environ |= added_value_by_variable
     try:
         yield
     finally:
-        for name in added_variables:  # the user's own stay
+        for name in added_value_by_variable:  # the user's own stay
             del os.environ[name]

@@ -73,14 +73,14 @@ def leave_working_folder() -> Iterator[None]:
     A stranger's folder may hold settings that load code, run programs or change numbers. A folder
     that this user may not enter, as root's, is left for good.
     """
-    working_folder = os.open("/proc/self/cwd", os.O_PATH)
+    working_folder_descriptor = os.open("/proc/self/cwd", os.O_PATH)
     try:
         os.chdir(os.path.dirname(os.__file__))
         yield
     finally:
         with suppress(PermissionError):
-            os.fchdir(working_folder)
-        os.close(working_folder)
+            os.fchdir(working_folder_descriptor)
+        os.close(working_folder_descriptor)
 
 
 def regular_file_size(
@@ -188,32 +188,38 @@ def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         From :func:`read_utf8_text`; or a separator or a decimal mark is ambiguous.
     """
     numbered_lines = enumerate(read_utf8_text(path).splitlines(), 1)
-    content_lines = [
+    numbered_content_lines = [
         (line_number, line)
         for line_number, line in numbered_lines
         if line.strip()[:1] not in ("", "#")
     ]
-    heading = re.sub('"[^"]*"', "", content_lines[0][1]) if content_lines else ""
+    heading = re.sub('"[^"]*"', "", numbered_content_lines[0][1]) if numbered_content_lines else ""
     separator = next((separator for separator in ",;\t" if separator in heading), ",")
-    rows = [
+    numbered_rows = [
         (line_number, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))])
-        for line_number, line in content_lines
+        for line_number, line in numbered_content_lines
     ]
-    extra_cells = (
-        (line_number, cell) for line_number, cells in rows for cell in cells[len(rows[0][1]) :]
+    numbered_extra_cells = (
+        (line_number, cell)
+        for line_number, cells in numbered_rows
+        for cell in cells[len(numbered_rows[0][1]) :]
     )
     if bad_line_numbers := [
-        line_number for line_number, cell in extra_cells if re.fullmatch(r"[\d.eE+-]+", cell)
+        line_number
+        for line_number, cell in numbered_extra_cells
+        if re.fullmatch(r"[\d.eE+-]+", cell)
     ]:
         raise ValueError(
             f"line {bad_line_numbers[0]} has more cells than headings; use decimal points"
         )
-    if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
-        rows = [(line_number, cells[1:]) for line_number, cells in rows]
-    text_by_cell = _replace_decimal_commas([cell for _, cells in rows[1:] for cell in cells])
+    if [cells[0] for _, cells in numbered_rows] == ["", *map(str, range(len(numbered_rows) - 1))]:
+        numbered_rows = [(line_number, cells[1:]) for line_number, cells in numbered_rows]
+    text_by_cell = _replace_decimal_commas(
+        [cell for _, cells in numbered_rows[1:] for cell in cells]
+    )
     return [
         (line_number, [text_by_cell.get(cell, cell) for cell in cells])
-        for line_number, cells in rows
+        for line_number, cells in numbered_rows
     ]
 
 
@@ -234,8 +240,8 @@ def _replace_decimal_commas(cells: Sequence[str]) -> dict[str, str]:
     if ambiguous_cells or (
         comma_cells and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in comma_cells)
     ):
-        examples = " and ".join(sorted({comma_cells[0], *ambiguous_cells[:1]}))
-        raise ValueError(f"the decimal mark is ambiguous: {examples}; use points alone")
+        example_text = " and ".join(sorted({comma_cells[0], *ambiguous_cells[:1]}))
+        raise ValueError(f"the decimal mark is ambiguous: {example_text}; use points alone")
     return {cell: cell.replace(",", ".") for cell in comma_cells}
 
 
@@ -245,10 +251,10 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
     The unit stands in brackets at the end. Other units stay, with the factor 1.
     """
     heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
-    unit, factor = (
+    si_unit, factor = (
         SI_UNIT_AND_FACTOR.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
     )
-    return f"{heading_match[1]} [{unit}]" if heading_match and unit else heading, factor
+    return f"{heading_match[1]} [{si_unit}]" if heading_match and si_unit else heading, factor
 
 
 @contextmanager
@@ -336,8 +342,8 @@ def run_reader(
             return "it crashes its reader"
         array_file.seek(0)
         try:
-            with np.load(array_file, allow_pickle=False) as arrays:
-                array_by_name = dict(arrays)
+            with np.load(array_file, allow_pickle=False) as npz_arrays:
+                array_by_name = dict(npz_arrays)
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             return "its reader has handed over nothing"
     return str(array_by_name["error"]) if "error" in array_by_name else array_by_name
@@ -350,18 +356,20 @@ def _send_request(reader_file: Path, request_bytes: bytes, array_descriptor: int
     """
     passed_descriptors = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
-        reader_socket, answer = _start_reader(reader_file, os.getpid(), get_ident())[1], b""
+        reader_socket, answer_bytes = _start_reader(reader_file, os.getpid(), get_ident())[1], b""
         try:
             # PETSc ends the program at a signal of a line that is broken.
             reader_socket.sendmsg([request_bytes], [passed_descriptors], socket.MSG_NOSIGNAL)
-            answer = reader_socket.recv(64)
+            answer_bytes = reader_socket.recv(64)
         except OSError:
             continue
         finally:
-            if not answer:  # of one that is interrupted no answer is taken for the next file's
+            if (
+                not answer_bytes
+            ):  # of one that is interrupted no answer is taken for the next file's
                 _start_reader.cache_clear()
-        if answer:
-            return int(answer)
+        if answer_bytes:
+            return int(answer_bytes)
     return 1
 
 
@@ -379,11 +387,11 @@ def _start_reader(
         if not name.startswith(HIDDEN_VARIABLE_PREFIXES)
     }
     own_socket, reader_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    descriptor = reader_socket.fileno()
+    reader_descriptor = reader_socket.fileno()
     with reader_socket:
         reader_process = subprocess.Popen(
-            [sys.executable, "-I", str(READER_PROGRAM), str(reader_file), str(descriptor)],
-            env=environment | READER_ENVIRONMENT, pass_fds=[descriptor], stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            [sys.executable, "-I", str(READER_PROGRAM), str(reader_file), str(reader_descriptor)],
+            env=environment | READER_ENVIRONMENT, pass_fds=[reader_descriptor],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     return reader_process, own_socket

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import (
-    REPLACED_FILES_FOLDER,
+    REPLACED_FILES_FOLDER_NAME,
     keep_files,
     prepare_folder,
     write_file_whole,
@@ -317,11 +317,11 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     """Make a folder for results; InputError unless files can be written there (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    on_root(comm, lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER, PERIOD)))
+    on_root(comm, lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD)))
 
 
 def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
-    """Keep an earlier result in the folder :data:`REPLACED_FILES_FOLDER` beside it, too, one
+    """Keep an earlier result in the folder :data:`REPLACED_FILES_FOLDER_NAME` beside it, too, one
     generation, where the text of its table is not that of the one that takes its place; return a
     line that says so, or why it could not be kept, or nothing (collective).
 
@@ -329,7 +329,7 @@ def keep_before(table: Path, text: str, comm: MPI.Comm, *others: str) -> str:
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    before = table.with_name(REPLACED_FILES_FOLDER)
+    before = table.with_name(REPLACED_FILES_FOLDER_NAME)
     files = [f"{name}{kind}" for name in (table.stem, *others) for kind in RESULT_ENDINGS]
 
     def work() -> str:

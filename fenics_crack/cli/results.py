@@ -12,9 +12,9 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import INTERRUPTED_STATUS, ConvergenceError, InputError
 from fenics_crack.basics.observables import (
+    IN_PRINTED_TABLE,
+    IN_SPECIAL_POINTS_TABLE,
     OBSERVABLES_BY_NAME,
-    PRINTED_TABLE,
-    SPECIAL_POINTS_TABLE,
     Place,
     observable_names,
 )
@@ -82,7 +82,7 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     if table.columns[0] != "name":
         return Report(table, conclusion_of(run), remarks=run.remarks, **how)
     how |= {
-        "printed_table": account.in_short(table, run.scene, PRINTED_TABLE),
+        "printed_table": account.in_short(table, run.scene, IN_PRINTED_TABLE),
         "page_tables": _in_numbers(run, table),
     }
     report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
@@ -373,10 +373,10 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         run,
         special,
         csv_table=curve_points(run, along),
-        printed_table=account.in_short(few, scene, SPECIAL_POINTS_TABLE),
+        printed_table=account.in_short(few, scene, IN_SPECIAL_POINTS_TABLE),
         notes=notes,
         warnings=warnings,
-        page_tables={"Special points": account.in_short(special, scene, SPECIAL_POINTS_TABLE)},
+        page_tables={"Special points": account.in_short(special, scene, IN_SPECIAL_POINTS_TABLE)},
         further_tables=_of_blades(run, "Blades, each at its largest response"),
         has_converged=bool(found.complete) and found.status != INTERRUPTED_STATUS,
         misses_tolerance=bool(unknown_error(run)),

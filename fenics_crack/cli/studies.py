@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
-from fenics_crack.basics.observables import SPECIAL_POINTS_TABLE, observable_names
+from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, observable_names
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     N_SELECTED_ROWS,
@@ -143,7 +143,7 @@ def few_cases(found: SweepResult) -> tuple[Table, str]:
     keys = [axis.key for axis in found.axes]
     few = (
         "response",
-        *observable_names(required_flags=SPECIAL_POINTS_TABLE),
+        *observable_names(required_flags=IN_SPECIAL_POINTS_TABLE),
     )  # the amplitude at the load
     shown = [n for n in found.quantities if found.scene.quantities or n.rpartition(".")[2] in few]
     columns = [*keys, *shown, "verdict"]

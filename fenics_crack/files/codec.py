@@ -54,26 +54,33 @@ def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
     return datasets
 
 
-def to_json_text(value: Any, path: str, array_by_name: Datasets) -> str:
+def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
     """Return a value as JSON text, without scenes.
 
     Arrays are added to ``array_by_name``; their names begin with ``path`` and stand in the text.
     """
 
-    def to_json_value(value: Any, path: str) -> Any:
+    def to_json_value(value: Any, dataset_name: str) -> Any:
         if is_dataclass(value):
             value = {field.name: getattr(value, field.name) for field in fields(value)}
         if isinstance(value, Mapping):
-            entries = ((key, entry) for key, entry in value.items() if not isinstance(entry, Scene))
-            return {str(key): to_json_value(entry, f"{path}.{key}") for key, entry in entries}
+            key_entry_pairs = (
+                (key, entry) for key, entry in value.items() if not isinstance(entry, Scene)
+            )
+            return {
+                str(key): to_json_value(entry, f"{dataset_name}.{key}")
+                for key, entry in key_entry_pairs
+            }
         if isinstance(value, tuple):
-            return [to_json_value(entry, f"{path}.{index}") for index, entry in enumerate(value)]
+            return [
+                to_json_value(entry, f"{dataset_name}.{index}") for index, entry in enumerate(value)
+            ]
         if _is_array(value):
-            array_by_name[path] = value
-            return path
+            array_by_name[dataset_name] = value
+            return dataset_name
         return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
-    return json.dumps(to_json_value(value, path))
+    return json.dumps(to_json_value(value, dataset_name))
 
 
 def _is_array(value: Any) -> bool:
@@ -122,7 +129,7 @@ def dataclass_from_json(
     return instance
 
 
-_field_types = cache(get_type_hints)
+_get_field_types = cache(get_type_hints)
 
 
 class _DatasetReader(NamedTuple):
@@ -132,23 +139,28 @@ class _DatasetReader(NamedTuple):
     scene: Scene | None
 
     def build_dataclass(
-        self, dataclass_type: Any, stored_fields: Mapping[str, Any], known_fields: Mapping[str, Any]
+        self,
+        dataclass_type: Any,
+        stored_content_by_field: Mapping[str, Any],
+        known_value_by_field: Mapping[str, Any],
     ) -> Any:
         """Return a dataclass from stored and known field values."""
-        field_values = dict(known_fields)
+        field_value_by_name = dict(known_value_by_field)
         for field in fields(dataclass_type):
             is_required = field.default is MISSING and field.default_factory is MISSING
-            if field.name not in known_fields and (is_required or field.name in stored_fields):
-                stored_content = stored_fields.get(field.name)
-                field_values[field.name] = self.convert_value(
-                    _field_types(dataclass_type)[field.name], stored_content, field.name
+            if field.name not in known_value_by_field and (
+                is_required or field.name in stored_content_by_field
+            ):
+                stored_content = stored_content_by_field.get(field.name)
+                field_value_by_name[field.name] = self.convert_value(
+                    _get_field_types(dataclass_type)[field.name], stored_content, field.name
                 )
         try:
-            return dataclass_type(**field_values)
+            return dataclass_type(**field_value_by_name)
         except InputError as error:
             raise ValueError(str(error)) from None  # of the file, whose key is none of the scene's
 
-    def convert_value(self, declared_type: Any, stored_content: Any, name: str) -> Any:
+    def convert_value(self, declared_type: Any, stored_content: Any, field_name: str) -> Any:
         """Return a field's value, or an entry, in the declared type.
 
         ``stored_value`` is a dataset, or a part of a JSON text.
@@ -168,11 +180,11 @@ class _DatasetReader(NamedTuple):
         if generic_type in (Union, UnionType):
             for inner_type in inner_types:
                 with suppress(*DATASET_ERRORS):
-                    return self.convert_value(inner_type, stored_content, name)
+                    return self.convert_value(inner_type, stored_content, field_name)
         elif generic_type in (dict, Mapping) and isinstance(stored_content, dict):
             key_type, entry_type = inner_types
             return {
-                key_type(key): self.convert_value(entry_type, entry, name)
+                key_type(key): self.convert_value(entry_type, entry, field_name)
                 for key, entry in stored_content.items()
             }
         elif generic_type is tuple and isinstance(stored_content, list):
@@ -181,7 +193,7 @@ class _DatasetReader(NamedTuple):
             )
             types_and_entries = zip(entry_types, stored_content, strict=True)
             return tuple(
-                self.convert_value(inner_type, entry, name)
+                self.convert_value(inner_type, entry, field_name)
                 for inner_type, entry in types_and_entries
             )
         elif is_dataclass(declared_type) and isinstance(stored_content, dict):
@@ -197,7 +209,7 @@ class _DatasetReader(NamedTuple):
         if declared_type is not Any and not (
             isinstance(declared_type, type) and isinstance(stored_content, declared_type)
         ):
-            raise ValueError(f"its {name} does not fit")
+            raise ValueError(f"its {field_name} does not fit")
         return stored_content
 
 

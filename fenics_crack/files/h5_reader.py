@@ -31,8 +31,8 @@ def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
     """
     with h5py.File(path, "r", locking=False) as file:
         contents, arrays = read_content(file, os.path.getsize(path), max_bytes)
-    array_by_number = {f"arr_{number}": array for number, array in enumerate(arrays)}
-    return {"head": np.array(json.dumps(contents)), **array_by_number}
+    array_by_numbered_name = {f"arr_{number}": array for number, array in enumerate(arrays)}
+    return {"head": np.array(json.dumps(contents)), **array_by_numbered_name}
 
 
 def read_content(file: h5py.File, file_size: int, max_bytes: int) -> tuple[dict, list[np.ndarray]]:
@@ -47,14 +47,22 @@ def read_content(file: h5py.File, file_size: int, max_bytes: int) -> tuple[dict,
     """
     if max(len(file), len(file.attrs)) > MAX_ENTRIES:
         raise ValueError(f"it has more than {MAX_ENTRIES} parts")
-    attributes = read_text_attributes(file)
+    text_by_attribute = read_text_attributes(file)
     dataset_by_name = {
         name: open_checked_dataset(file, name, file_size, max_bytes) for name in file
     }
     for name, dataset in dataset_by_name.items():
-        attributes |= {f"{name}/{key}": text for key, text in read_text_attributes(dataset).items()}
-    contents: dict[str, Any] = {"attributes": attributes, "words": {}, "arrays": [], "columns": {}}
-    if attributes.get("kind") == SWEEP_KIND:
+        text_by_attribute |= {
+            f"{name}/{attribute_name}": text
+            for attribute_name, text in read_text_attributes(dataset).items()
+        }
+    contents: dict[str, Any] = {
+        "attributes": text_by_attribute,
+        "words": {},
+        "arrays": [],
+        "columns": {},
+    }
+    if text_by_attribute.get("kind") == SWEEP_KIND:
         for name, dataset in dataset_by_name.items():
             offset = dataset.id.get_offset()
             if offset is None or offset + stated_bytes(dataset) > file_size:

@@ -80,8 +80,8 @@ def save(
     >>> fc.save(solution, "solution.h5", scene)
     """
     if type(result) not in _FUNCTIONS_BY_CLASS:
-        names = ", ".join(result_type.__name__ for result_type in _FUNCTIONS_BY_CLASS)
-        raise InputError("result", type(result).__name__, f"one of {names}")
+        class_names_text = ", ".join(result_type.__name__ for result_type in _FUNCTIONS_BY_CLASS)
+        raise InputError("result", type(result).__name__, f"one of {class_names_text}")
     datasets = _FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
     if watched:
         motion_kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
@@ -134,8 +134,10 @@ def unpack_result(
     result_type = result_class(stored_file)
     with stored_file.checked_datasets() as datasets:
         if (friction := friction_of(contact)) is not None and "law_direction" in datasets:
-            line_fields = {name: datasets[f"law_{name}"] for name in ("direction", "turning")}
-            contact = replace(friction, **line_fields)
+            line_field_by_name = {
+                name: datasets[f"law_{name}"] for name in ("direction", "turning")
+            }
+            contact = replace(friction, **line_field_by_name)
         return _FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
 
 
@@ -190,10 +192,10 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
         if "nodes" in datasets or shapes.ndim != 2 or shapes.shape[1] != whole_structure.n_dofs:
             requirement = f"that of the file, {shapes.shape}"
             raise InputError("structure", f"{whole_structure.n_dofs} dofs", requirement)
-        local_dofs = slice(
+        local_dof_slice = slice(
             whole_structure.first_dof, whole_structure.first_dof + whole_structure.n_local
         )
-        return Modes(omega, shapes[:, local_dofs].T, whole_structure)
+        return Modes(omega, shapes[:, local_dof_slice].T, whole_structure)
     nodal_mesh = NodalMesh(structure)
     assert whole_structure.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
@@ -216,12 +218,12 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     local_shapes = nodal_mesh.to_nodal_frames(shapes[:, node_indices])[
         :, first_node : first_node + len(whole_structure.nodes.points)
     ]
-    is_free = whole_structure.nodes.dofs >= 0
-    shape_rows = np.zeros((len(omega), whole_structure.n_local))
-    shape_rows[:, whole_structure.nodes.dofs[is_free] - whole_structure.first_dof] = local_shapes[
-        :, is_free
-    ]
-    return Modes(omega, shape_rows.T, whole_structure)
+    is_free_dof = whole_structure.nodes.dofs >= 0
+    mode_shape_rows = np.zeros((len(omega), whole_structure.n_local))
+    mode_shape_rows[:, whole_structure.nodes.dofs[is_free_dof] - whole_structure.first_dof] = (
+        local_shapes[:, is_free_dof]
+    )
+    return Modes(omega, mode_shape_rows.T, whole_structure)
 
 
 def _node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
@@ -243,7 +245,8 @@ def _node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
 
 def _pack_solution(solution: PeriodicSolution) -> Datasets:
     report_datasets = {
-        f"error_{name}": value for name, value in pack_dataclass(solution.report).items()
+        f"error_{field_name}": report_value
+        for field_name, report_value in pack_dataclass(solution.report).items()
     }
     datasets = pack_dataclass(
         solution, *_FIELDS_NOT_STORED, "displacement_coefficients", "stability"
@@ -258,15 +261,17 @@ def _pack_solution(solution: PeriodicSolution) -> Datasets:
 def _unpack_solution(
     datasets: Datasets, structure: Structure, contact: OptionalLaw
 ) -> PeriodicSolution:
-    gap = datasets["gap_coefficients"]
-    shape = len(gap) | 1, gap.shape[-1]
+    gap_coefficients = datasets["gap_coefficients"]
+    coefficient_shape = len(gap_coefficients) | 1, gap_coefficients.shape[-1]
     wave_names = "gap_coefficients", "force_coefficients"
     check_shapes(
         datasets,
-        dict.fromkeys([*wave_names, *(f"tangential_{name}" for name in wave_names)], shape),
+        dict.fromkeys(
+            [*wave_names, *(f"tangential_{name}" for name in wave_names)], coefficient_shape
+        ),
     )
     check_shapes(datasets, {"multipliers": (max(np.size(datasets.get("multipliers")), 1),)})
-    _check_n_pairs(structure, gap)
+    _check_n_pairs(structure.n_pairs, gap_coefficients)
     _check_law(datasets, contact, structure)
     return rebuild_solution(datasets, structure, contact)
 
@@ -290,12 +295,14 @@ def rebuild_solution(
     InputError
         The solution belongs to another structure.
     """
-    gap, force = datasets["gap_coefficients"], datasets["force_coefficients"]
-    _check_n_pairs(structure, gap)
+    gap_coefficients, force = datasets["gap_coefficients"], datasets["force_coefficients"]
+    _check_n_pairs(structure.n_pairs, gap_coefficients)
     if is_rigid(contact) and friction_of(contact) is None:
         contact = UnilateralConstraint(datasets.get("weight"))
     datasets.setdefault("error_confirmed", True)  # of earlier versions
-    report_fields = {field.name: datasets[f"error_{field.name}"] for field in fields(ErrorReport)}
+    report_field_by_name = {
+        field.name: datasets[f"error_{field.name}"] for field in fields(ErrorReport)
+    }
     omega, subharmonic = datasets["omega"], datasets["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
         raise ValueError("its frequency does not fit")
@@ -303,47 +310,57 @@ def rebuild_solution(
     force_rows = force if tangential_force is None else np.hstack([force, tangential_force])
     structure_with_friction = add_friction_pairs(contact, structure)
     compliance = dynamic_compliance(
-        structure_with_friction, omega / subharmonic, len(gap) // 2, subharmonic
+        structure_with_friction, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
     )
-    displacement = compliance.displacement(force_rows)
+    displacement_coefficients = compliance.displacement(force_rows)
     compliance.destroy()
     solution = unpack_dataclass(
         PeriodicSolution,
         datasets,
         structure=structure,
         contact=contact,
-        displacement_coefficients=displacement,
+        displacement_coefficients=displacement_coefficients,
         stability=unpack_dataclass(Stability, datasets) if "multipliers" in datasets else None,
-    ).reported(unpack_dataclass(ErrorReport, report_fields))
+    ).reported(unpack_dataclass(ErrorReport, report_field_by_name))
     if solution.converged:
         _check_gap_coefficients(
-            structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual)
+            structure,
+            displacement_coefficients,
+            gap_coefficients,
+            max(1e-6, 10.0 * solution.report.residual),
         )
     return solution
 
 
-def _check_n_pairs(structure: Structure, gap_rows: np.ndarray) -> None:
+def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
-    if gap_rows.shape[-1] != structure.n_pairs:
-        requirement = f"one with {gap_rows.shape[-1]} pairs"
-        raise InputError("structure", f"{structure.n_pairs} pairs", requirement)
+    if pair_gaps.shape[-1] != n_pairs:
+        requirement = f"one with {pair_gaps.shape[-1]} pairs"
+        raise InputError("structure", f"{n_pairs} pairs", requirement)
 
 
 def _check_gap_coefficients(
-    structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
+    structure: Structure,
+    displacement_coefficients: np.ndarray,
+    gap_coefficients: np.ndarray,
+    tolerance: float,
 ) -> None:
     """Raise InputError unless displacement and gap coefficients agree (collective).
 
     The tolerance includes rounding of the common motion of crack faces that the load presses
     together.
     """
-    closing_coefficients = structure.apply_bt(displacement)
-    displacement_sizes = structure.sum_over_ranks(np.abs(displacement) @ abs(structure.gap))
+    closing_coefficients = structure.apply_bt(displacement_coefficients)
+    displacement_sizes = structure.sum_over_ranks(
+        np.abs(displacement_coefficients) @ abs(structure.gap)
+    )
     difference_tolerance = tolerance * np.linalg.norm(
         closing_coefficients
     ) + NEGLIGIBLE * np.linalg.norm(displacement_sizes)
     closing_coefficients[0] -= structure.clearance
-    if not np.linalg.norm(closing_coefficients - gap) <= difference_tolerance:  # nan neither
+    if (
+        not np.linalg.norm(closing_coefficients - gap_coefficients) <= difference_tolerance
+    ):  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
 
 
@@ -367,7 +384,9 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     else:
         datasets |= {"unknowns": curve.points, "undecided": curve.undecided}
         point_datasets |= {str(index): point for index, point in enumerate(special_points.points)}
-    datasets |= {f"bifurcation_{name}": value for name, value in point_datasets.items()}
+    datasets |= {
+        f"bifurcation_{name}": point_dataset for name, point_dataset in point_datasets.items()
+    }
     return datasets | _law_datasets(curve.contact, curve.structure)
 
 
@@ -381,14 +400,14 @@ def _states_by_dof(curve: ResponseCurve) -> Datasets:
     places : (n, n_pairs)
         With friction, the gaps [m] at which pairs stick.
     """
-    motions, sticking_gaps = [], []
-    for value, state in zip(curve.values.tolist(), curve.points, strict=True):
-        mode_shapes = all_modes(curve.problem_at(value).structure).shapes
+    dof_states, sticking_gaps = [], []
+    for parameter_value, state in zip(curve.values.tolist(), curve.points, strict=True):
+        mode_shapes = all_modes(curve.problem_at(parameter_value).structure).shapes
         modal_state, sticking_gap = np.split(state, [2 * mode_shapes.shape[1]])
-        motions.append(modal_state.reshape(2, -1) @ mode_shapes.T)
+        dof_states.append(modal_state.reshape(2, -1) @ mode_shapes.T)
         sticking_gaps.append(sticking_gap)
     structure, n_points = curve.structure, len(curve)
-    state_datasets = {"states": np.reshape(motions, (n_points, 2, structure.n_dofs))}
+    state_datasets = {"states": np.reshape(dof_states, (n_points, 2, structure.n_dofs))}
     if friction_of(curve.contact) is not None:
         state_datasets["places"] = np.reshape(sticking_gaps, (n_points, structure.n_pairs))
     return state_datasets
@@ -409,71 +428,99 @@ def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw
         or datasets["subharmonic"] < 1
     ):
         raise ValueError("its parts do not fit")
-    vector_names = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
+    vector_dataset_names = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
     shape_by_name: ShapeByName = {
         f"{prefix}{name}": (count,)
         for prefix, count in count_by_prefix.items()
-        for name in vector_names
+        for name in vector_dataset_names
     }
-    other_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
-    special_unknowns: Sequence[np.ndarray]
-    if is_exact:
-        dof_signs = _find_dof_signs(structure, datasets["couplings"])
-        for prefix, count in count_by_prefix.items():
-            shape_by_name[f"{prefix}states"] = count, 2, structure.n_dofs
-            shape_by_name[f"{prefix}places"] = count, structure.n_pairs
-        check_shapes(datasets, shape_by_name)
-        curve = unpack_dataclass(ResponseCurve, datasets, **other_fields, points=datasets["states"])
-        points, special_unknowns = (
-            _states_by_mode(datasets, prefix, curve, dof_signs) for prefix in count_by_prefix
-        )
-        curve = replace(curve, points=points)
-        if not curve.orbit(0).residual <= 1e-4:  # nan neither
-            raise InputError("structure", "another load, mesh or material", "that of the file")
-    else:
-        special_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
-        unknowns = datasets["unknowns"]
-        structure_with_friction = add_friction_pairs(contact, structure)
-        _check_n_pairs(structure_with_friction, unknowns)
-        shape_by_name["unknowns"] = (
-            count_by_prefix[""],
-            unknowns.shape[1] | 1,
-            structure_with_friction.n_pairs,
-        )
-        shape_by_name |= {
-            name: (len(datasets[name]) | 1, structure_with_friction.n_pairs)
-            for name in special_names
-        }
-        check_shapes(datasets, shape_by_name)
-        special_unknowns = [
-            resize_harmonics(datasets[name], unknowns.shape[1] // 2) for name in special_names
-        ]
-        if "undecided" in datasets:  # of earlier versions, whose multiplier decides nothing there
-            datasets["multipliers"] = np.where(
-                datasets["undecided"], np.nan, datasets["multipliers"]
-            )
-        curve = unpack_dataclass(
-            ResponseCurve, datasets, **other_fields, points=unknowns, tolerance=None
-        )
-        first_solution = curve.solution(0)
-        _check_gap_coefficients(
-            first_solution.structure,
-            first_solution.displacement_coefficients,
-            first_solution.gap_coefficients,
-            1e-4,
-        )
-    values = datasets["bifurcation_values"].tolist()
-    frequencies = datasets.get(
-        "bifurcation_omega", [curve.problem_at(value).omega for value in values]
+    unpack_points = _unpack_exact_points if is_exact else _unpack_balance_points
+    curve, special_unknowns = unpack_points(
+        datasets, structure, contact, count_by_prefix, shape_by_name
     )
-    multipliers = datasets["bifurcation_multipliers"][:, None] if is_exact else [None] * len(values)
-    special_columns = zip(
-        datasets["kinds"], values, frequencies, special_unknowns, multipliers, strict=True
+    parameter_values = datasets["bifurcation_values"].tolist()
+    frequencies = datasets.get(
+        "bifurcation_omega",
+        [curve.problem_at(parameter_value).omega for parameter_value in parameter_values],
+    )
+    multipliers = (
+        datasets["bifurcation_multipliers"][:, None] if is_exact else [None] * len(parameter_values)
+    )
+    special_point_rows = zip(
+        datasets["kinds"], parameter_values, frequencies, special_unknowns, multipliers, strict=True
     )
     return replace(
         curve,
-        bifurcations=tuple(curve.bifurcation(*special_point) for special_point in special_columns),
+        bifurcations=tuple(
+            curve.bifurcation(*special_point_row) for special_point_row in special_point_rows
+        ),
     )
+
+
+def _unpack_exact_points(
+    datasets: Datasets,
+    structure: Structure,
+    contact: OptionalLaw,
+    count_by_prefix: Mapping[str, int],
+    shape_by_name: ShapeByName,
+) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
+    """Return a curve of exact orbits without special points, and the states there.
+
+    Parameters
+    ----------
+    count_by_prefix : dict
+        Numbers of points, "", and of special points, "bifurcation\\_".
+    shape_by_name : dict
+        Shapes of the datasets checked so far.
+    """
+    dof_signs = _find_dof_signs(structure, datasets["couplings"])
+    for prefix, count in count_by_prefix.items():
+        shape_by_name[f"{prefix}states"] = count, 2, structure.n_dofs
+        shape_by_name[f"{prefix}places"] = count, structure.n_pairs
+    check_shapes(datasets, shape_by_name)
+    known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = unpack_dataclass(ResponseCurve, datasets, **known_fields, points=datasets["states"])
+    states, special_states = (
+        _states_by_mode(datasets, prefix, curve, dof_signs) for prefix in count_by_prefix
+    )
+    curve = replace(curve, points=states)
+    if not curve.orbit(0).residual <= 1e-4:  # nan neither
+        raise InputError("structure", "another load, mesh or material", "that of the file")
+    return curve, special_states
+
+
+def _unpack_balance_points(
+    datasets: Datasets,
+    structure: Structure,
+    contact: OptionalLaw,
+    count_by_prefix: Mapping[str, int],
+    shape_by_name: ShapeByName,
+) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
+    """Return a curve of harmonic balance without special points, and the unknowns there.
+
+    Parameters are those of :func:`_unpack_exact_points`.
+    """
+    special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
+    unknowns = datasets["unknowns"]
+    n_pairs = add_friction_pairs(contact, structure).n_pairs
+    _check_n_pairs(n_pairs, unknowns)
+    shape_by_name["unknowns"] = count_by_prefix[""], unknowns.shape[1] | 1, n_pairs
+    shape_by_name |= {name: (len(datasets[name]) | 1, n_pairs) for name in special_dataset_names}
+    check_shapes(datasets, shape_by_name)
+    special_unknowns = [
+        resize_harmonics(datasets[name], unknowns.shape[1] // 2) for name in special_dataset_names
+    ]
+    if "undecided" in datasets:  # of earlier versions, whose multiplier decides nothing there
+        datasets["multipliers"] = np.where(datasets["undecided"], np.nan, datasets["multipliers"])
+    known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = unpack_dataclass(
+        ResponseCurve, datasets, **known_fields, points=unknowns, tolerance=None
+    )
+    solution = curve.solution(0)
+    _check_gap_coefficients(
+        solution.structure, solution.displacement_coefficients, solution.gap_coefficients, 1e-4
+    )
+    return curve, special_unknowns
 
 
 def _states_by_mode(
@@ -483,14 +530,18 @@ def _states_by_mode(
 
     ``prefix`` is "" for all points, "bifurcation\\_" for the special points.
     """
-    values, dof_states = datasets[f"{prefix}values"], dof_signs * datasets[f"{prefix}states"]
-    sticking_gaps = datasets.get(f"{prefix}places", np.zeros((len(values), 0)))
-    inverses = (all_modes(curve.problem_at(value).structure).inverse for value in values.tolist())
-    columns = zip(inverses, dof_states, sticking_gaps, strict=True)
+    parameter_values = datasets[f"{prefix}values"]
+    dof_states = dof_signs * datasets[f"{prefix}states"]
+    sticking_gaps = datasets.get(f"{prefix}places", np.zeros((len(parameter_values), 0)))
+    inverse_shape_matrices = (
+        all_modes(curve.problem_at(parameter_value).structure).inverse
+        for parameter_value in parameter_values.tolist()
+    )
+    state_rows = zip(inverse_shape_matrices, dof_states, sticking_gaps, strict=True)
     return np.array(
         [
-            np.append((dof_state @ inverse.T).ravel(), sticking_gap)
-            for inverse, dof_state, sticking_gap in columns
+            np.append((dof_state @ inverse_shapes.T).ravel(), sticking_gap)
+            for inverse_shapes, dof_state, sticking_gap in state_rows
         ]
     )
 
@@ -513,8 +564,8 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     n_instants, recorded_dofs = datasets["time"].size, datasets["recorded_dofs"]
     shape_by_name: ShapeByName = {"time": (n_instants,), "recorded_dofs": (recorded_dofs.size,)}
-    pair_names = "gap", "contact_force", "tangential_gap", "tangential_force"
-    shape_by_name |= {name: (n_instants, structure.n_pairs) for name in pair_names}
+    pair_dataset_names = "gap", "contact_force", "tangential_gap", "tangential_force"
+    shape_by_name |= {name: (n_instants, structure.n_pairs) for name in pair_dataset_names}
     shape_by_name |= {
         "recorded": (n_instants, recorded_dofs.size),
         "final_state": (2, structure.n_local),
@@ -569,20 +620,31 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     attribute_names = (
         "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
     )  # fmt: skip
-    value_by_name = {f"law_{name}": getattr(contact, name, None) for name in attribute_names}
-    datasets = {name: value for name, value in value_by_name.items() if value is not None}
+    value_by_name = {
+        f"law_{attribute_name}": getattr(contact, attribute_name, None)
+        for attribute_name in attribute_names
+    }
+    datasets = {
+        attribute_name: attribute_value
+        for attribute_name, attribute_value in value_by_name.items()
+        if attribute_value is not None
+    }
     if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
-            force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
-        datasets["law_force"] = np.nan_to_num(force, posinf=LARGEST).clip(-LARGEST, LARGEST)
+            summed_force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
+        datasets["law_force"] = np.nan_to_num(summed_force, posinf=LARGEST).clip(-LARGEST, LARGEST)
     return {"law": type(contact).__name__, **datasets}
 
 
 def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -> None:
     """Raise InputError unless the law of the datasets is the given law."""
     law_datasets = _law_datasets(contact, structure)
-    names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()
-    stored_datasets = {name: datasets[name] for name in names if name in datasets}
+    dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()
+    stored_datasets = {
+        dataset_name: datasets[dataset_name]
+        for dataset_name in dataset_names
+        if dataset_name in datasets
+    }
     law_force = law_datasets.pop("law_force", None)
     stored_force = stored_datasets.pop("law_force", None)
     has_same_names = (
@@ -590,9 +652,9 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
         and law_datasets["law"] == stored_datasets["law"]
     )
     if not has_same_names or not all(
-        np.allclose(law_datasets[name], stored_datasets[name], rtol=1e-9)
-        for name in law_datasets
-        if name != "law"
+        np.allclose(law_datasets[dataset_name], stored_datasets[dataset_name], rtol=1e-9)
+        for dataset_name in law_datasets
+        if dataset_name != "law"
     ):
         raise InputError("contact", law_datasets, f"the law of the file: {stored_datasets}")
     if stored_force is not None and not np.allclose(law_force, stored_force, rtol=1e-9, atol=0.0):

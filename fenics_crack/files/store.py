@@ -90,18 +90,20 @@ def write_result_file(
         import h5py  # what only reads has its reader
 
         # In memory: HDF5 cannot be trusted with a full disk, and would load an old file.
-        image = io.BytesIO()
-        with h5py.File(image, "w") as file:
+        file_buffer = io.BytesIO()
+        with h5py.File(file_buffer, "w") as file:
             write_header(file, kind, scene)
-            for name, content in datasets.items():
+            for dataset_name, content in datasets.items():
                 if content is not None:
-                    options = (
+                    compression_options = (
                         {"compression": "gzip"} if is_compressed and np.size(content) > 1000 else {}
                     )
-                    file_dataset = file.create_dataset(name, data=content, **options)
-                    file_dataset.attrs.update(describe_dataset(name, datasets))
+                    file_dataset = file.create_dataset(
+                        dataset_name, data=content, **compression_options
+                    )
+                    file_dataset.attrs.update(describe_dataset(dataset_name, datasets))
             file.attrs["digest"] = content_digest(attribute_texts(file), datasets)
-        write_file_whole(path, image.getvalue())
+        write_file_whole(path, file_buffer.getvalue())
 
     on_root(comm, write_on_root)
 
@@ -122,9 +124,9 @@ def library_versions() -> str:
         for name, library_module in module_by_name.items()
         if library_module
     }
-    for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx"), ("gmsh", "gmsh")):
-        if module in sys.modules:
-            version_by_name[name] = sys.modules[module].__version__
+    for name, module_name in (("NumPy", "numpy"), ("DOLFINx", "dolfinx"), ("gmsh", "gmsh")):
+        if module_name in sys.modules:
+            version_by_name[name] = sys.modules[module_name].__version__
     return ", ".join(f"{name} {version}" for name, version in version_by_name.items())
 
 
@@ -282,15 +284,15 @@ class StoredFile:
 
         A missing file is an error only if ``is_required``.
         """
-        key_and_path_pairs = _list_scene_files(scene)
-        for (key, path), stored_digest in zip(key_and_path_pairs, self._digests, strict=False):
+        key_path_pairs = _list_scene_files(scene)
+        for (key, path), stored_digest in zip(key_path_pairs, self._digests, strict=False):
             file_digest = _file_digest(path)
             if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
                 requirement = (
                     f"the file with which {self.path} was computed; it has changed or gone"
                 )
                 raise InputError(key, path, requirement)
-        if is_required and len(self._digests) != len(key_and_path_pairs):
+        if is_required and len(self._digests) != len(key_path_pairs):
             raise self._older_version_error("digests of all files of its matrices")
 
     def refusal(self, requirement: str) -> InputError:
@@ -338,8 +340,8 @@ class StoredFile:
         requirement = (
             f"a file with {content}, which older versions did not write (this one: {version})"
         )
-        remedy = "make it again with the command that wrote it, a sweep in a new folder"
-        return self.refusal(f"{requirement}; {remedy}")
+        remedy_text = "make it again with the command that wrote it, a sweep in a new folder"
+        return self.refusal(f"{requirement}; {remedy_text}")
 
 
 def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:
@@ -394,18 +396,18 @@ def _read_and_check(path: Path) -> StoredFile:
 def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]) -> StoredFile:
     """Return a file's contents from the reader's arrays."""
     contents = json.loads(str(array_by_name["head"]))
-    arrays = {
+    array_by_dataset_name = {
         name: array_by_name[f"arr_{number}"] for number, name in enumerate(contents["arrays"])
     }
     array_or_number_by_name = {
-        name: array if array.ndim else array.item() for name, array in arrays.items()
+        name: array if array.ndim else array.item() for name, array in array_by_dataset_name.items()
     }
-    columns = {
-        name: Column(np.dtype(kind), tuple(shape), offset)
-        for name, (kind, shape, offset) in contents["columns"].items()
+    column_by_name = {
+        name: Column(np.dtype(dtype_text), tuple(shape), offset)
+        for name, (dtype_text, shape, offset) in contents["columns"].items()
     }
     return StoredFile(
-        path, contents["attributes"], contents["words"] | array_or_number_by_name, columns
+        path, contents["attributes"], contents["words"] | array_or_number_by_name, column_by_name
     )
 
 
@@ -437,22 +439,24 @@ def read_header(path: str | Path) -> StoredFile:
 
 
 @functools.lru_cache(maxsize=32)
-def _read_header_cached(path: Path, file_state: tuple[int, ...]) -> StoredFile:
+def _read_header_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
     return replace(_read_and_check(path), datasets={})
 
 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
     """Return pairs (key, path) for a scene's files, and for the files read with them."""
-    key_and_path_pairs = files_of(scene)
+    named_key_path_pairs = files_of(scene)
     # A named file of dofs takes the place of the file beside the matrices.
-    has_named_dofs = any(key == "structure.dofs" for key, _ in key_and_path_pairs)
-    included_files = [
+    has_named_dofs = any(key == "structure.dofs" for key, _ in named_key_path_pairs)
+    included_key_path_pairs = [
         (key, str(included_path))
-        for key, path in key_and_path_pairs
+        for key, path in named_key_path_pairs
         for included_path in list_included_files(Path(path))
     ]
-    return key_and_path_pairs + [
-        pair for pair in included_files if not (has_named_dofs and pair[1].endswith(".dof"))
+    return named_key_path_pairs + [
+        key_path_pair
+        for key_path_pair in included_key_path_pairs
+        if not (has_named_dofs and key_path_pair[1].endswith(".dof"))
     ]
 
 
@@ -553,9 +557,9 @@ def describe_dataset(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
     elif name.removeprefix("bifurcation_").isdigit():
         unit_and_meaning = UNIT_AND_MEANING_BY_NAME["unknowns"][0], GAP_ROWS_TEXT
     else:  # of a dataclass in others its last part
-        last_part = name.rpartition(".")[2]
+        last_name_part = name.rpartition(".")[2]
         unit_and_meaning = UNIT_AND_MEANING_BY_NAME.get(
-            last_part, (UNIT_BY_NAME.get(last_part, ""), "")
+            last_name_part, (UNIT_BY_NAME.get(last_name_part, ""), "")
         )
     return {
         key: attribute_text

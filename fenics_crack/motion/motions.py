@@ -32,7 +32,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import N_RECORDED_PERIODS
 from fenics_crack.basics.observables import (
-    FILES_ONLY,
+    IN_FILES_ONLY,
     REQUIRES_FRICTION,
     Observables,
     Place,
@@ -542,6 +542,6 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
     """
     numbers = dict.fromkeys(observable_names(Place.FACES), math.nan)
     if record.n_pairs:
-        requirements = REQUIRES_FRICTION if record.friction is None else FILES_ONLY
+        requirements = REQUIRES_FRICTION if record.friction is None else IN_FILES_ONLY
         numbers |= read_observables(Place.FACES, Faces(record), requirements)
     return numbers | dict(record.exact_numbers)

@@ -15,7 +15,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import (
-    FILES_ONLY,
+    IN_FILES_ONLY,
     OBSERVABLES_BY_NAME,
     REQUIRES_GROWTH_LAW,
     REQUIRES_SOLID,
@@ -175,9 +175,9 @@ class AtTip(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
         growth."""
-        without = FILES_ONLY if self.law is not None else REQUIRES_GROWTH_LAW
+        without = IN_FILES_ONLY if self.law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
-            Place.TIPS, self, without | (REQUIRES_SOLID if self.three is None else FILES_ONLY)
+            Place.TIPS, self, without | (REQUIRES_SOLID if self.three is None else IN_FILES_ONLY)
         )
 
 

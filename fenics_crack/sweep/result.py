@@ -41,8 +41,8 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import make_temporary_folder
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import (
+    IN_SWEEP_PICTURES,
     OBSERVABLES_BY_NAME,
-    SWEEP_PICTURE,
     Place,
     observable_names,
 )
@@ -391,7 +391,7 @@ class SweepResult(Tabular):
         """The columns that are drawn and printed, in words and with units: those that the scene's
         ``[output] quantities`` chooses, or a few."""
         seen, found = self.scene.point_names, {}
-        for name in self.scene.quantities or observable_names(required_flags=SWEEP_PICTURE):
+        for name in self.scene.quantities or observable_names(required_flags=IN_SWEEP_PICTURES):
             words, unit = OBSERVABLES_BY_NAME[name].words, OBSERVABLES_BY_NAME[name].unit
             if OBSERVABLES_BY_NAME[name].place is not Place.POINT:
                 found[name] = words, unit

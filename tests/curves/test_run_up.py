@@ -13,7 +13,7 @@ from rotating import cracked
 
 import fenics_crack as fc
 from fenics_crack import InputError, Run, Scene
-from fenics_crack.basics.observables import SPECIAL_POINTS_TABLE
+from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.results import curve_points, special_points
@@ -210,7 +210,7 @@ def test_run_up_in_the_scenes_unit(
     assert given == pytest.approx((560.0, 560.0 / RAD_PER_S_PER_RPM))
     assert first["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
     assert first["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
-    shown = in_short(whole, run.scene, SPECIAL_POINTS_TABLE).columns[:3]
+    shown = in_short(whole, run.scene, IN_SPECIAL_POINTS_TABLE).columns[:3]
     assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
     assert curve_points(run).columns[:4] == whole.columns[1:5]
