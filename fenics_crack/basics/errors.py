@@ -25,7 +25,7 @@ Each order of a load takes two rows as long as the displacement.
 MAX_CASES = 10**6
 """Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning.
 
-With a second for each, this takes 12 days.
+At one second a case, a computation takes 12 days.
 """
 DEFAULT_ERROR_TOLERANCE = 1e-2
 """Default relative error: errors of modes and harmonics are then below most mesh errors."""

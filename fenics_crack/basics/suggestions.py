@@ -216,8 +216,8 @@ def _class_names_of(value: object) -> set[str]:
 def fit_argument(key: str, value: Any, annotation: str, known_class_names: Collection[str]) -> Any:
     """Return a value that fits an annotation: the argument, or the result of a Run.
 
-    Raise InputError if the value is of no class of the annotation. This is checked only if every
-    class there is in ``known_class_names`` or has a description; a lone ``str`` is left to the
+    Raise InputError if the value is of no class of the annotation. Unless every class there is in
+    ``known_class_names`` or has a description, nothing is checked; a lone ``str`` is left to the
     function. Classes are compared by name: no module is imported for the check.
     """
     annotation_class_names = list(

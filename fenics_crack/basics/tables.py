@@ -41,7 +41,7 @@ _NAMES_BY_UNIT = {
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
 }
-UNIT_BY_NAME = {name: one.unit for name, one in OBSERVABLES_BY_NAME.items()}
+UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
 """Units of the entries of ``to_dict``; all other entries have no unit."""
 UNIT_BY_NAME |= {name: unit for unit, names in _NAMES_BY_UNIT.items() for name in names.split()}
 """Units of the entries of ``to_dict``; all others have none."""

@@ -2,9 +2,10 @@
 
 The package's functions run one at a time, each with one thread of OpenBLAS and OpenMP. gmsh, PETSc
 and MUMPS keep their state in global variables: with two Python threads in them, the process ends.
-Their dense algebra is small, and so is ours: OpenBLAS's threads wait for each other longer than
-they work, and spin meanwhile. The same holds for four threads of OpenMP, which CHOLMOD starts for
-each of its many small blocks, whatever OMP_NUM_THREADS says.
+
+Dense matrices are small here, also within these libraries. OpenBLAS's threads would wait for each
+other longer than they work, and spin meanwhile. So would four threads of OpenMP, in which CHOLMOD
+assembles each small block, whatever OMP_NUM_THREADS says.
 """
 
 from __future__ import annotations
@@ -171,7 +172,7 @@ def _load_openmp_libraries(n_modules: int) -> list[ctypes.CDLL]:
 
 
 def list_loaded_libraries(name_pattern: str) -> list[str]:
-    """Return paths of loaded libraries whose file names begin with a pattern."""
+    """Return paths of loaded libraries; a pattern matches the beginning of the file name."""
     try:
         memory_map_text = Path("/proc/self/maps").read_text()
     except OSError:

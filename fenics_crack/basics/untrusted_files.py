@@ -1,9 +1,9 @@
 """Read files that may come from strangers, with limits, and keep out of the working folder.
 
 A library that parses a damaged file may crash, ask for all memory or not end, and data may hide
-a script. So a separate small program parses the files of gmsh and HDF5, with limited memory and
-time: :func:`run_reader`. It hands over plain arrays. It loads its library once, and reads each file
-in a copy of itself.
+a script. So :func:`run_reader` lets a separate small program parse the files of gmsh and HDF5, with
+limited memory and time, and hand over plain arrays. The program loads the library once, and reads
+each file in a copy of its process.
 """
 
 from __future__ import annotations
@@ -142,8 +142,8 @@ def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]
 def max_unpacked_bytes(packed_bytes: int) -> int:
     """Return the maximum bytes of a compressed file's content.
 
-    It is 50 times the file's size; our own files take 1 to 10 times. Any file may take 16 MiB: text
-    of this size takes seconds.
+    The maximum is 50 times the file's size; this program's files take 1 to 10 times. Any file may
+    take 16 MiB: text of this size takes seconds.
     """
     return min(max(2**24, 50 * packed_bytes), MAX_FILE_BYTES)
 
@@ -311,7 +311,7 @@ def run_reader(
 ) -> dict[str, np.ndarray] | str:
     """Let a separate program read a file (:mod:`fenics_crack.basics.untrusted_reader`).
 
-    Its processor time [s] and its address space [bytes] are limited. The address space is
+    Processor time [s] and address space [bytes] of the program are limited. The address space is
     ``base_memory`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB, h5py half
     as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword arguments.
 

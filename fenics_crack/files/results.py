@@ -127,7 +127,7 @@ def load(path: str | Path, structure: Structure, contact: OptionalLaw = None) ->
 def unpack_result(
     stored_file: StoredFile, structure: Structure, contact: OptionalLaw = None
 ) -> Result:
-    """Return the result in a file that has been read (collective).
+    """Return the result in an open result file (collective).
 
     Raises as :func:`load`.
     """
@@ -227,9 +227,9 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
 
 
 def _node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
-    """Return for each node its position and the mean midpoint of its cells: (n, 2 d).
+    """Return the position of each node, then the mean midpoint of the cells around: (n, 2 d).
 
-    The midpoint distinguishes nodes at one place on opposite crack faces.
+    Nodes at the same place on opposite crack faces differ in the midpoint.
     """
     midpoint_sums = np.zeros_like(nodal_mesh.points)
     cell_counts = np.zeros((len(nodal_mesh.points), 1))
@@ -354,13 +354,11 @@ def _check_gap_coefficients(
     displacement_sizes = structure.sum_over_ranks(
         np.abs(displacement_coefficients) @ abs(structure.gap)
     )
-    difference_tolerance = tolerance * np.linalg.norm(
-        closing_coefficients
-    ) + NEGLIGIBLE * np.linalg.norm(displacement_sizes)
+    difference_tolerance = tolerance * np.linalg.norm(closing_coefficients)
+    difference_tolerance += NEGLIGIBLE * np.linalg.norm(displacement_sizes)
     closing_coefficients[0] -= structure.clearance
-    if (
-        not np.linalg.norm(closing_coefficients - gap_coefficients) <= difference_tolerance
-    ):  # nan neither
+    difference = np.linalg.norm(closing_coefficients - gap_coefficients)
+    if not difference <= difference_tolerance:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
 
 
@@ -498,7 +496,7 @@ def _unpack_balance_points(
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
     """Return a curve of harmonic balance without special points, and the unknowns there.
 
-    Parameters are those of :func:`_unpack_exact_points`.
+    For the parameters see :func:`_unpack_exact_points`.
     """
     special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
     unknowns = datasets["unknowns"]
@@ -593,7 +591,7 @@ def _gap_and_load_rows(structure: Structure) -> np.ndarray:
 def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray:
     """Return the signs (n_local,) of the dofs relative to a file.
 
-    Modes that are computed again may have other signs. InputError for another load or other pairs.
+    Modes computed anew may have other signs. A changed load, or changed pairs, is an InputError.
     """
     rows = _gap_and_load_rows(structure)
     if stored_rows.shape != rows.shape:
@@ -613,9 +611,9 @@ LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0
 
 
 def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
-    """Return datasets that identify a law: its name and parameters.
+    """Return datasets to identify a law: name and parameters.
 
-    For a user's law, they hold the forces at :data:`LAW_GAPS`.
+    For a user's law, the forces at :data:`LAW_GAPS` take the place of parameters.
     """
     attribute_names = (
         "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
@@ -662,7 +660,7 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
 
 
 _FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
-"""Fields that are not in a file, or in other datasets."""
+"""Fields left out of a file, or stored in other datasets."""
 PackFunction = Callable[[Any], Datasets]
 UnpackFunction = Callable[[Datasets, Structure, OptionalLaw], Result]
 _FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
@@ -671,5 +669,4 @@ _FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
     ResponseCurve: (_pack_curve, _unpack_curve),
     TimeHistory: (_pack_history, _unpack_history),
 }
-"""Functions that pack and unpack a result, by class; the files of these results have no structure.
-"""
+"""Functions to pack and unpack a result, by class; a file of these classes has no structure."""

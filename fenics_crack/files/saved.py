@@ -45,7 +45,7 @@ class SavedResult(Tabular):
 
     @classmethod
     def of(cls, stored_file: StoredFile) -> Self:
-        """Return the result in a file that has been read; raises as :meth:`load`."""
+        """Return the result in an open result file; raises as :meth:`load`."""
         stored_file.check_kind(cls.KIND)
         with stored_file.checked_datasets() as datasets:
             result = cls._unpack_fields(datasets, stored_file.scene())

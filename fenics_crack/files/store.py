@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 
 IDENTIFICATION_KIND = "identification"
-"""Kind in files from ``identify``, which draws its picture itself."""
+"""Kind in files from ``identify``; the picture comes from ``identify``, too."""
 PROGRAM_NAME = "fenics_crack"
 """Value for the attribute ``program``."""
 MISSING_FILE_DIGEST = "missing"
@@ -132,10 +132,9 @@ def library_versions() -> str:
 
 @functools.cache
 def program_fingerprint() -> str:
-    """Return a text that changes with the program and its libraries for meshes and assembly.
+    """Return a text that changes with the program, and with libraries for meshes and assembly.
 
-    The text has sizes and times of the program's sources, and of the files that load these
-    libraries.
+    The text has sizes and times of the program's sources, and of the libraries' first files.
     """
     module_specs = map(
         find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh")
@@ -324,7 +323,7 @@ class StoredFile:
         return self.attributes.get("meshes", "").split()
 
     def check_digest(self) -> None:
-        """Raise InputError unless the file is unchanged since it was written."""
+        """Raise InputError unless the file is unchanged since writing."""
         stored_digest = self.attributes.get("digest")
         if stored_digest is None:
             raise self._older_version_error("a digest")
@@ -335,7 +334,7 @@ class StoredFile:
             raise self.refusal("a whole file; this one is damaged")
 
     def _older_version_error(self, content: str) -> InputError:
-        """Return the error for an older version's file, which lacks some content."""
+        """Return the error for a file from an older version without some content."""
         version = self.attributes.get("version", "unknown")
         requirement = (
             f"a file with {content}, which older versions did not write (this one: {version})"
@@ -345,9 +344,9 @@ class StoredFile:
 
 
 def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:
-    """Read a file and verify its digest (collective).
+    """Read a file and verify the digest (collective).
 
-    Rank 0 lets a separate program read it.
+    Rank 0 lets a separate program read the file.
 
     Raises
     ------
@@ -424,9 +423,9 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
 
 
 def read_header(path: str | Path) -> StoredFile:
-    """Return a file without its numbers, which are verified, too.
+    """Return a file without the numbers; the digest is verified with the numbers.
 
-    Raises as :func:`read_result_file`. The file is read again when it has changed.
+    Raises as :func:`read_result_file`. A changed file is read again.
     """
     try:
         file_status = os.stat(path)
