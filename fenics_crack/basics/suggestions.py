@@ -184,22 +184,24 @@ def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
 
 
 def check_options(
-    function_name: str, options: Mapping[str, object], option_names: Collection[str]
+    owner_words: str, options: Mapping[str, object], option_names: Collection[str]
 ) -> None:
-    """Raise InputError for a keyword that is no option of a function."""
+    """Raise InputError for a keyword that is not in ``option_names``.
+
+    ``owner_words`` say in the error what has these options: a function, or pictures.
+    """
     for key, value in options.items():
         if key not in option_names:
             question_text = did_you_mean_text(find_similar_or_longer_names(key, option_names))
-            requirement = f"left out; {question_text}the options of {function_name} are "
+            requirement = f"left out; {question_text}the options of {owner_words} are "
             requirement += ", ".join(option_names)
             raise InputError(key, value, requirement)
 
 
 def _class_names_of(value: object) -> set[str]:
     """Return the names of a value's classes, with the abstract classes that are compared."""
-    class_names = {
-        base_class.__name__.removesuffix("_") for base_class in type(value).__mro__
-    }  # also NumPy's bool_
+    # The name of NumPy's bool_ becomes that of Python's.
+    class_names = {base_class.__name__.removesuffix("_") for base_class in type(value).__mro__}
     abstract_class_by_name: dict[str, Any] = {
         "Mapping": Mapping,
         "Path": os.PathLike,
@@ -226,10 +228,9 @@ def fit_argument(key: str, value: Any, annotation: str, known_class_names: Colle
         )
     )
     value_class_names = _class_names_of(value)
-    if {"str"} != {*annotation_class_names} <= {
-        *known_class_names,
-        *DESCRIPTION_BY_CLASS_NAME,
-    } and value_class_names.isdisjoint(annotation_class_names):
+    comparable_class_names = {*known_class_names, *DESCRIPTION_BY_CLASS_NAME}
+    is_checked = {"str"} != {*annotation_class_names} <= comparable_class_names
+    if is_checked and value_class_names.isdisjoint(annotation_class_names):
         if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(
             annotation_class_names
         ):
