@@ -23,7 +23,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.basics.errors import TOLERANCE
+from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE
 
 NAMES = ("amplitude", "opening", "ratio_2_1")
 COEFFICIENT = 0.3
@@ -107,7 +107,7 @@ def effects(scene: fc.Scene) -> dict[str, tuple[float, float]] | str:
 
 def is_right(stated: float, true: float) -> bool:
     """True if an effect is stated within a factor, or is too small to matter."""
-    least = 0.1 * TOLERANCE
+    least = 0.1 * DEFAULT_ERROR_TOLERANCE
     small = abs(true) < least and abs(stated) < 2.0 * least
     return bool(small or (true and HOLDS[0] <= stated / true <= HOLDS[1]))
 

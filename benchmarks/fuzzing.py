@@ -229,7 +229,11 @@ def forged(path: Path) -> Iterator[h5py.File]:
         if digest is None or "digest" not in file.attrs:
             return
         with contextlib.suppress(Exception):  # what cannot be read has no digest
-            texts, places, column_of = store.texts, store.places, store.column_of
+            texts, places, column_of = (
+                store.attribute_texts,
+                store.column_texts,
+                store.locate_column,
+            )
             words = {name: h5py.check_string_dtype(item.dtype) for name, item in file.items()}
             parts = {n: item.asstr()[()] if words[n] else item[()] for n, item in file.items()}
             of_sweep = file.attrs.get("kind") == "sweep"

@@ -57,7 +57,7 @@ def solve_form(
     """
     check_choice("form", form, SOLVER_BY_FORM)
     check_choice("balance", balance, ("galerkin", "collocation"))
-    check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
+    check_number("residual_tolerance", residual_tolerance, 0.0, excludes_bound=True)
     if balance == "collocation":
         if is_rigid(problem.contact):
             raise fc.InputError("balance", balance, "'galerkin' with UnilateralConstraint")

@@ -69,7 +69,7 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.balance.error_report import report_against_reference
 from fenics_crack.balance.more_modes import MoreModes
-from fenics_crack.basics.causes import MESH_CAUSES
+from fenics_crack.basics.causes import MESH_ERROR_CAUSES
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.errors.numbers import numbers_of
 from fenics_crack.errors.numbers import of_orbit as numbers_of_orbit
@@ -1043,7 +1043,7 @@ def compared(
     """A row for each quantity that a cause changes and the reference has."""
     for quantity, part in found.parts[cause].items():
         value, parts = found.values[quantity], found.contributions(quantity)
-        stated = sum(parts[one] for one in (MESH_CAUSES if cause == "mesh" else (cause,)))
+        stated = sum(parts[one] for one in (MESH_ERROR_CAUSES if cause == "mesh" else (cause,)))
         if quantity in reference and stated > 1e-9 * abs(value):  # more than rounding
             true = abs(reference[quantity] - value)
             shares = (true / abs(value), stated / abs(value), true / stated)

@@ -19,7 +19,7 @@ from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.cli import given
 from fenics_crack.scene import tables
 from fenics_crack.version import VERSION
@@ -90,8 +90,8 @@ def write_the_scene(app: Sphinx, page: str, text: list[str]) -> None:
     scene = given.build_scene_text("plate.toml", "measured.csv", ())
     text[0] = text[0].replace("{{ new }}", scene.rstrip())
     rows = (
-        f"| `{name}` | {row.words} | {row.unit.replace('1', '-')} | {row.of.value} |"
-        for name, row in QUANTITIES.items()
+        f"| `{name}` | {row.words} | {row.unit.replace('1', '-')} | {row.place.value} |"
+        for name, row in OBSERVABLES_BY_NAME.items()
     )
     text[0] = text[0].replace("{{ quantities }}", "\n".join(rows))
 

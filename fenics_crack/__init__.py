@@ -22,12 +22,16 @@ from types import FunctionType
 from typing import Any
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.threads import alone, check_modules, launched
+from fenics_crack.basics.threads import (
+    check_debian_modules,
+    is_started_by_mpirun,
+    run_single_threaded,
+)
 from fenics_crack.version import VERSION
 
-if launched():
+if is_started_by_mpirun():
     with suppress(InputError):  # raised again where the package is used
-        check_modules()
+        check_debian_modules()
         import_module("fenics_crack.basics.ranks")
 
 _MODULES = {
@@ -43,21 +47,21 @@ __version__ = VERSION
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        from fenics_crack.basics.suggestions import instead_of
+        from fenics_crack.basics.suggestions import suggest_replacements
 
-        question = instead_of(name, __all__)
+        question = suggest_replacements(name, __all__)
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; {question}".rstrip("; ")
         )
-    check_modules()
-    with alone():
+    check_debian_modules()
+    with run_single_threaded():
         value = getattr(import_module(_MODULES[name]), name)
     if isinstance(value, FunctionType):
-        from fenics_crack.basics.suggestions import checked_call
+        from fenics_crack.basics.suggestions import check_calls
 
         keys = _keys if "scene" in value.__annotations__ else None
         kinds = _MODULES.keys() - {"ContactLaw"}  # which is what has its members
-        value = alone()(checked_call(value, keys, kinds))
+        value = run_single_threaded()(check_calls(value, keys, kinds))
         value.__module__ = __name__  # where pickle finds this one
     globals()[name] = value
     return value

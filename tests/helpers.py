@@ -25,7 +25,7 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack.balance.block_system import BlockSystem
-from fenics_crack.files.store import column_of, digest, places, texts
+from fenics_crack.files.store import attribute_texts, column_texts, content_digest, locate_column
 
 Map = Callable[[np.ndarray], np.ndarray]
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
@@ -93,11 +93,11 @@ def changed(path: Path) -> Iterator[h5py.File]:
     with h5py.File(path, "r+") as file:
         yield file
         datasets = file.items() if file.attrs["kind"] == "sweep" else ()
-        parts = places({name: column_of(item) for name, item in datasets})
+        parts = column_texts({name: locate_column(item) for name, item in datasets})
         for name, item in file.items() if not parts else ():
             words = h5py.check_string_dtype(item.dtype) is not None
             parts[name] = item.asstr()[()] if words else item[()]
-        file.attrs["digest"] = digest(texts(file), parts)
+        file.attrs["digest"] = content_digest(attribute_texts(file), parts)
 
 
 def refusal(call: Callable[[], object], words: str | None = None) -> fc.InputError:

@@ -18,9 +18,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, check_count, check_number, reading
-from fenics_crack.basics.tables import RPM, TURN, Table, Tabular, counted
-from fenics_crack.basics.untrusted_files import IN_SI, heading_in_si, table_rows
+from fenics_crack.basics.errors import InputError, check_count, check_number, report_read_errors
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Table, Tabular, format_count
+from fenics_crack.basics.untrusted_files import (
+    SI_UNIT_AND_FACTOR,
+    convert_heading_to_si,
+    read_csv_rows,
+)
 
 ARRIVAL_COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """Required columns of a CSV file."""
@@ -83,7 +87,7 @@ class ArrivalTimes(Tabular):
             except (TypeError, ValueError):
                 raise InputError(name, getattr(self, name), "numbers") from None
             object.__setattr__(self, name, values)
-        check_number("tip_radius", self.tip_radius, 0.0, above=True)
+        check_number("tip_radius", self.tip_radius, 0.0, excludes_bound=True)
         check_probes(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
             problem = f"of shape {self.marks.shape}"
@@ -137,13 +141,13 @@ class ArrivalTimes(Tabular):
     def angle(self) -> np.ndarray:
         """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
         turns = self.first + np.arange(len(self.marks))
-        return between(self.marks, TURN * turns, self.time)
+        return between(self.marks, RAD_PER_TURN * turns, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
         """Times at the nominal angles, seen or not: (revolutions, probes) [s]."""
         turns = self.first + np.arange(len(self.marks))
-        return between(TURN * turns, self.marks, self.nominal_angle)
+        return between(RAD_PER_TURN * turns, self.marks, self.nominal_angle)
 
     @cached_property
     def displacement(self) -> np.ndarray:
@@ -168,7 +172,7 @@ class ArrivalTimes(Tabular):
             warnings.simplefilter("ignore", RuntimeWarning)  # a probe without arrivals
             shifts = np.nanmedian(self.nominal_angle - self.angle, axis=0)
         shifts -= np.nanmedian(shifts)
-        far_probes = np.flatnonzero(np.abs(shifts) > 0.5 * TURN)
+        far_probes = np.flatnonzero(np.abs(shifts) > 0.5 * RAD_PER_TURN)
         if len(far_probes):
             probe_text = f"those at {np.degrees(self.probes[far_probes[0]]):g} degrees"
             problem = (
@@ -177,7 +181,9 @@ class ArrivalTimes(Tabular):
             )
             raise InputError("time", problem, "in the rows of their own revolutions, at all probes")
         distances = np.abs(self.probes - shifts - self.probes[:, None])  # [stated, passed]
-        nearest_probes = np.argmin(np.minimum(distances % TURN, -distances % TURN), axis=0)
+        nearest_probes = np.argmin(
+            np.minimum(distances % RAD_PER_TURN, -distances % RAD_PER_TURN), axis=0
+        )
         swapped_probes = np.flatnonzero(
             np.isfinite(shifts) & (nearest_probes != np.arange(len(shifts)))
         )
@@ -268,7 +274,7 @@ class ArrivalTimes(Tabular):
 
     def _title(self) -> str:
         speed, n_missing = self.speed, int(np.isnan(self.time).sum())
-        parts = [counted(len(self), "revolution"), counted(len(self.probes), "probe")]
+        parts = [format_count(len(self), "revolution"), format_count(len(self.probes), "probe")]
         is_steady = np.ptp(speed) <= 1e-6 * speed[0]
         parts.append(f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s")
         return ", ".join(parts + [f"{n_missing} missing"] * (n_missing > 0))
@@ -363,15 +369,15 @@ def _read_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
     table : (columns, n)
         Numbers in SI; nan in cells without a number.
     """
-    with reading("path", path, "a table of numbers"):
-        (_, names), *rows = table_rows(path) or [(0, [])]
+    with report_read_errors("path", path, "a table of numbers"):
+        (_, names), *rows = read_csv_rows(path) or [(0, [])]
         for number, row in rows:
             if len(row) < len(names):
                 requirement = (
                     f"a row of {len(names)} cells, as there are headings, not of {len(row)}"
                 )
                 raise InputError("path", f"{path}, line {number}", requirement)
-    headings = [heading_in_si(name) for name in names]
+    headings = [convert_heading_to_si(name) for name in names]
     columns = [[f * _number(row[n]) for _, row in rows] for n, (_, f) in enumerate(headings)]
     table = np.array(columns).reshape(len(names), len(rows))
     return [name for name, _ in headings], [number for number, _ in rows], table
@@ -406,8 +412,8 @@ def _read_passages(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 PASSAGE_HEADING = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Heading of a blade's arrivals at a probe; the default is blade 1."""
-SPEED_UNITS = {"rpm": RPM, "rad/s": 1.0, "Hz": TURN}
-ANGLE_UNITS, TIME_UNITS = {"rad": 1.0, "deg": IN_SI["deg"][1]}, {"s": 1.0}
+SPEED_UNITS = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
+ANGLE_UNITS, TIME_UNITS = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR["deg"][1]}, {"s": 1.0}
 """Factors of units to rad/s, rad and s; the first unit is the default of a heading."""
 
 
@@ -472,7 +478,7 @@ def read_record(
     if len(columns) != len(names):
         raise InputError("path", f"{path}: {', '.join(names)}", "headings, each given once")
     if table.shape[1] < 2:
-        problem = f"{path}: {counted(table.shape[1], 'revolution')}"
+        problem = f"{path}: {format_count(table.shape[1], 'revolution')}"
         raise InputError("path", problem, "two or more, between which the speed is measured")
     turns = _read_turns(path, columns.get("revolution", np.arange(float(table.shape[1]))))
     marks = _read_marks(path, columns, turns)
@@ -502,7 +508,10 @@ def probes_of_blades(probes: Sequence[float] | np.ndarray, count: int) -> dict[i
     blade j.
     """
     angles = np.asarray(probes, dtype=float)
-    return {blade: (angles - TURN * (blade - 1) / count) % TURN for blade in range(1, count + 1)}
+    return {
+        blade: (angles - RAD_PER_TURN * (blade - 1) / count) % RAD_PER_TURN
+        for blade in range(1, count + 1)
+    }
 
 
 def write_record(
@@ -544,7 +553,7 @@ def write_record(
         for number, probe in enumerate(np.argsort(np.argsort(angles_of_blades[blade])), 1):
             columns[f"blade {blade} probe {number} [s]"] = arrivals.time[:, probe].tolist()
     columns[RADIUS_COLUMN] = [first_blade.tip_radius] * len(first_blade)
-    Table.of(columns, {}).save(path)
+    Table.from_dict(columns, {}).save(path)
 
 
 def _unit_factor(path: str | Path, name: str, factors: dict[str, float]) -> float:
@@ -587,8 +596,8 @@ def _read_marks(path: str | Path, columns: dict[str, np.ndarray], turns: np.ndar
             if not np.all(speed > 0.0):
                 raise InputError("path", f"{path}: {name}", "numbers > 0")
             speed = np.interp(all_turns, turns, speed)
-            check_turns(f"{path}: {name}", TURN / speed, int(turns[0]))
-            durations = TURN / smooth_series(speed)
+            check_turns(f"{path}: {name}", RAD_PER_TURN / speed, int(turns[0]))
+            durations = RAD_PER_TURN / smooth_series(speed)
             return np.concatenate([[0.0], np.cumsum(durations)])
     requirement = "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]'"
     raise InputError("path", str(path), f"{requirement}; it has {', '.join(columns)}")
@@ -600,12 +609,12 @@ def _read_angles(
     """Return angles from the mark to the arrivals (rows,) [rad]."""
     if "[s]" not in name:
         angles = column * _unit_factor(path, name, ANGLE_UNITS)
-        if np.nanmedian(np.abs(angles)) > 2.0 * TURN:
+        if np.nanmedian(np.abs(angles)) > 2.0 * RAD_PER_TURN:
             requirement = "angles from the mark to the arrival, in a revolution; in degrees?"
             raise InputError("path", f"{path}: {name} = {np.nanmedian(column):g}", requirement)
         return angles
     mark_numbers = np.arange(turns[0], turns[0] + len(marks))
-    return TURN * (between(marks, mark_numbers, column) - turns)
+    return RAD_PER_TURN * (between(marks, mark_numbers, column) - turns)
 
 
 def _build_arrivals(
@@ -617,22 +626,22 @@ def _build_arrivals(
 ) -> ArrivalTimes:
     """Return a blade's arrivals from angles after the mark (revolutions, probes) [rad]."""
     for column in angles.T:  # a blade at the mark is seen before it and after it
-        column -= TURN * np.round((column - column[np.isfinite(column)][0]) / TURN)
+        column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)
     medians = np.nanmedian(angles, axis=0)
-    probe_angles = medians % TURN if probes is None else probes
+    probe_angles = medians % RAD_PER_TURN if probes is None else probes
     if len(probe_angles) != angles.shape[1]:
         raise InputError(
             "probes", probe_angles, f"{angles.shape[1]} angles, as the record has probes"
         )
     probe_order = np.argsort(probe_angles)
     rows = np.arange(len(angles))
-    for probe, lag in enumerate(np.round((medians - probe_angles) / TURN).astype(int)):
+    for probe, lag in enumerate(np.round((medians - probe_angles) / RAD_PER_TURN).astype(int)):
         # From before its mark, or from after the next one: of another revolution than its row's.
         kept_rows = rows[(rows >= lag) & (rows - lag < len(rows))]
-        moved_angles = angles[kept_rows - lag, probe] - TURN * lag
+        moved_angles = angles[kept_rows - lag, probe] - RAD_PER_TURN * lag
         angles[:, probe] = np.nan
         angles[kept_rows, probe] = moved_angles
     angles = angles[:, probe_order]
     turns = first_turn + np.arange(len(marks))
-    time = between(TURN * turns, marks, TURN * turns[:-1, None] + angles)
+    time = between(RAD_PER_TURN * turns, marks, RAD_PER_TURN * turns[:-1, None] + angles)
     return ArrivalTimes(time, marks, probe_angles[probe_order], tip_radius, first_turn)

@@ -30,7 +30,7 @@ from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import ORDERS, Candidates, TipFit, condition, select_candidate
 from fenics_crack.arrivals.robust import LEVELS, ROBUST_SETTLED, refined, reweighted, student
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.fourier import fourier_basis
 
 MAX_FREQUENCIES = 10**8
@@ -79,8 +79,8 @@ def fit_frequency(
     --------
     >>> fit = fc.fit_frequency(arrivals, 1800.0, 2200.0)
     """
-    check_number("low", low, 0.0, above=True)
-    check_number("high", high, low, above=True)
+    check_number("low", low, 0.0, excludes_bound=True)
+    check_number("high", high, low, excludes_bound=True)
     check_count("harmonics", harmonics, 1)
     arrivals.check_places(angle_deviation)
     is_seen = np.isfinite(arrivals.time)
@@ -247,7 +247,7 @@ class _FrequencySearch:
             trials.append((self._is_hidden(columns), float(weights @ residuals**2), omega))
         peaks: list[float] = []
         for _, _, omega in sorted(trials):  # nearer to a higher one they are its side lobes
-            if all(abs(omega - peak) >= 2.0 * TURN / self._span for peak in peaks):
+            if all(abs(omega - peak) >= 2.0 * RAD_PER_TURN / self._span for peak in peaks):
                 peaks.append(omega)
         self.omega = peaks[0]
         self._settle()
@@ -259,7 +259,7 @@ class _FrequencySearch:
             self.coefficients @ np.linalg.lstsq(covariance, self.coefficients, rcond=1e-10)[0]
         )
         gain = max(min(self._null_noise.cost - self.noise.cost, wald), 0.0)
-        cells = max(float(np.ptp(self._ends)) * self._span / TURN, 1.0)
+        cells = max(float(np.ptp(self._ends)) * self._span / RAD_PER_TURN, 1.0)
         chance = min(cells * float(chdtrc(2 * len(self._multiples) + 1, gain)), 1.0)
         return self._describe(candidates), 1.0 if self._is_hidden(self.columns) else chance
 
@@ -271,7 +271,7 @@ class _FrequencySearch:
     def _find_peaks(self) -> np.ndarray:
         """Return the frequencies of the highest peaks of a periodogram [rad/s]."""
         min_omega, max_omega = self._ends
-        step = TURN / (4.0 * self._span)  # of the resolution a quarter
+        step = RAD_PER_TURN / (4.0 * self._span)  # of the resolution a quarter
         begin, end = int(np.ceil(min_omega / step)), int(np.floor(max_omega / step)) + 1
         if not 0 < end - begin < MAX_FREQUENCIES:
             requirement = f"between {step:.3g} and {MAX_FREQUENCIES * step:.3g} rad/s"
@@ -364,11 +364,11 @@ def _spectrum(phase: np.ndarray, values: np.ndarray, first_mode: int, count: int
     middle, size = modes // 2, 2 * modes
     width = np.pi * reach / (modes**2 * 3.0)  # of Greengard and Lee, twice as fine a grid
     terms = values * np.exp(-1j * (first_mode + middle) * phase)
-    place = np.floor(phase * size / TURN).astype(int)
+    place = np.floor(phase * size / RAD_PER_TURN).astype(int)
     grid = np.zeros(size, dtype=complex)
     for offset in range(1 - reach, reach + 1):
         cells = place + offset
-        share = terms * np.exp(-((phase - TURN * cells / size) ** 2) / (4.0 * width))
+        share = terms * np.exp(-((phase - RAD_PER_TURN * cells / size) ** 2) / (4.0 * width))
         grid += np.bincount(cells % size, share.real, size)
         grid += 1j * np.bincount(cells % size, share.imag, size)
     order = np.arange(modes) - middle

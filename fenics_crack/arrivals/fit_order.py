@@ -41,7 +41,13 @@ from fenics_crack.arrivals.harmonics import (
 )
 from fenics_crack.arrivals.robust import DEPENDENT, LEVELS, reweighted, student, trend
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.basics.tables import TURN, UNITS, counted, hertz_of, with_frequency
+from fenics_crack.basics.tables import (
+    RAD_PER_TURN,
+    UNIT_BY_NAME,
+    add_frequency_entries,
+    format_count,
+    hertz_property,
+)
 from fenics_crack.numerics.fourier import fourier_basis
 
 N_FOLDED = 3
@@ -407,7 +413,7 @@ class Means(_Sample):
         places = np.nonzero(mask)
         groups, group = np.unique(constants[mask], return_inverse=True)
         self._displacement, self._group = values[mask], group
-        nominal = arrivals.probes[groups % probes] + TURN * (groups // probes)
+        nominal = arrivals.probes[groups % probes] + RAD_PER_TURN * (groups // probes)
         freedom = len(group) - len(groups)
 
         def solve(weights: np.ndarray) -> np.ndarray:
@@ -507,7 +513,7 @@ class TipTrack(HarmonicFit):
         is_unknown = np.isnan([self.misfit, self.folded])
         return self.does_not_fit or self.may_be_folded or bool(np.any(is_unknown))
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     @property
     def omega(self) -> np.ndarray:
@@ -516,18 +522,20 @@ class TipTrack(HarmonicFit):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns, a row for every group of revolutions."""
-        columns = with_frequency({"speed": self.speed.tolist(), "omega": self.omega.tolist()})
+        columns = add_frequency_entries(
+            {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
+        )
         for index, multiple in enumerate(self.multiples):
             columns[f"amplitude_{multiple:g}"] = self.amplitudes[:, index].tolist()
             columns[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[:, index].tolist()
         return columns
 
     def _units(self) -> Mapping[str, str]:
-        return UNITS | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
+        return UNIT_BY_NAME | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        points = counted(len(self.speed), "point")
+        points = format_count(len(self.speed), "point")
         return ", ".join([f"order {self.order:g}", speeds, points, *self._doubts])
 
 
@@ -597,7 +605,7 @@ def track_order(
     )
     has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == unknowns
     inverse = np.linalg.pinv(columns)
-    position = (nominal - nominal[:, :1] + arrivals.probes[0]) / (TURN * revolutions) - 0.5
+    position = (nominal - nominal[:, :1] + arrivals.probes[0]) / (RAD_PER_TURN * revolutions) - 0.5
     values, changes = _subtract_changes(values, inverse, columns, position, np.flatnonzero(has_fit))
     coefficients = inverse @ values[..., None]
     residuals = np.where(mask & has_fit[:, None], values - (columns @ coefficients)[..., 0], 0.0)

@@ -12,7 +12,13 @@ from scipy.special import ndtr
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.robust import LEVELS
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.tables import Tabular, counted, hertz_of, quantity, with_frequency
+from fenics_crack.basics.tables import (
+    Tabular,
+    add_frequency_entries,
+    format_count,
+    format_quantity,
+    hertz_property,
+)
 from fenics_crack.numerics.fourier import fourier_basis
 
 ORDERS = range(1, 25)
@@ -144,7 +150,7 @@ class TipFit(HarmonicFit):
     asynchronous: tuple[TipFit, ...]
     folded: float = np.nan
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     @property
     def omega(self) -> float:
@@ -249,12 +255,14 @@ class TipFit(HarmonicFit):
             "amplitude_error": np.concatenate([mean[1], errors]).tolist(),
             "phase": np.concatenate([[0.0], np.arctan2(sines, cosines)]).tolist(),
         }
-        return with_frequency(columns)
+        return add_frequency_entries(columns)
 
     def _title(self) -> str:
         parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
         harmonics = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
-        parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in harmonics]
+        parts += [
+            f"{m:g}x {format_quantity(a, 'm')} ± {format_quantity(e, 'm')}" for m, a, e in harmonics
+        ]
         parts += self._doubts
         if self.spare < 1:
             parts.append("as many unknowns as probes")
@@ -308,7 +316,7 @@ def wanted(
     if not candidates:
         raise InputError("orders", candidates, "one or more numbers > 0")
     for order in candidates:
-        check_number("orders", order, 0.0, above=True)
+        check_number("orders", order, 0.0, excludes_bound=True)
     return np.unique(np.array(candidates, dtype=float)), np.arange(1, harmonics + 1) / subharmonic
 
 
@@ -342,7 +350,7 @@ def condition(columns: np.ndarray) -> float:
 def refuse_probes(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
     angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
-    problem = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
+    problem = f"{format_count(len(arrivals.probes), 'probe')} at {angles} degrees"
     requirement = f"able to determine {unknowns} unknowns of a fit: more probes, unequally spaced, "
     requirement += "fewer harmonics, or arrivals that scatter less"
     raise InputError("probes", problem, requirement)

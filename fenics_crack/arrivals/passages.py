@@ -32,8 +32,14 @@ from fenics_crack.arrivals.transient import (
     pole,
 )
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.progress import begin as begin_stage
-from fenics_crack.basics.tables import RPM, Tabular, counted, hertz_of, quantity
+from fenics_crack.basics.progress import begin_stage as begin_stage
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    Tabular,
+    format_count,
+    format_quantity,
+    hertz_property,
+)
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 MAX_REFINED_ORDERS = 4
@@ -113,8 +119,8 @@ class PassageFit(Tabular):
     blind: tuple[float, ...]
     stiffening: float
 
-    frequency, frequencies = hertz_of(), hertz_of("omegas")
-    frequency_error, frequency_errors = hertz_of("deviation"), hertz_of("omega_errors")
+    frequency, frequencies = hertz_property(), hertz_property("omegas")
+    frequency_error, frequency_errors = hertz_property("deviation"), hertz_property("omega_errors")
 
     @property
     def speed(self) -> float:
@@ -185,7 +191,7 @@ class PassageFit(Tabular):
     def in_words(self) -> str:
         """Frequency with its :attr:`deviation`, engine order and speed, in words."""
         hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
-        return f"{hertz}, engine order {self.order:g} at {self.speed / RPM:.6g} rpm"
+        return f"{hertz}, engine order {self.order:g} at {self.speed / RAD_PER_S_PER_RPM:.6g} rpm"
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return speeds and displacements of each passage, measured and fitted.
@@ -209,17 +215,17 @@ class PassageFit(Tabular):
         """Return the numbers by name."""
         names = ("order", "margin", "frequency", "frequency_error", "damping", "damping_error")
         numbers = {name: getattr(self, name) for name in (*names, "stiffening", "amplitude")}
-        numbers = {"speed": self.speed, "rpm": self.speed / RPM} | numbers
+        numbers = {"speed": self.speed, "rpm": self.speed / RAD_PER_S_PER_RPM} | numbers
         statistics = {"passages": len(self.ends), "apart": self.apart, "whiteness": self.whiteness}
         return numbers | statistics
 
     def _title(self) -> str:
         hertz = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
         damping = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
-        parts = [f"order {self.order:g}, {self.speed / RPM:.6g} rpm", hertz, damping]
-        parts.append(quantity(self.amplitude, "m"))
+        parts = [f"order {self.order:g}, {self.speed / RAD_PER_S_PER_RPM:.6g} rpm", hertz, damping]
+        parts.append(format_quantity(self.amplitude, "m"))
         if self.untested:
-            parts.append(f"order untested by {counted(self.probes, 'probe')}")
+            parts.append(f"order untested by {format_count(self.probes, 'probe')}")
         elif self.ambiguous:
             parts.append(f"as well: {', '.join(f'{order:g}' for order in self.ambiguous)}")
         parts += ["residuals are correlated"] * self.in_doubt
@@ -271,7 +277,7 @@ def fit_passage(
     --------
     >>> fit = fc.fit_passage(record[1], 98.6, range(6, 10))
     """
-    check_number("speed", speed, 0.0, above=True)
+    check_number("speed", speed, 0.0, excludes_bound=True)
     candidates, _ = wanted(orders, 1, 1)
     record = Record(arrivals, _stiffening_function(stiffening))
     runs = record.runs(arrivals.displacement, speed)

@@ -37,7 +37,7 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import FEWEST_REVOLUTIONS, ArrivalTimes, between
 from fenics_crack.arrivals.robust import refined, reweighted
-from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 WIDTH = 0.035
@@ -419,7 +419,9 @@ class Fit:
     def whiteness(self) -> float:
         """Probability that noise alone leaves residuals as correlated: :meth:`Noise.whiteness`."""
         marks = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
-        shares = between(marks, np.eye(len(marks)), self._runs[0].nominal_angle[0] / TURN % 1.0).T
+        shares = between(
+            marks, np.eye(len(marks)), self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0
+        ).T
         return self.noise.whiteness(self.places, shares)
 
     @property

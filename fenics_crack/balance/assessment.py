@@ -32,7 +32,7 @@ from fenics_crack.balance.more_modes import (
     reference_structure_of,
 )
 from fenics_crack.balance.problem import Problem, Search
-from fenics_crack.basics.tables import percent
+from fenics_crack.basics.tables import format_percent
 from fenics_crack.model.modal import is_small
 from fenics_crack.motion.attractors import Attractor, find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
@@ -334,7 +334,9 @@ class Assessment:
             return "the crack opens and closes too often; less so with crack faces without mass"
         predicted_gap_error = self.predicted_error
         error_text = (
-            percent(predicted_gap_error) if predicted_gap_error < UNKNOWN_ERROR else "100 % or more"
+            format_percent(predicted_gap_error)
+            if predicted_gap_error < UNKNOWN_ERROR
+            else "100 % or more"
         )
         if self.nearest_orbit is None:
             change_text = f"the truncated harmonics change it by {error_text}"
@@ -344,7 +346,8 @@ class Assessment:
             return f"{change_text}, and {last_failure_reasons[0]}"
         stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
         orbit_text = (
-            f"the nearest exact orbit, which is {stability_text}, is {percent(self.distance)} away"
+            f"the nearest exact orbit, which is {stability_text}, "
+            f"is {format_percent(self.distance)} away"
         )
         return f"{orbit_text} where {error_text} was predicted: it may be another motion"
 

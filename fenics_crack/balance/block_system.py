@@ -39,7 +39,7 @@ from fenics_crack.balance.contact_system import DYNAMIC_TO_SOFT_PAIR_COMPLIANCE,
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.model.factor import distribute_rows, factor_memory, local_rows
 from fenics_crack.model.modal import all_modes
@@ -372,7 +372,7 @@ class BlockSolver(Solver):
                 stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
             displacements_and_factors.insert(0, (compliance.displacement(initial_force), 1.0))
-        begin("block system")
+        begin_stage("block system")
         with BlockSystem(problem, linear_displacement, search.history) as block:
             search.tolerance = max(search.tolerance, block.rounding)
             while displacements_and_factors and not search.has_converged:

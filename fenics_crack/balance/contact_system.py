@@ -50,7 +50,7 @@ from fenics_crack.balance.friction_integrals import (
     coupled_integrals,
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.tables import hertz_of
+from fenics_crack.basics.tables import hertz_property
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -384,7 +384,7 @@ class Wave:
     u are displacements of dofs. For the attributes see :class:`fenics_crack.PeriodicSolution`.
     """
 
-    frequency = hertz_of()
+    frequency = hertz_property()
     structure: Structure
     omega: float
     contact: ContactLaw | None

@@ -50,9 +50,9 @@ from fenics_crack.basics.errors import (
     check_number,
     check_omega,
 )
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import fitting_argument
-from fenics_crack.basics.tables import percent, quantity
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.tables import format_percent, format_quantity
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modal import all_modes, is_small
@@ -279,9 +279,9 @@ def solve_harmonic_balance(
     >>> error = solution.report.total
     """
     check_choice("form", form, SOLVER_BY_FORM)
-    check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
+    check_number("residual_tolerance", residual_tolerance, 0.0, excludes_bound=True)
     if tolerance is not None:
-        check_number("tolerance", tolerance, 0.0, above=True)
+        check_number("tolerance", tolerance, 0.0, excludes_bound=True)
         if harmonics is not None:
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
@@ -308,7 +308,7 @@ def solve_harmonic_balance(
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless the search for a problem's solution can begin at ``initial``."""
     structure, subharmonic = problem.structure, problem.subharmonic
-    fitting_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
+    fit_argument("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
     initial_dofs_and_pairs = initial.structure.n_dofs, initial.structure.n_pairs
     needs_gaps_only = structure.light_lips and initial_dofs_and_pairs[1] == structure.n_pairs
     if not needs_gaps_only and initial_dofs_and_pairs != (structure.n_dofs, structure.n_pairs):
@@ -473,8 +473,8 @@ def _with_tolerance_status(
         "more damping, which needs fewer harmonics": report.truncation + report.sampling,
         "a larger tolerance, as the error is rounding": report.residual,
     }
-    size_text = "unknown" if report.unknown else percent(report.total)
-    message = f"solved; error {size_text}, {percent(tolerance)} was asked; what helps: "
+    size_text = "unknown" if report.unknown else format_percent(report.total)
+    message = f"solved; error {size_text}, {format_percent(tolerance)} was asked; what helps: "
     message += (
         f"{max(error_by_remedy, key=error_by_remedy.__getitem__)} "
         f"(H = {solution.harmonics}{kept_modes_text})"
@@ -584,7 +584,7 @@ def _states_with_more_modes(
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
     """Return the solver for another problem, and report progress."""
-    begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+    begin_stage(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
 
 
@@ -592,7 +592,7 @@ def _describe_other_orbits(search: OrbitSearch) -> str:
     """Return words on the other orbits that a search found, or ""."""
     descriptions = [
         f"{'stable' if orbit.is_stable else 'unstable'}, "
-        f"amplitude {quantity(orbit.amplitude(), 'm')}"
+        f"amplitude {format_quantity(orbit.amplitude(), 'm')}"
         for orbit in search.other_orbits
     ]
     return f"; other orbits at this frequency: {'; '.join(descriptions)}" if descriptions else ""

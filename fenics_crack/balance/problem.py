@@ -52,13 +52,13 @@ from fenics_crack.balance.contact_system import (
 )
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, coupled_integrals
 from fenics_crack.basics.errors import (
-    MAX_SAMPLES,
+    MAX_SAMPLES_PER_PERIOD,
     InputError,
     check_count,
     check_number,
     check_omega,
 )
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
@@ -174,8 +174,8 @@ class Problem:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")
             check_count("samples", self.samples, 2 * self.harmonics + 1)
-            if self.samples > MAX_SAMPLES:
-                raise InputError("samples", self.samples, f"at most {MAX_SAMPLES}")
+            if self.samples > MAX_SAMPLES_PER_PERIOD:
+                raise InputError("samples", self.samples, f"at most {MAX_SAMPLES_PER_PERIOD}")
         if self.static_above is not None:
             check_number("static_above", min(self.static_above, 1e300), 0.0)  # inf: none
 
@@ -479,7 +479,7 @@ class Search:
             if not can_solve_in_kernel(system):
                 snes = exit_stack.enter_context(SystemSnes(system, self.history))
             for start_strategy in self._start_strategies(neighbour_slow_gaps):
-                begin(start_strategy.name)
+                begin_stage(start_strategy.name)
                 iterations_before = self.iterations
                 for slow_gap_guess in start_strategy.generate_candidates():
                     point = self._take_newton_steps(snes, slow_gap_guess)

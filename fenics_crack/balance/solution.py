@@ -17,7 +17,13 @@ from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.basics.errors import ConvergenceError, check_number
-from fenics_crack.basics.tables import TURN, Described, counted, quantity, with_frequency
+from fenics_crack.basics.tables import (
+    RAD_PER_TURN,
+    Described,
+    add_frequency_entries,
+    format_count,
+    format_quantity,
+)
 from fenics_crack.model.contact import check_slope, coefficient_of, is_unilateral
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE
@@ -202,7 +208,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )
 
         def evaluate_at(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            return motion_gap_and_force(*self.at_phase(TURN * fractions))
+            return motion_gap_and_force(*self.at_phase(RAD_PER_TURN * fractions))
 
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
@@ -292,16 +298,16 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             columns_by_name["verdict"] = self.stability.verdict
             columns_by_name["multiplier"] = float(abs(self.stability.multipliers[0]))
         columns_by_name |= {"converged": self.converged, "iterations": int(self.iterations)}
-        return with_frequency(columns_by_name) | {"status": str(self.status)}
+        return add_frequency_entries(columns_by_name) | {"status": str(self.status)}
 
     def _title(self) -> str:
         columns_by_name = self.to_dict()
         title_parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
         if self.subharmonic > 1:
             title_parts.append(f"period of {self.subharmonic} loads")
-        title_parts.append(counted(columns_by_name["pairs"], "pair"))
+        title_parts.append(format_count(columns_by_name["pairs"], "pair"))
         if columns_by_name["pairs"]:
-            title_parts.append(f"opening {quantity(columns_by_name['opening'], 'm')}")
+            title_parts.append(f"opening {format_quantity(columns_by_name['opening'], 'm')}")
         if self.contact is None:
             title_parts.append("linear")
         elif self.report.estimated:

@@ -1,2 +1,1 @@
-"""Parts that every folder uses: errors, tables, progress, ranks, threads, and files that are read
-and written safely."""
+"""Serve every folder: errors, tables, progress, ranks, threads, safe reading and writing."""

@@ -1,9 +1,11 @@
-"""Files that are written whole or not at all.
+"""Write files whole or not at all.
 
-Everything the program writes goes through here. A file gets a hidden name first and its own once it
-is complete, so that a full disk, an error or a kill leaves what was there. A link or a pipe of that
-name, which a folder from somebody else may hold, is replaced by the file, and a link in place of a
-folder below that for results is refused: nothing is written through it.
+The program writes all of its files by this module. A file gets a hidden name first, and the final
+name once the content is complete. So a full disk, an error or a kill leaves the earlier file.
+
+A folder from somebody else may hold a link or a pipe of the final name: the new file replaces
+either. A link in place of a folder for results, below the chosen folder, is refused: nothing is
+written through a link.
 """
 
 from __future__ import annotations
@@ -19,225 +21,252 @@ from pathlib import Path
 
 from fenics_crack.basics.errors import InputError, WriteError
 
-DEVICES = "/dev", "/dev/fd", "/proc/self/fd"
-"""Folders of devices and open files, which are written as they are."""
-FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""Errors of a disk that takes no more; others come from a path that cannot be used."""
-BEFORE = "before"
-"""Folder in which files that are replaced are kept, beside those that take their place."""
+DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
+"""Folders of devices and open files, which are written directly."""
+DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""Numbers of errors of a disk without room; other errors come from an unusable path."""
+REPLACED_FILES_FOLDER_NAME = "before"
+"""Name of the folder with replaced files, below the folder of the new files."""
 
 
-def write_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
-    """Write a file, text as UTF-8, and its folder.
+def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
+    """Write a file, text as UTF-8, and make the folder.
 
     Parameters
     ----------
     path : path
-        The file. A device or an open file, such as ``/dev/stdout``, is written as it is.
+        The file. A device or an open file, such as ``/dev/stdout``, is written directly.
     content : bytes or str
-        All of it.
+        The whole content.
     key : str
         Key that named the file, for an error.
 
     Raises
     ------
     InputError
-        As of :func:`reported`.
+        From :func:`report_write_errors`.
     """
-    data = content.encode() if isinstance(content, str) else content
-    if os.path.dirname(os.path.abspath(path)) in DEVICES:
-        with reported(path, key), open(path, "wb") as device:
-            device.write(data)
+    content_bytes = content.encode() if isinstance(content, str) else content
+    if os.path.dirname(os.path.abspath(path)) in DEVICE_FOLDERS:
+        with report_write_errors(path, key), open(path, "wb") as device:
+            device.write(content_bytes)
         return
-    with whole_file(path, key) as partial, open(partial, "wb") as file:
-        file.write(data)
+    with partial_file(path, key) as hidden_path, open(hidden_path, "wb") as file:
+        file.write(content_bytes)
 
 
-def write_together(files: Iterable[tuple[Path, str]]) -> None:
-    """Write files that belong together, all of them or none: paths and contents.
+def write_files_together(path_text_pairs: Iterable[tuple[Path, str]]) -> None:
+    """Write all files or none, given pairs of path and text.
 
     Raises
     ------
     InputError
-        As of :func:`reported`.
+        From :func:`report_write_errors`.
     """
-    with together():
-        for path, content in files:
-            write_whole(path, content)
+    with complete_files_together():
+        for path, content in path_text_pairs:
+            write_file_whole(path, content)
 
 
 @contextlib.contextmanager
-def together() -> Iterator[contextlib.ExitStack]:
-    """Write all files of the block or none: each gets its name at the end.
+def complete_files_together() -> Iterator[contextlib.ExitStack]:
+    """Give all files of a block their names at the end, or none.
 
-    The stack's ``close`` gives them their names earlier.
+    The context value is the stack of unfinished files; ``close`` gives them their names earlier.
 
     Raises
     ------
     InputError
-        As of :func:`reported`.
+        From :func:`report_write_errors`.
     """
-    with contextlib.ExitStack() as files:
-        _TOGETHER.append(files)
+    with contextlib.ExitStack() as file_stack:
+        _OPEN_FILE_STACKS.append(file_stack)
         try:
-            yield files
+            yield file_stack
         finally:
-            _TOGETHER.remove(files)
+            _OPEN_FILE_STACKS.remove(file_stack)
 
 
-_TOGETHER: list[contextlib.ExitStack] = []
-"""Files of each block of :func:`together`, the innermost last, that wait for their names."""
+_OPEN_FILE_STACKS: list[contextlib.ExitStack] = []
+"""Unfinished files of each block of :func:`complete_files_together`, the innermost last."""
 
 
 @contextlib.contextmanager
-def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Iterator[Path]:
-    """A hidden place beside a file, which takes the file's name where the block ends well.
+def partial_file(
+    path: str | Path, key: str = "path", *, must_be_new: bool = False
+) -> Iterator[Path]:
+    """Yield a hidden path; after the block the file there gets the final name.
+
+    If the block fails, the hidden file is removed. Inside of :func:`complete_files_together` the
+    name changes when all files are complete.
 
     Parameters
     ----------
     path, key
-        As of :func:`write_whole`.
-    new : bool
-        Leave a file that is there, and raise FileExistsError.
+        The file and the key that named it, for :func:`write_file_whole`.
+    must_be_new : bool
+        Raise FileExistsError if the file exists, and leave the existing file.
 
     Raises
     ------
     InputError
-        As of :func:`reported`.
+        From :func:`report_write_errors`.
     """
-    with contextlib.ExitStack() as single_file:
-        files = _TOGETHER[-1] if _TOGETHER and not new else single_file
-        files.enter_context(reported(path, key))
-        partial = files.enter_context(_hidden(Path(path), new=new))
-        with reported(path, key):
-            yield partial
+    with contextlib.ExitStack() as single_file_stack:
+        file_stack = (
+            _OPEN_FILE_STACKS[-1] if _OPEN_FILE_STACKS and not must_be_new else single_file_stack
+        )
+        file_stack.enter_context(report_write_errors(path, key))
+        hidden_path = file_stack.enter_context(_hidden_file(Path(path), must_be_new=must_be_new))
+        with report_write_errors(path, key):
+            yield hidden_path
 
 
 @contextlib.contextmanager
-def _hidden(target: Path, *, new: bool = False) -> Iterator[Path]:
-    partial = target.parent / f".{os.urandom(4).hex()}.{target.name}"  # which nobody can foresee
-    if target.is_dir() and not target.is_symlink():  # of several files none gets its name
+def _hidden_file(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
+    """Yield a hidden path beside a file, and rename it after the block."""
+    random_text = os.urandom(4).hex()
+    hidden_path = final_path.parent / f".{random_text}.{final_path.name}"
+    if final_path.is_dir() and not final_path.is_symlink():  # of several files none gets its name
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        if new:
-            os.link(partial, target)
+        final_path.parent.mkdir(parents=True, exist_ok=True)
+        yield hidden_path
+        if must_be_new:
+            os.link(hidden_path, final_path)
         else:
-            os.replace(partial, target)
+            os.replace(hidden_path, final_path)
     finally:
         with contextlib.suppress(OSError):
-            partial.unlink()
+            hidden_path.unlink()
 
 
-def keep_files(names: Sequence[str], folder: Path, kept: Path) -> bool:
-    """Keep the files of some names that lie in a folder in another one below it, too, where they
-    replace all of these names; return False, and change nothing, if there are none.
+def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bool:
+    """Keep named files of a folder in a folder below, as links or copies.
+
+    Earlier kept files of these names are replaced or removed. Without any of the files in
+    ``folder``, nothing changes.
+
+    Returns
+    -------
+    bool
+        True if any file was kept.
 
     Raises
     ------
     OSError
-        A file cannot be kept, or the folder below is a link.
+        A file cannot be kept, or ``kept_folder`` is a link.
     """
-    if _is_no_folder(kept):
+    if _is_link_or_file(kept_folder):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-    there = [n for n in names if (folder / n).is_file() and not (folder / n).is_symlink()]
-    for name in there:
-        with _hidden(kept / name) as partial:
+    existing_file_names = [
+        name
+        for name in file_names
+        if (folder / name).is_file() and not (folder / name).is_symlink()
+    ]
+    for name in existing_file_names:
+        with _hidden_file(kept_folder / name) as hidden_path:
             try:
-                os.link(folder / name, partial)  # a new file takes the place of the first name
+                os.link(folder / name, hidden_path)  # a new file takes the place of the first name
             except OSError:  # a file system without links
-                shutil.copy2(folder / name, partial)
-    for other in {*names} - {*there} if there else ():
-        if (kept / other).is_symlink() or not (kept / other).is_dir():
-            (kept / other).unlink(missing_ok=True)
-    return bool(there)
+                shutil.copy2(folder / name, hidden_path)
+    for missing_file_name in {*file_names} - {*existing_file_names} if existing_file_names else ():
+        if (kept_folder / missing_file_name).is_symlink() or not (
+            kept_folder / missing_file_name
+        ).is_dir():
+            (kept_folder / missing_file_name).unlink(missing_ok=True)
+    return bool(existing_file_names)
 
 
-def replace_files(names: Sequence[str], folder: Path, contents: Mapping[str, str]) -> None:
-    """Write files of some names into a folder in place of all of these, which are kept in
-    :data:`BEFORE` below it.
+def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping[str, str]) -> None:
+    """Replace all files of the given names in a folder.
+
+    The earlier files are kept in :data:`REPLACED_FILES_FOLDER_NAME` below. A name without a text is
+    removed.
 
     Raises
     ------
     InputError
-        As of :func:`prepare_folder` and :func:`reported`.
+        From :func:`prepare_folder` and :func:`report_write_errors`.
     """
-    prepare_folder(folder, (BEFORE,), "folder")
-    with reported(folder, "folder"):
-        keep_files(names, folder, folder / BEFORE)
-        write_together((folder / name, content) for name, content in contents.items())
-        for name in {*names} - {*contents}:
+    prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME,), "folder")
+    with report_write_errors(folder, "folder"):
+        keep_files(file_names, folder, folder / REPLACED_FILES_FOLDER_NAME)
+        write_files_together((folder / name, content) for name, content in text_by_name.items())
+        for name in {*file_names} - {*text_by_name}:
             (folder / name).unlink(missing_ok=True)
 
 
-def prepare_folder(folder: Path, inner: Iterable[str] = (), key: str = "--output") -> None:
-    """Make a folder for results, which may be a link.
+def prepare_folder(
+    folder: Path, inner_folder_names: Iterable[str] = (), key: str = "--output"
+) -> None:
+    """Make a folder for results, or check it; it may be a link.
 
     Raises
     ------
     InputError
-        No file can be written there; or one of the ``inner`` folders, in which files will be
-        written, is refused by :func:`check_inner`.
+        No file can be written there; or :func:`check_inner_folder` refuses a folder of
+        ``inner_folder_names``, where files will be written.
     """
-    for name in inner:
-        check_inner(folder / name, key)
-    with reported(folder, key, "a folder that can be written"):
+    for name in inner_folder_names:
+        check_inner_folder(folder / name, key)
+    with report_write_errors(folder, key, "a folder that can be written"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
 
 
-def check_inner(folder: Path, key: str = "path") -> None:
-    """Raise InputError where a folder below that for results, in which files will be written, is a
-    link or no folder."""
-    if _is_no_folder(folder):
+def check_inner_folder(folder: Path, key: str = "path") -> None:
+    """Raise InputError if a folder below the results is a link or a file."""
+    if _is_link_or_file(folder):
         raise InputError(key, str(folder), "a folder for files, and no link to one")
 
 
-def _is_no_folder(path: Path) -> bool:
+def _is_link_or_file(path: Path) -> bool:
+    """Return True for a link, and for an existing path that is no folder."""
     return path.is_symlink() or (path.exists() and not path.is_dir())
 
 
-def passing_folder() -> Path:
-    """A folder of this user's alone that is gone when the program ends."""
+def make_temporary_folder() -> Path:
+    """Return a new folder for this user alone, removed when the program ends."""
     folder = tempfile.mkdtemp(prefix="fenics_crack-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it is there; InputError as of :func:`reported`."""
-    with reported(path, key, "a file that can be removed"):
+    """Remove a file if it exists; InputError from :func:`report_write_errors`."""
+    with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
 
 
-def put(file: int, content: bytes | memoryview, place: int) -> None:
-    """Write all of some bytes at a place of an open file; OSError where the disk is full."""
-    left = memoryview(content)
-    while left:
-        done = os.pwrite(file, left, place)
-        left, place = left[done:], place + done
+def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:
+    """Write all bytes at an offset of an open file; OSError if the disk is full."""
+    remaining_bytes = memoryview(content)
+    while remaining_bytes:
+        n_written = os.pwrite(file_descriptor, remaining_bytes, offset)
+        remaining_bytes, offset = remaining_bytes[n_written:], offset + n_written
 
 
 @contextlib.contextmanager
-def reported(
-    path: str | Path, key: str, allowed: str = "a file that can be written"
+def report_write_errors(
+    path: str | Path, key: str, requirement: str = "a file that can be written"
 ) -> Iterator[None]:
-    """Raise what the block meets as the InputError of a file that cannot be written, a WriteError
-    where the disk takes no more.
+    """Raise an OSError of the block as the InputError of an unwritable file.
+
+    A full disk becomes a WriteError. FileExistsError of a link to a new name stays.
 
     Parameters
     ----------
     path, key
         The file, and the key that named it.
-    allowed : str
-        Allowed values.
+    requirement : str
+        Description of an allowed file.
     """
     try:
         yield
     except OSError as error:
         if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
             raise
-        kind = WriteError if error.errno in FULL else InputError
-        raise kind(key, str(path), f"{allowed} ({error.strerror or error})") from None
+        error_class = WriteError if error.errno in DISK_FULL_ERROR_NUMBERS else InputError
+        raise error_class(key, str(path), f"{requirement} ({error.strerror or error})") from None

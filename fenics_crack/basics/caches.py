@@ -1,7 +1,7 @@
-"""Folders in which DOLFINx keeps compiled forms and Matplotlib its list of fonts.
+"""Find folders for compiled forms of DOLFINx and for the font list of Matplotlib.
 
-Both look for them in the environment when they are imported, and fail where the user's home does
-not exist or takes no files, as in containers and on clusters.
+Both libraries read the folders from the environment when they are imported. They fail if the home
+folder does not exist or takes no files, for example in containers and on clusters.
 """
 
 from __future__ import annotations
@@ -12,71 +12,91 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-from fenics_crack.basics.atomic_files import reported
+from fenics_crack.basics.atomic_files import report_write_errors
 from fenics_crack.basics.progress import LOGGER
 
-PRIVATE = "a folder that this user alone can write"
+PRIVATE_FOLDER_REQUIREMENT = "a folder that this user alone can write"
+"""Text of errors."""
 
 
 @lru_cache
-def settle_caches() -> None:
-    """Replace a home that cannot be entered, and caches that cannot be written or that others can
-    write, by a private folder for temporary files, and say so in one line.
+def replace_unusable_caches() -> None:
+    """Replace unusable home and cache folders by a private temporary folder.
+
+    A home folder is unusable if it cannot be entered. A cache folder is unusable if it cannot be
+    written, or if others can write it. A warning of one line names the replacement.
 
     Raises
     ------
     InputError
-        That folder cannot be written either.
+        The temporary folder cannot be written either.
     """
-    home = os.path.expanduser("~")
-    if not (os.path.isdir(home) and os.access(home, os.X_OK)):
-        _replace("HOME", Path(home), "no folder that can be entered")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    home_folder = os.path.expanduser("~")
+    if not (os.path.isdir(home_folder) and os.access(home_folder, os.X_OK)):
+        _set_private_folder("HOME", Path(home_folder), "no folder that can be entered")
+    cache_folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
-        private_folder(cache / "fenics", make=False)
+        check_private_folder(cache_folder / "fenics", makes_folder=False)
     except OSError as error:
-        _replace("XDG_CACHE_HOME", cache, f"not {PRIVATE}, {error.strerror}")
+        _set_private_folder(
+            "XDG_CACHE_HOME", cache_folder, f"not {PRIVATE_FOLDER_REQUIREMENT}, {error.strerror}"
+        )
         os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])
 
 
-def _replace(name: str, path: Path, why: str) -> None:
-    """Set a variable of the environment to this user's own folder for temporary files."""
-    with reported(path, name, PRIVATE):
-        own = private_folder(Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77)
-        private_folder(own, make=False)
-    os.environ[name] = str(own)
-    LOGGER.warning("%s: %s; %s is used", path, why, own)  # Python prints it without a handler
+def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) -> None:
+    """Set an environment variable to this user's private temporary folder."""
+    with report_write_errors(unusable_path, variable_name, PRIVATE_FOLDER_REQUIREMENT):
+        private_path = check_private_folder(
+            Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77
+        )
+        check_private_folder(private_path, makes_folder=False)
+    os.environ[variable_name] = str(private_path)
+    # Python prints a warning without a handler.
+    LOGGER.warning("%s: %s; %s is used", unusable_path, reason, private_path)
 
 
-def private_folder(path: Path, closed: int = 0o22, *, make: bool = True) -> Path:
-    """Return a folder's path without links, if nobody but this user and root can put files into it,
-    or another folder in its place: what is compiled there is run.
+def check_private_folder(
+    folder_path: Path, forbidden_mode_bits: int = 0o22, *, makes_folder: bool = True
+) -> Path:
+    """Return the path without links of a folder that others cannot change.
+
+    Compiled programs are run from there: only this user and root may put files into the folder, or
+    put another folder in its place.
 
     Parameters
     ----------
-    path : Path
-        The folder. Those above it may be sticky, as ``/tmp``.
-    closed : int
-        Permissions for it that nobody else may have, by default to write.
-    make : bool
-        Make it, and those above it; else it may be missing, and has to have room for a cache.
+    folder_path : Path
+        The folder. Folders above may be sticky, like ``/tmp``.
+    forbidden_mode_bits : int
+        Mode bits that the folder must not have, by default to write for group and others.
+    makes_folder : bool
+        Make the folder and those above. Otherwise the folder may be missing, and must have room for
+        a cache.
 
     Raises
     ------
     OSError
-        Others can write it, it cannot be written, or it has no room.
+        Others can write the folder, it cannot be written, or it has no room.
     """
-    folder = path.resolve()
-    for part in (*reversed(folder.parents), folder) if make else ():
-        part.mkdir(mode=0o700, exist_ok=True)
-    there = [(part, part.stat()) for part in (folder, *folder.parents) if part.exists()]
-    for part, status in there:
-        refused = closed if part == folder else 0 if status.st_mode & 0o1000 else 0o22
-        if status.st_mode & refused or status.st_uid not in (0, os.geteuid()):
-            raise OSError(0, f"others can write {part}")
-    with tempfile.TemporaryFile(dir=there[0][0]) as file:
-        if not make:  # it takes milliseconds; the forms of a scene take 1 to 2 MiB in many files
+    folder = folder_path.resolve()
+    for ancestor in (*reversed(folder.parents), folder) if makes_folder else ():
+        ancestor.mkdir(mode=0o700, exist_ok=True)
+    folders_with_status = [
+        (ancestor, ancestor.stat()) for ancestor in (folder, *folder.parents) if ancestor.exists()
+    ]
+    for ancestor, file_status in folders_with_status:
+        is_sticky = file_status.st_mode & 0o1000
+        forbidden_bits = forbidden_mode_bits if ancestor == folder else (0 if is_sticky else 0o22)
+        if file_status.st_mode & forbidden_bits or file_status.st_uid not in (0, os.geteuid()):
+            raise OSError(0, f"others can write {ancestor}")
+    with tempfile.TemporaryFile(dir=folders_with_status[0][0]) as temporary_file:
+        if (
+            not makes_folder
+        ):  # it takes milliseconds; the forms of a scene take 1 to 2 MiB in many files
             os.posix_fallocate(
-                file.fileno(), 0, min(2**22, resource.getrlimit(resource.RLIMIT_FSIZE)[0] % 2**64)
+                temporary_file.fileno(),
+                0,
+                min(2**22, resource.getrlimit(resource.RLIMIT_FSIZE)[0] % 2**64),
             )
     return folder

@@ -1,17 +1,17 @@
-"""Causes of an answer's error: their names, and what follows if one is not varied."""
+"""Name the causes of an answer's error, and say what follows if a cause is not varied."""
 
-MESH_CAUSES = ("mesh", "shift")
+MESH_ERROR_CAUSES = ("mesh", "shift")
 """Parts of the mesh error: at a given distance from the resonance, and by the resonance's shift."""
-REDUCTION_CAUSES = ("modes", "harmonics", "mesh")
-"""Causes that are varied only of a reduced structure: full models take three times as long."""
-CAUSES = (*MESH_CAUSES, "modes", "harmonics", "friction", "samples")
+REDUCED_STRUCTURE_CAUSES = ("modes", "harmonics", "mesh")
+"""Causes varied for a reduced structure alone: full models take three times as long."""
+ERROR_CAUSES = (*MESH_ERROR_CAUSES, "modes", "harmonics", "friction", "samples")
 """All causes, in the order of colours in pictures."""
 REQUIRED_CAUSES = ("harmonics", "modes")
-"""Causes without which no error is known; the mesh is another where its other run fails."""
+"""Causes without which no error is known. The mesh is required, too, if its second run fails."""
 OPTIONAL_CAUSES = ("mesh", "friction")
-"""Causes that the user may leave out; their part is then unknown, not absent."""
-OTHER_RUNS = {"mesh": "another mesh", "shift": "a shifted resonance",
+"""Causes that the user may leave out: this part is then unknown, not absent."""
+RUN_WORDS_BY_CAUSE = {"mesh": "another mesh", "shift": "a shifted resonance",
               "friction": "a run with friction"}  # fmt: skip
-"""Words for the run that shows a cause's part; by default "a run with more modes"."""
-MISSING_PART_REASONS = {"friction": "that at the crack tip itself is not known"}
-"""Reason why a number has no part of a cause that was varied."""
+"""Words for the run that varies a cause; by default "a run with more modes"."""
+MISSING_PART_REASON_BY_CAUSE = {"friction": "that at the crack tip itself is not known"}
+"""Reason why a number has no part from a varied cause."""

@@ -1,4 +1,4 @@
-"""The errors of the package, for bad input and for a solver that did not converge; and checks."""
+"""Define the errors of the package, checks of values, and limits of input."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
-FEW_MODES = 6
-"""Lowest modes whose frequencies, crack open and bonded, are computed."""
-MAX_SAMPLES = 2**20
-"""Samples of a period at which the contact force may be evaluated."""
-RECORDED_PERIODS = 4
-"""Periods of a time integration that commands keep, and from which its extremes are."""
-MOST_HARMONICS = 100
-"""Maximum order of a scene's load, each of which takes two rows as long as the displacement, and
-maximum to which harmonics are raised for a curve or from case to case."""
+N_LOWEST_MODES = 6
+"""Number of lowest modes with natural frequencies for the open and the bonded crack."""
+MAX_SAMPLES_PER_PERIOD = 2**20
+"""Maximum instants of a period at which the contact force may be evaluated."""
+N_RECORDED_PERIODS = 4
+"""Number of last periods of a time integration that commands record; extremes come from these."""
+MAX_HARMONIC_ORDER = 100
+"""Maximum order of a scene's load, and maximum to which a curve or a case raises harmonics.
+
+Each order of a load takes two rows as long as the displacement.
+"""
 MAX_CASES = 10**6
-"""Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning: with a
-second for each, 12 days."""
-TOLERANCE = 1e-2
-"""Default relative error: that of modes and harmonics is then below what meshes usually leave."""
+"""Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning.
+
+At one second a case, a computation takes 12 days.
+"""
+DEFAULT_ERROR_TOLERANCE = 1e-2
+"""Default relative error: errors of modes and harmonics are then below most mesh errors."""
 
 
 class Exit(IntEnum):
@@ -40,20 +44,20 @@ class Exit(IntEnum):
 
 
 class InputError(ValueError):
-    """A value that cannot be used: names the key, the value and what is allowed, in one line.
+    """A value that cannot be used: one line with key, value and allowed values.
 
     Attributes
     ----------
     key : str
         Name of the value, in the words of the scene file or of the argument list.
     value : object
-        The value found there.
+        The value of this key.
     allowed : str
         Description of the allowed values.
     others : tuple of InputError
         Errors of further keys of the same scene.
     example : str or None
-        Lines for the scene's file, of a missing table; None: those of a new scene.
+        Lines of a missing table for the scene's file; None: the lines of a new scene.
     """
 
     others: tuple[InputError, ...] = ()
@@ -64,7 +68,7 @@ class InputError(ValueError):
         self.key, self.value, self.allowed = key, value, allowed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """For other ranks: what cannot be sent, such as a nest too deep, goes as words."""
+        """Prepare sending to other ranks: a value that cannot be pickled becomes words."""
         try:
             pickle.dumps(value := self.value)
         except Exception:
@@ -78,24 +82,26 @@ class InputError(ValueError):
         except (ValueError, RecursionError):  # a number of thousands of digits, or such a nest
             value = f"({type(self.value).__name__} too long to be shown)"
         key, value = (re.sub("(?s)(.{1000}).+", r"\1...", text) for text in (key, value))
-        given = f"{key} is missing" if self.value is None else f"{key} = {value}"
-        text = f"{given}: must be {self.allowed}".replace("must be left out", "not allowed")
+        key_and_value_text = f"{key} is missing" if self.value is None else f"{key} = {value}"
+        text = f"{key_and_value_text}: must be {self.allowed}".replace(
+            "must be left out", "not allowed"
+        )
         return text if text.isprintable() else " ".join(text.split())
 
 
 class WriteError(InputError):
-    """A file that cannot be written though its name can be used, mostly for a full disk."""
+    """A file that cannot be written although the name is usable, mostly due to a full disk."""
 
 
 class ConvergenceError(RuntimeError):
-    """A solver stopped before its tolerance was met.
+    """A solver stopped before the tolerance was met.
 
     Attributes
     ----------
     history : tuple of float
-        The residual norms of every attempt, in order.
+        The residual norms of all attempts, in order.
     found : object
-        Result so far, such as a curve that is not complete; else None.
+        Result so far, such as an incomplete curve; else None.
     """
 
     def __init__(self, message: str, history: Sequence[float] = (), found: object = None) -> None:
@@ -104,73 +110,89 @@ class ConvergenceError(RuntimeError):
 
 
 class StoppedError(ConvergenceError):
-    """Ctrl-C has ended what the same command goes on with."""
+    """Ctrl-C has stopped a computation; the same command continues it."""
 
 
-INTERRUPTED = "interrupted"
+INTERRUPTED_STATUS = "interrupted"
 """Status of a curve that Ctrl-C has ended."""
 
 
 @contextlib.contextmanager
-def reading(key: str, path: object, allowed: str) -> Iterator[None]:
-    """Read a file; whatever goes wrong with it is an InputError, which the cause stays with."""
+def report_read_errors(key: str, path: object, requirement: str) -> Iterator[None]:
+    """Raise any error of reading a file as an InputError, with the error as cause."""
     try:
         yield
     except InputError:
         raise
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(key, str(path), f"a readable file ({reason})") from error
+        reason_text = error.strerror or str(error)
+        raise InputError(key, str(path), f"a readable file ({reason_text})") from error
     except Exception as error:  # of whatever reads it
-        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
-        raise InputError(key, str(path), f"{allowed} ({reason})") from error
+        reason_text = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise InputError(key, str(path), f"{requirement} ({reason_text})") from error
 
 
-def check_number(key: str, value: object, least: float = -math.inf, *, above: bool = False) -> None:
-    """Raise InputError unless a value is a finite number >= ``least`` (or > with ``above``)."""
+def check_number(
+    key: str, value: object, lower_bound: float = -math.inf, *, excludes_bound: bool = False
+) -> None:
+    """Raise InputError unless a value is finite and at least ``lower_bound``.
+
+    With ``excludes_bound`` the value must be larger.
+    """
     number = math.nan
     if isinstance(value, Real) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):
             number = float(value)
-    if math.isfinite(number) and (number > least or (number == least and not above)):
+    if math.isfinite(number) and (
+        number > lower_bound or (number == lower_bound and not excludes_bound)
+    ):
         return
-    bound = f" {'>' if above else '>='} {least:g}" if math.isfinite(least) else ""
-    raise InputError(key, value, f"a finite number{bound}")
+    bound_text = (
+        f" {'>' if excludes_bound else '>='} {lower_bound:g}" if math.isfinite(lower_bound) else ""
+    )
+    raise InputError(key, value, f"a finite number{bound_text}")
 
 
 def check_omega(value: object, key: str = "omega") -> None:
-    """Raise InputError unless a value can be an angular frequency."""
-    check_number(key, value, 0.0, above=True)
+    """Raise InputError unless a value is a finite angular frequency above 0."""
+    check_number(key, value, 0.0, excludes_bound=True)
 
 
-def check_count(key: str, value: object, least: int, most: int = 10**9) -> None:
-    """Raise InputError unless a value is a whole number between two."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
-        raise InputError(key, value, f"a whole number >= {least}")
-    if int(value) > most:
-        raise InputError(key, value, f"at most {most:g}")
+def check_count(key: str, value: object, lower_bound: int, upper_bound: int = 10**9) -> None:
+    """Raise InputError unless a value is a whole number within two bounds."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < lower_bound:
+        raise InputError(key, value, f"a whole number >= {lower_bound}")
+    if int(value) > upper_bound:
+        raise InputError(key, value, f"at most {upper_bound:g}")
 
 
-def one_of(words: Iterable[str]) -> str:
-    """Return the text "one of" with the allowed words."""
-    return "one of " + ", ".join(map(repr, words))
+def describe_choices(choices: Iterable[str]) -> str:
+    """Return the text "one of" and the allowed words."""
+    return "one of " + ", ".join(map(repr, choices))
 
 
-def check_choice(key: str, value: object, words: Iterable[str]) -> None:
-    """Raise InputError unless a value is one of some words."""
-    if not isinstance(value, str) or value not in words:
-        raise InputError(key, value, one_of(words))
+def check_choice(key: str, value: object, choices: Iterable[str]) -> None:
+    """Raise InputError unless a value is one of the allowed words."""
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(key, value, describe_choices(choices))
 
 
-def check_two_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float]) -> None:
+def check_damping_ratios(
+    key: str, damping_ratios: Sequence[float], omegas: Sequence[float]
+) -> None:
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
 
-    Both coefficients are >= 0 where the ratios of damping differ by no larger factor than the
-    frequencies; to rounding, as one coefficient may be 0.
+    Both coefficients are >= 0 if the damping ratios differ by no larger factor than the
+    frequencies. Rounding is allowed for, as one coefficient may be 0.
     """
-    (low, at_low), (high, at_high) = sorted(zip(omegas, ratios, strict=True))
-    least, most = at_low * (low / high), at_low * (high / low)
-    if not least * (1.0 - 1e-15) <= at_high <= most * (1.0 + 1e-15):
-        allowed = f"such that no coefficient is negative: with {at_low:g} at {low:g} rad/s,"
-        allowed += f" from {least:g} to {most:g} at {high:g} rad/s"
-        raise InputError(key, tuple(ratios), allowed)
+    (low_omega, low_ratio), (high_omega, high_ratio) = sorted(
+        zip(omegas, damping_ratios, strict=True)
+    )
+    min_ratio = low_ratio * (low_omega / high_omega)
+    max_ratio = low_ratio * (high_omega / low_omega)
+    if not min_ratio * (1.0 - 1e-15) <= high_ratio <= max_ratio * (1.0 + 1e-15):
+        requirement = (
+            f"such that no coefficient is negative: with {low_ratio:g} at {low_omega:g} rad/s,"
+        )
+        requirement += f" from {min_ratio:g} to {max_ratio:g} at {high_omega:g} rad/s"
+        raise InputError(key, tuple(damping_ratios), requirement)

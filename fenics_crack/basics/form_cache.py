@@ -1,9 +1,9 @@
-"""Compiled forms on disk: each in a folder of its own, which is complete or is not used.
+"""Keep compiled forms on disk, each in a folder that is complete or unused.
 
-Where a form has been begun and not completed, DOLFINx waits for whoever compiles it, who may have
-been killed. So it compiles in a new folder, which is recorded once it is complete: a process reads
-recorded folders only, and what two compile at once each has for itself. A folder that a kill leaves
-is never read; it has the source of a form, some 100 kB.
+DOLFINx waits for an incomplete form until somebody completes it, and that process may have been
+killed. So each form is compiled in a new folder, and recorded once this folder is complete. A
+process reads recorded folders only. Two processes that compile at once have a folder each. A folder
+left by a kill is never read; it holds the source of a form, about 100 kB.
 """
 
 from __future__ import annotations
@@ -15,57 +15,77 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from fenics_crack.basics.atomic_files import reported, write_whole
-from fenics_crack.basics.caches import PRIVATE, private_folder
-from fenics_crack.basics.installation import c_compiler
+from fenics_crack.basics.atomic_files import report_write_errors, write_file_whole
+from fenics_crack.basics.caches import PRIVATE_FOLDER_REQUIREMENT, check_private_folder
+from fenics_crack.basics.installation import find_c_compiler
 from fenics_crack.basics.ranks import MPI, Result, on_root
-from fenics_crack.basics.untrusted_files import sha256, text_of
+from fenics_crack.basics.untrusted_files import file_sha256, read_utf8_text
 
 
-def load_form(comm: MPI.Comm, record: Path, make: Callable[[dict[str, object]], Result]) -> Result:
+def load_form(
+    comm: MPI.Comm, record_file: Path, compile_form: Callable[[dict[str, object]], Result]
+) -> Result:
     """Load a compiled form, or compile it (collective).
 
     Parameters
     ----------
     comm : MPI.Comm
         Communicator of the form's mesh.
-    record : Path
-        File that names the form's folder, beside it.
-    make : callable
-        Does so with the given options of DOLFINx.
+    record_file : Path
+        File that names the form's folder, beside this folder.
+    compile_form : callable
+        Function that loads or compiles the form, given options of DOLFINx.
     """
-    folder, compiler = on_root(comm, lambda: _folder(record))
-    before = os.environ.get("CC")
+    form_folder, compiler_command = on_root(comm, lambda: _find_form_folder(record_file))
+    previous_compiler = os.environ.get("CC")
     # It ends with this program, however that ends, and Ctrl-C in a terminal does not reach it: the
     # program may have to finish a case first.
-    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler}"
+    os.environ["CC"] = f"setpriv --pdeathsig TERM setsid {compiler_command}"
     try:
         # Ranks of another machine, which have such a folder for themselves, wait [s] for one.
-        form = make({"cache_dir": folder, "timeout": 300})
+        compiled_form = compile_form({"cache_dir": form_folder, "timeout": 300})
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(form_folder, ignore_errors=True)
         raise
     finally:
         del os.environ["CC"]
-        os.environ.update({"CC": before} if before else {})
-    if compiler:
-        on_root(comm, lambda: write_whole(folder.with_name(record.name), _content(folder)))
-    return form
+        os.environ.update({"CC": previous_compiler} if previous_compiler else {})
+    if compiler_command:
+        on_root(
+            comm,
+            lambda: write_file_whole(
+                form_folder.with_name(record_file.name), _record_text(form_folder)
+            ),
+        )
+    return compiled_form
 
 
-def _folder(record: Path) -> tuple[Path, str]:
-    """Return the recorded folder and ""; a new one and a compiler if it is missing or damaged."""
-    with reported(record.parent, "cache_dir", PRIVATE):
-        record = private_folder(record.parent) / record.name
+def _find_form_folder(record_file: Path) -> tuple[Path, str]:
+    """Return the recorded folder, or make a new folder and find a compiler.
+
+    Returns
+    -------
+    folder : Path
+        The recorded folder; a new folder if the record is missing or damaged.
+    compiler : str
+        Command of the C compiler; "" for a recorded folder.
+    """
+    with report_write_errors(record_file.parent, "cache_dir", PRIVATE_FOLDER_REQUIREMENT):
+        record_file = check_private_folder(record_file.parent) / record_file.name
     with suppress(OSError, ValueError):
-        text = text_of(record)
-        folder = record.with_name(text.partition("\n")[0])
-        if _content(folder) == text:
-            return folder, ""
-    compiler = c_compiler()
-    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record.parent)), compiler
+        record_text = read_utf8_text(record_file)
+        form_folder = record_file.with_name(record_text.partition("\n")[0])
+        if _record_text(form_folder) == record_text:
+            return form_folder, ""
+    compiler_command = find_c_compiler()
+    return Path(tempfile.mkdtemp(prefix="fenics_crack-", dir=record_file.parent)), compiler_command
 
 
-def _content(folder: Path) -> str:
-    """Name of a folder, and names and SHA-256 of its files: the text of its record."""
-    return "\n".join((folder.name, *(f"{sha256(f)} {f.name}" for f in sorted(folder.iterdir()))))
+def _record_text(form_folder: Path) -> str:
+    """Return the text of a record: the folder's name, then SHA-256 and name of each file."""
+    return "\n".join(
+        (
+            form_folder.name,
+            *(f"{file_sha256(file)} {file.name}" for file in sorted(form_folder.iterdir())),
+        )
+    )

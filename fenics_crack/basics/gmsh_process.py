@@ -1,7 +1,7 @@
-"""gmsh, without its hold on Ctrl-C.
+"""Import gmsh and keep Python's handler of Ctrl-C.
 
-Its libraries load in a third of the time where MPI's and DOLFINx's are not there yet: the program
-imports this module before them.
+The libraries of gmsh load in a third of the time before those of MPI and DOLFINx: the program
+imports this module first.
 """
 
 from __future__ import annotations
@@ -13,31 +13,32 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from fenics_crack.basics.installation import loading
+from fenics_crack.basics.installation import report_missing_libraries
 
 
 @contextmanager
-def kept_interrupts() -> Iterator[None]:
-    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so.
+def keep_interrupt_handler() -> Iterator[None]:
+    """Restore the handler of Ctrl-C after the block: gmsh 4.8 replaces it for good.
 
-    gmsh also sets it where Python forbids that, in threads other than the main one: left out there.
+    In other threads than the main thread Python forbids gmsh to set a handler: there, nothing is
+    set.
     """
-    handler, set_handler = signal.getsignal(signal.SIGINT), signal.signal
+    interrupt_handler, set_signal_handler = signal.getsignal(signal.SIGINT), signal.signal
 
-    def set_in_main_thread(number: int, handler: Any) -> Any:
+    def set_handler_in_main_thread(signal_number: int, handler: Any) -> Any:
         if threading.current_thread() is threading.main_thread():
-            return set_handler(number, handler)
-        return signal.getsignal(number)
+            return set_signal_handler(signal_number, handler)
+        return signal.getsignal(signal_number)
 
-    signal.signal = set_in_main_thread  # type: ignore[assignment]
+    signal.signal = set_handler_in_main_thread  # type: ignore[assignment]
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
-        signal.signal = set_handler
+        signal.signal(signal.SIGINT, interrupt_handler)
+        signal.signal = set_signal_handler
 
 
-with kept_interrupts(), loading():
+with keep_interrupt_handler(), report_missing_libraries():
     import gmsh as gmsh
 
 with suppress(AttributeError, ValueError):  # FLTK would write its settings, of root into /etc

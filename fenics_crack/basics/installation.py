@@ -1,6 +1,7 @@
-"""What the program needs of a machine besides itself: libraries, a C compiler, one MPI.
+"""Check what the program needs of a machine: libraries, a C compiler, one MPI.
 
-Each function refuses, in one line that says what to do, what would end in the words of a library.
+Each function raises an error of one line that says what to do, before a library fails with an
+unclear message.
 """
 
 from __future__ import annotations
@@ -17,87 +18,108 @@ from shutil import which as program_on_path
 
 from fenics_crack.basics.errors import InputError
 
-WAYS = (
+INSTALLATION_ADVICE = (
     "pip install 'fenics-crack[dolfinx]' (Linux on x86-64, Python 3.12 or newer), "
     "conda env create -f environment.yml, or sh install.sh on Debian 12 or 13 (docs/install.md)"
 )
 """The three ways to get DOLFINx and the libraries around it."""
-SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
-"""Variables by which Open MPI and MPICH tell a process how many ranks there are."""
+RANK_COUNT_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+"""Variables with the number of ranks, set by Open MPI and MPICH."""
 
 
 @contextmanager
-def loading() -> Iterator[None]:
-    """Refuse a library that is not installed, or that lacks a library of the system.
+def report_missing_libraries() -> Iterator[None]:
+    """Raise an InputError if the block imports a library that is missing.
+
+    The library itself may be missing, or a system library that it needs.
 
     Raises
     ------
     InputError
-        It names the library, and the ways to get it.
+        Names the library, and the ways to get it.
     """
     try:
         yield
     except (ImportError, OSError) as error:
         if isinstance(error, ModuleNotFoundError):
-            raise InputError(error.name or "a library", None, f"installed: {WAYS}") from error
-        name, _, reason = str(error).partition(": ")
-        if not reason.startswith("cannot open shared object file"):
+            raise InputError(
+                error.name or "a library", None, f"installed: {INSTALLATION_ADVICE}"
+            ) from error
+        library_name, _, reason_text = str(error).partition(": ")
+        if not reason_text.startswith("cannot open shared object file"):
             raise
-        allowed = "installed by the system's packages (docs/install.md lists them)"
-        raise InputError(name, None, allowed) from error
+        requirement = "installed by the system's packages (docs/install.md lists them)"
+        raise InputError(library_name, None, requirement) from error
 
 
-def c_compiler() -> str:
-    """Return the command of the C compiler, by which DOLFINx compiles forms.
+def find_c_compiler() -> str:
+    """Return the command of the C compiler with which DOLFINx compiles forms.
 
     Raises
     ------
     InputError
-        There is none, or Python's headers are missing.
+        There is no compiler, or Python's headers are missing.
     """
-    chosen = os.environ.get("CC")
-    commands = [chosen] if chosen else [sysconfig.get_config_var("CC") or "cc", "gcc", "clang"]
-    present = [command for command in commands if program_on_path(shlex.split(command)[0])]
-    if not present:
-        allowed = "a C compiler, by which DOLFINx compiles forms: install gcc or clang"
-        raise InputError("CC", commands[0], allowed)
-    header = Path(sysconfig.get_path("include"), "Python.h")
-    if not header.exists():
-        allowed = "there: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
-        raise InputError("Python.h", str(header), allowed)
-    return present[0]
+    user_command = os.environ.get("CC")
+    candidate_commands = (
+        [user_command] if user_command else [sysconfig.get_config_var("CC") or "cc", "gcc", "clang"]
+    )
+    present_commands = [
+        command for command in candidate_commands if program_on_path(shlex.split(command)[0])
+    ]
+    if not present_commands:
+        requirement = "a C compiler, by which DOLFINx compiles forms: install gcc or clang"
+        raise InputError("CC", candidate_commands[0], requirement)
+    header_file = Path(sysconfig.get_path("include"), "Python.h")
+    if not header_file.exists():
+        requirement = "there: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
+        raise InputError("Python.h", str(header_file), requirement)
+    return present_commands[0]
 
 
-def version_of(command: str) -> str:
+def read_version_line(command: str) -> str:
     """Return the first line that a program prints for ``--version``."""
-    words = [*shlex.split(command), "--version"]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=30, check=False)
-    return done.stdout.partition("\n")[0]
+    command_words = [*shlex.split(command), "--version"]
+    finished_process = subprocess.run(
+        command_words, capture_output=True, text=True, timeout=30, check=False
+    )
+    return finished_process.stdout.partition("\n")[0]
 
 
-def check_launcher(size: int, library: str, names: Sequence[str] = SIZES) -> None:
+def check_launcher(
+    n_ranks: int, mpi_library: str, variable_names: Sequence[str] = RANK_COUNT_VARIABLES
+) -> None:
     """Check that mpirun belongs to the MPI library of this process.
 
     Parameters
     ----------
-    size : int
-        Ranks that the library knows; 0: it cannot be started by the mpirun of these names.
-    library : str
-        Its name.
-    names : sequence of str
-        Variables of an mpirun.
+    n_ranks : int
+        Number of ranks according to the library; 0: an mpirun that sets one of the variables cannot
+        start the library.
+    mpi_library : str
+        Name of the library.
+    variable_names : sequence of str
+        Variables with the number of ranks according to mpirun.
 
     Raises
     ------
     InputError
         The ranks do not know each other: each would solve everything alone.
     """
-    launched = max(int(os.environ.get(name, size)) for name in names)
-    if size <= 1 and size < launched:
-        raise foreign_launcher(f"{launched} programs of one rank each", library)
+    n_launched_programs = max(
+        int(os.environ.get(variable_name, n_ranks)) for variable_name in variable_names
+    )
+    if n_ranks <= 1 and n_ranks < n_launched_programs:
+        raise foreign_launcher_error(
+            f"{n_launched_programs} programs of one rank each", mpi_library
+        )
 
 
-def foreign_launcher(value: str, library: str) -> InputError:
-    """Return the error of an mpirun that is not that of the MPI library of this process."""
-    own = Path(sys.prefix, "bin", "mpirun")
-    return InputError("mpirun", value, f"that of {library}{f', {own}' if own.exists() else ''}")
+def foreign_launcher_error(launcher_description: str, mpi_library: str) -> InputError:
+    """Return the error of an mpirun that belongs to another MPI library."""
+    mpirun_path = Path(sys.prefix, "bin", "mpirun")
+    return InputError(
+        "mpirun",
+        launcher_description,
+        f"that of {mpi_library}{f', {mpirun_path}' if mpirun_path.exists() else ''}",
+    )

@@ -1,11 +1,12 @@
-"""Observables: the numbers that describe a motion, one row each in one table, :data:`QUANTITIES`.
+"""List the numbers that describe a motion in one table, :data:`OBSERVABLES_BY_NAME`.
 
-A row states a number in words with its unit, how it is read at its place, and where it is shown
-unless a scene chooses. Tables, files, pictures, the columns of sweeps, ``[output] quantities``,
-stated errors and the list in the reference follow from it.
+A row is an :class:`Observable`. It holds a description and a unit, the place, the function to read
+the number there, and the tables with this number unless a scene chooses. Tables, files, pictures,
+the columns of sweeps, ``[output] quantities``, stated errors and the list in the reference follow
+from this table.
 
-What is at a place, which ``read`` takes, is a ``Point`` or ``Faces`` of
-:mod:`fenics_crack.motion.motions`, an ``AtTip`` or ``Held`` of :mod:`fenics_crack.study.observer`.
+A function to read a number takes the object at the place. :mod:`fenics_crack.motion.motions` has
+the classes ``Point`` and ``Faces``, :mod:`fenics_crack.study.observer` has ``AtTip`` and ``Held``.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import numpy as np
 
 
 class Place(Enum):
-    """Source that an observable is read from."""
+    """Place at which an observable is read; the text goes into the reference."""
 
     POINT = "each watched point and direction"
     FACES = "all crack faces"
@@ -31,33 +32,39 @@ class Place(Enum):
 
     @property
     def on_request(self) -> bool:
-        """True if it takes rows of its own, which are made where a scene requests its numbers."""
+        """True if the rows are made only for a scene that requests these numbers."""
         return self not in (Place.POINT, Place.FACES, Place.MODES)
 
 
-class Where(Flag):
-    """Tables that show an observable unless a scene chooses, and its requirements."""
+class ObservableFlag(Flag):
+    """Tables with an observable unless a scene chooses, and requirements of the observable."""
 
-    FILES = 0
-    PRINTED = auto()
+    IN_FILES_ONLY = 0
+    IN_PRINTED_TABLE = auto()
     """Among the numbers of a motion."""
-    SPECIAL = auto()
+    IN_SPECIAL_POINTS_TABLE = auto()
     """At special points of a curve and in cases of a sweep; no wider than a terminal."""
-    DRAWN = auto()
+    IN_SWEEP_PICTURES = auto()
     """Over the axes of a sweep."""
-    STATED = auto()
-    """With its error."""
-    FRICTION = auto()
+    STATED_WITH_ERROR = auto()
+    """With an estimated error."""
+    REQUIRES_FRICTION = auto()
     """Requires friction."""
-    GROWING = auto()
+    REQUIRES_GROWTH_LAW = auto()
     """Requires a law of growth."""
-    SOLID = auto()
+    REQUIRES_SOLID = auto()
     """Requires a solid."""
 
 
-PRINTED, SPECIAL, DRAWN, STATED, FRICTION, GROWING, SOLID = Where
-FILES, SHOWN = Where.FILES, PRINTED | STATED
-EVERYWHERE = SHOWN | SPECIAL | DRAWN
+(
+    IN_PRINTED_TABLE, IN_SPECIAL_POINTS_TABLE, IN_SWEEP_PICTURES, STATED_WITH_ERROR,
+    REQUIRES_FRICTION, REQUIRES_GROWTH_LAW, REQUIRES_SOLID,
+) = ObservableFlag  # fmt: skip
+IN_FILES_ONLY, PRINTED_WITH_ERROR = (
+    ObservableFlag.IN_FILES_ONLY,
+    IN_PRINTED_TABLE | STATED_WITH_ERROR,
+)
+IN_ALL_TABLES = PRINTED_WITH_ERROR | IN_SPECIAL_POINTS_TABLE | IN_SWEEP_PICTURES
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,127 +73,154 @@ class Observable:
 
     Attributes
     ----------
-    of : Place
-        Where it is read.
+    place : Place
+        Place at which the number is read.
     words, unit : str
         Description and unit.
-    read : callable, optional
-        Its value from what is at the place. Default: an entry of
-        :meth:`fenics_crack.BilinearFrequencies.nearest`.
-    where : Where
-        Where it is shown, and what it requires.
+    read_number : callable, optional
+        Function that returns the number, given the object at the place. Default: ``float``, for an
+        entry of :meth:`fenics_crack.BilinearFrequencies.nearest`.
+    flags : ObservableFlag
+        Tables with this number, and requirements.
     """
 
-    of: Place
+    place: Place
     words: str
     unit: str
-    read: Callable[[Any], Any] = float
-    where: Where = FILES
+    read_number: Callable[[Any], Any] = float
+    flags: ObservableFlag = IN_FILES_ONLY
 
     def __repr__(self) -> str:
         return f"{self.words} [{self.unit}]"
 
 
-def _largest(vectors: np.ndarray) -> Any:
-    """Largest size of vectors (n, d)."""
+def _max_vector_norm(vectors: np.ndarray) -> Any:
+    """Return the largest Euclidean norm of vectors (n, d)."""
     return np.linalg.norm(vectors, axis=1).max()
 
 
-_point, _face = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
-_mode, _tip = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
-_ellipse = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", where=Where.GROWING)
-_clamp = partial(Observable, Place.CLAMP)
+_make_point_row, _make_face_row = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
+_make_mode_row, _make_tip_row = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
+_make_ellipse_row = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW)
+_make_clamp_row = partial(Observable, Place.CLAMP)
 
 
 # fmt: off
 # ruff: noqa: RUF009  # observables are frozen
 @dataclass(frozen=True, repr=False)
 class Observables:
-    """Values at a point and at the crack faces; the default of each is its row of the table."""
+    """Numbers at a point and at the crack faces; each default is a row of the table."""
 
     omega: Any
-    amplitude: Any = _point("half peak-to-peak", "m", lambda at: at.amplitude, EVERYWHERE)
-    mean: Any = _point("mean displacement", "m", lambda at: at.mean)
-    harmonic_1: Any = _point("amplitude at the load frequency", "m", lambda at: at.harmonic(1))
-    harmonic_2: Any = _point("amplitude at twice the load frequency", "m",
-        lambda at: at.harmonic(2))
-    harmonic_3: Any = _point("amplitude at three times the load frequency", "m",
-        lambda at: at.harmonic(3))
-    ratio_2_1: Any = _point("harmonic ratio 2/1", "1", lambda at: at.ratio(2), EVERYWHERE)
-    ratio_3_1: Any = _point("harmonic ratio 3/1", "1", lambda at: at.ratio(3), SHOWN | DRAWN)
-    ratio_half_1: Any = _point("harmonic ratio 1/2 over 1", "1", lambda at: at.ratio(0.5), PRINTED)
-    ratio_largest: Any = _point("largest harmonic above the load's, over harmonic 1", "1",
-        lambda at: at.ratio_largest, SHOWN)
-    largest_order: Any = _point("order of the largest harmonic above the load's", "1",
-        lambda at: at.largest_order, PRINTED)
-    mean_shift: Any = _point("mean displacement over harmonic 1", "1",
-        lambda at: at.mean / at.fundamental, SHOWN | DRAWN)
-    opening: Any = _face("largest opening", "m",
-        lambda at: max(at.gap_and_force_maxima[0], 0.0), EVERYWHERE)
-    penetration: Any = _face("largest penetration", "m",
-        lambda at: max(at.gap_and_force_maxima[1], 0.0), PRINTED)
-    contact_force: Any = _face("largest contact force of a pair", "N",
-        lambda at: at.gap_and_force_maxima[2], PRINTED)
-    crack_force: Any = _face("largest contact force of a crack, all pairs", "N",
-        lambda at: at.gap_and_force_maxima[3], SHOWN)
-    closed_share: Any = _face("contact duty cycle, mean over pairs", "1",
-        lambda at: (at.force > 0.0).mean(), EVERYWHERE)
-    friction_loss: Any = _face("friction loss of a period", "J", lambda at: at.losses.sum(),
-        SHOWN | FRICTION)
-    stick_share: Any = _face("share of the period in which pairs stick, mean over pairs", "1",
-        lambda at: at.is_sticking_at_instants.mean(), PRINTED | FRICTION)
-    slip_share: Any = _face("share of the period in which pairs slip, mean over pairs", "1",
-        lambda at: at.is_slipping_at_instants.mean(), SHOWN | FRICTION)
+    amplitude: Any = _make_point_row("half peak-to-peak", "m",
+        lambda point: point.amplitude, IN_ALL_TABLES)
+    mean: Any = _make_point_row("mean displacement", "m", lambda point: point.mean)
+    harmonic_1: Any = _make_point_row("amplitude at the load frequency", "m",
+        lambda point: point.harmonic(1))
+    harmonic_2: Any = _make_point_row("amplitude at twice the load frequency", "m",
+        lambda point: point.harmonic(2))
+    harmonic_3: Any = _make_point_row("amplitude at three times the load frequency", "m",
+        lambda point: point.harmonic(3))
+    ratio_2_1: Any = _make_point_row("harmonic ratio 2/1", "1", lambda point: point.ratio(2),
+        IN_ALL_TABLES)
+    ratio_3_1: Any = _make_point_row("harmonic ratio 3/1", "1", lambda point: point.ratio(3),
+        PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
+    ratio_half_1: Any = _make_point_row("harmonic ratio 1/2 over 1", "1",
+        lambda point: point.ratio(0.5), IN_PRINTED_TABLE)
+    ratio_largest: Any = _make_point_row("largest harmonic above the load's, over harmonic 1", "1",
+        lambda point: point.ratio_largest, PRINTED_WITH_ERROR)
+    largest_order: Any = _make_point_row("order of the largest harmonic above the load's", "1",
+        lambda point: point.largest_order, IN_PRINTED_TABLE)
+    mean_shift: Any = _make_point_row("mean displacement over harmonic 1", "1",
+        lambda point: point.mean / point.fundamental, PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
+    opening: Any = _make_face_row("largest opening", "m",
+        lambda faces: max(faces.gap_and_force_maxima[0], 0.0), IN_ALL_TABLES)
+    penetration: Any = _make_face_row("largest penetration", "m",
+        lambda faces: max(faces.gap_and_force_maxima[1], 0.0), IN_PRINTED_TABLE)
+    contact_force: Any = _make_face_row("largest contact force of a pair", "N",
+        lambda faces: faces.gap_and_force_maxima[2], IN_PRINTED_TABLE)
+    crack_force: Any = _make_face_row("largest contact force of a crack, all pairs", "N",
+        lambda faces: faces.gap_and_force_maxima[3], PRINTED_WITH_ERROR)
+    closed_share: Any = _make_face_row("contact duty cycle, mean over pairs", "1",
+        lambda faces: (faces.force > 0.0).mean(), IN_ALL_TABLES)
+    friction_loss: Any = _make_face_row("friction loss of a period", "J",
+        lambda faces: faces.losses.sum(), PRINTED_WITH_ERROR | REQUIRES_FRICTION)
+    stick_share: Any = _make_face_row(
+        "share of the period in which pairs stick, mean over pairs", "1",
+        lambda faces: faces.is_sticking_at_instants.mean(), IN_PRINTED_TABLE | REQUIRES_FRICTION)
+    slip_share: Any = _make_face_row(
+        "share of the period in which pairs slip, mean over pairs", "1",
+        lambda faces: faces.is_slipping_at_instants.mean(), PRINTED_WITH_ERROR | REQUIRES_FRICTION)
 
 
-QUANTITIES: dict[str, Observable] = {
-    one.name: one.default for one in fields(Observables) if isinstance(one.default, Observable)
+OBSERVABLES_BY_NAME: dict[str, Observable] = {
+    field.name: field.default
+    for field in fields(Observables) if isinstance(field.default, Observable)
 } | {
-    "omega_open": _mode("natural frequency, crack open", "rad/s"),
-    "omega_tied": _mode("natural frequency, crack bonded", "rad/s"),
-    "omega_bilinear": _mode("bilinear frequency", "rad/s"),
-    "over_open": _mode("load frequency / natural frequency, crack open", "1", where=PRINTED),
-    "over_tied": _mode("load frequency / natural frequency, crack bonded", "1"),
-    "over_bilinear": _mode("load frequency / bilinear frequency", "1", where=PRINTED | SPECIAL),
-    "K_max": _tip("largest stress intensity K_I", "Pa m^0.5", lambda at: at.one.max()),
-    "K_min": _tip("smallest K_I", "Pa m^0.5", lambda at: at.one.min()),
-    "delta_K": _tip("range of K_I", "Pa m^0.5", lambda at: np.ptp(at.one)),
-    "delta_K_effective": _tip("range of K_I while the crack tip is open", "Pa m^0.5",
-        lambda at: np.ptp(at.one.clip(0.0))),
-    "K_II_max": _tip("largest stress intensity K_II, of either sign", "Pa m^0.5",
-        lambda at: np.abs(at.two).max()),
-    "K_III_max": _tip("largest stress intensity K_III, of either sign", "Pa m^0.5",
-        lambda at: np.abs(at.three).max(), SOLID),
-    "delta_K_equivalent": _tip("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5",
-        lambda at: at.equivalent, GROWING),
-    "delta_K_effective_deepest": _ellipse("range of K_I while open, at the deepest place",
-        read=lambda at: np.ptp(at.deepest.one.clip(0.0))),
-    "delta_K_effective_surface": _ellipse("range of K_I while open, mean of the ends",
-        read=lambda at: np.mean([np.ptp(end.one.clip(0.0)) for end in at.ends])),
-    "delta_K_equivalent_deepest": _ellipse("range that makes it grow as much in depth",
-        read=lambda at: at.deepest.equivalent),
-    "delta_K_equivalent_surface": _ellipse("range that makes it grow as much along the face",
-        read=lambda at: np.mean([end.equivalent for end in at.ends])),
-    "reaction_force": _clamp("largest force of the clamp", "N", lambda at: _largest(at.force)),
-    "reaction_moment": _clamp("largest moment of the clamp, about its centre", "N m",
-        lambda at: _largest(at.moment)),
+    "omega_open": _make_mode_row("natural frequency, crack open", "rad/s"),
+    "omega_tied": _make_mode_row("natural frequency, crack bonded", "rad/s"),
+    "omega_bilinear": _make_mode_row("bilinear frequency", "rad/s"),
+    "over_open": _make_mode_row("load frequency / natural frequency, crack open", "1",
+        flags=IN_PRINTED_TABLE),
+    "over_tied": _make_mode_row("load frequency / natural frequency, crack bonded", "1"),
+    "over_bilinear": _make_mode_row("load frequency / bilinear frequency", "1",
+        flags=IN_PRINTED_TABLE | IN_SPECIAL_POINTS_TABLE),
+    "K_max": _make_tip_row("largest stress intensity K_I", "Pa m^0.5", lambda tip: tip.one.max()),
+    "K_min": _make_tip_row("smallest K_I", "Pa m^0.5", lambda tip: tip.one.min()),
+    "delta_K": _make_tip_row("range of K_I", "Pa m^0.5", lambda tip: np.ptp(tip.one)),
+    "delta_K_effective": _make_tip_row("range of K_I while the crack tip is open", "Pa m^0.5",
+        lambda tip: np.ptp(tip.one.clip(0.0))),
+    "K_II_max": _make_tip_row("largest stress intensity K_II, of either sign", "Pa m^0.5",
+        lambda tip: np.abs(tip.two).max()),
+    "K_III_max": _make_tip_row("largest stress intensity K_III, of either sign", "Pa m^0.5",
+        lambda tip: np.abs(tip.three).max(), REQUIRES_SOLID),
+    "delta_K_equivalent": _make_tip_row("range of K_I, R = 0, that makes the crack grow as much",
+        "Pa m^0.5", lambda tip: tip.equivalent, REQUIRES_GROWTH_LAW),
+    "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
+        read_number=lambda ellipse: np.ptp(ellipse.deepest.one.clip(0.0))),
+    "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
+        read_number=lambda ellipse: np.mean([np.ptp(end.one.clip(0.0)) for end in ellipse.ends])),
+    "delta_K_equivalent_deepest": _make_ellipse_row("range that makes it grow as much in depth",
+        read_number=lambda ellipse: ellipse.deepest.equivalent),
+    "delta_K_equivalent_surface": _make_ellipse_row(
+        "range that makes it grow as much along the face",
+        read_number=lambda ellipse: np.mean([end.equivalent for end in ellipse.ends])),
+    "reaction_force": _make_clamp_row("largest force of the clamp", "N",
+        lambda reaction: _max_vector_norm(reaction.force)),
+    "reaction_moment": _make_clamp_row("largest moment of the clamp, about its centre", "N m",
+        lambda reaction: _max_vector_norm(reaction.moment)),
 }
-"""All observables by their names."""
+"""All observables by name; the keys are columns of tables and files."""
 # fmt: on
 
 
 @cache
-def names_of(*places: Place, where: Where = FILES, without: Where = FILES) -> tuple[str, ...]:
-    """Return the names of the observables of some places, or of all, that are shown somewhere and
-    do not require what is missing."""
+def observable_names(
+    *places: Place,
+    required_flags: ObservableFlag = IN_FILES_ONLY,
+    excluded_flags: ObservableFlag = IN_FILES_ONLY,
+) -> tuple[str, ...]:
+    """Return the names of observables by place and flags.
+
+    Without ``places``, observables of all places are meant. An observable has all of the
+    ``required_flags`` and none of the ``excluded_flags``.
+    """
     return tuple(
         name
-        for name, row in QUANTITIES.items()
-        if (not places or row.of in places) and where in row.where and not row.where & without
+        for name, observable in OBSERVABLES_BY_NAME.items()
+        if (not places or observable.place in places)
+        and required_flags in observable.flags
+        and not observable.flags & excluded_flags
     )
 
 
-def read_at(place: Place, there: Any, without: Where = FILES) -> dict[str, float]:
-    """Return the numbers of what is at a place by their names, but for those that require what is
-    missing."""
-    return {name: float(QUANTITIES[name].read(there)) for name in names_of(place, without=without)}
+def read_observables(
+    place: Place, place_object: Any, excluded_flags: ObservableFlag = IN_FILES_ONLY
+) -> dict[str, float]:
+    """Return the numbers at a place by name.
+
+    ``place_object`` is the object that each :attr:`Observable.read_number` takes. Observables with
+    any of the ``excluded_flags`` are left out.
+    """
+    names = observable_names(place, excluded_flags=excluded_flags)
+    return {name: float(OBSERVABLES_BY_NAME[name].read_number(place_object)) for name in names}

@@ -1,8 +1,8 @@
-"""The stages of a long computation, logged while they begin.
+"""Log the stages of a long computation when they begin.
 
-The library calls :func:`begin` where something starts that takes seconds with a large mesh: a
-message of the logger ``fenics_crack.progress``, at level DEBUG. The program's console shows them
-(:class:`StageLines`).
+The library calls :func:`begin_stage` before work that takes seconds with a large mesh. This logs a
+message of level DEBUG to the logger ``fenics_crack.progress``, and :class:`StageLines` shows the
+messages on the program's console.
 """
 
 from __future__ import annotations
@@ -15,99 +15,103 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
-BEAT = 5.0
+MESSAGE_INTERVAL = 5.0
 """Time between progress messages [s]."""
 LOGGER = logging.getLogger("fenics_crack")
-"""Notes, remarks and warnings for the user."""
-_stages = LOGGER.getChild("progress")
-_parts: list[str] = []
-_reached: list[Callable[[], str]] = []
+"""Logger of notes, remarks and warnings for the user."""
+_STAGE_LOGGER = LOGGER.getChild("progress")
+_stage_prefixes: list[str] = []
+_progress_functions: list[Callable[[], str]] = []
 
 
-def begin(stage: str) -> None:
-    """Report what is done from now on; "" ends a stage where a progress bar goes on."""
-    _stages.debug("%s", ": ".join([*_parts, stage]) if stage else "")
+def begin_stage(stage: str) -> None:
+    """Report the work that begins now; "" ends a stage before a progress bar."""
+    _STAGE_LOGGER.debug("%s", ": ".join([*_stage_prefixes, stage]) if stage else "")
 
 
 @contextmanager
-def _joined(many: list[Any], one: Any) -> Iterator[None]:
-    """One more at the end of some, for a while."""
-    many.append(one)
+def _append_temporarily(entries: list[Any], entry: Any) -> Iterator[None]:
+    """Append an entry to a list, and remove the last entry after the block."""
+    entries.append(entry)
     try:
         yield
     finally:
-        many.pop()
+        entries.pop()
 
 
-def within(part: str) -> AbstractContextManager[None]:
-    """Report stages as those of a part: "16 modes: natural modes"."""
-    return _joined(_parts, part)
+def prefix_stages(stage_prefix: str) -> AbstractContextManager[None]:
+    """Put a prefix before all stages of the block: "16 modes: natural modes"."""
+    return _append_temporarily(_stage_prefixes, stage_prefix)
 
 
-def reaching(how_far: Callable[[], str]) -> AbstractContextManager[None]:
-    """Add to progress messages how far something has come: "38% of 780 to 880 Hz, 120 points"."""
-    return _joined(_reached, how_far)
+def add_progress_text(describe_progress: Callable[[], str]) -> AbstractContextManager[None]:
+    """Add a text to progress messages: "38% of 780 to 880 Hz, 120 points"."""
+    return _append_temporarily(_progress_functions, describe_progress)
 
 
 class StageLines(logging.Handler):
-    """Shows the stage that is being done, with a progress message every :data:`BEAT` seconds.
+    """Handler that shows the current stage, and a message every :data:`MESSAGE_INTERVAL`.
 
-    On a terminal the stage is shown while it is being done; elsewhere a message is a line.
+    On a terminal the current stage is shown at once; elsewhere each message is a line.
 
     Parameters
     ----------
     stream : text stream
-        Standard error.
-    kept : bool
-        Keep a line of each stage that took more than a second; else only messages are shown.
+        Default: standard error.
+    keeps_lines : bool
+        Keep a line of each stage that took more than a second; otherwise only messages are shown.
     """
 
-    def __init__(self, stream: Any = None, *, kept: bool = True) -> None:
+    def __init__(self, stream: Any = None, *, keeps_lines: bool = True) -> None:
         super().__init__()
         self._stream = stream or sys.stderr
-        self._live, self._kept = bool(self._stream.isatty()), kept
-        self._stage, self._began, self._over = "", 0.0, threading.Event()
-        self._writing = self.lock or nullcontext()
+        self._is_terminal, self._keeps_lines = bool(self._stream.isatty()), keeps_lines
+        self._stage_text, self._start_time, self._end_event = "", 0.0, threading.Event()
+        self._write_lock = self.lock or nullcontext()
 
     def __enter__(self) -> StageLines:
-        _stages.addHandler(self)
-        _stages.setLevel(logging.DEBUG)
+        _STAGE_LOGGER.addHandler(self)
+        _STAGE_LOGGER.setLevel(logging.DEBUG)
         return self
 
     def __exit__(self, *exception: object) -> None:
-        _stages.setLevel(logging.NOTSET)
-        _stages.removeHandler(self)
-        with self._writing:
+        _STAGE_LOGGER.setLevel(logging.NOTSET)
+        _STAGE_LOGGER.removeHandler(self)
+        with self._write_lock:
             self._show("")
 
     def emit(self, record: logging.LogRecord) -> None:
-        """End the stage before, and begin this one; the lock is held."""
+        """End the previous stage, and begin the new stage; the lock is held."""
         self._show(record.getMessage())
 
     def _show(self, stage: str) -> None:
-        now = time.perf_counter()
-        before, self._stage = self._stage, stage
-        if before:
-            self._write("\r\033[K" if self._live else "")
-            if self._kept and now - self._began > 1.0:
-                self._write(f"  {before}: {now - self._began:.1f} s\n")
-        self._began = now
-        if stage and self._live:
+        current_time = time.perf_counter()
+        previous_stage, self._stage_text = self._stage_text, stage
+        if previous_stage:
+            self._write("\r\033[K" if self._is_terminal else "")
+            if self._keeps_lines and current_time - self._start_time > 1.0:
+                self._write(f"  {previous_stage}: {current_time - self._start_time:.1f} s\n")
+        self._start_time = current_time
+        if stage and self._is_terminal:
             self._write(f"  {stage} ...")
-        if stage and not before:
-            self._over = threading.Event()
-            threading.Thread(target=self._repeat, args=(self._over,), daemon=True).start()
-        elif before and not stage:
-            self._over.set()
+        if stage and not previous_stage:
+            self._end_event = threading.Event()
+            threading.Thread(target=self._repeat, args=(self._end_event,), daemon=True).start()
+        elif previous_stage and not stage:
+            self._end_event.set()
 
-    def _repeat(self, over: threading.Event) -> None:
-        """Print every few seconds the current stage and its time."""
-        while not over.wait(BEAT):
-            with self._writing:
-                said = f"  {self._stage} ... {time.perf_counter() - self._began:.0f} s"
-                said = ", ".join([said, *(how_far() for how_far in _reached)])
-                if self._stage:
-                    self._write(f"\r\033[K{said}" if self._live else f"{said}\n")
+    def _repeat(self, end_event: threading.Event) -> None:
+        """Print the current stage and its duration every few seconds."""
+        while not end_event.wait(MESSAGE_INTERVAL):
+            with self._write_lock:
+                elapsed_seconds = time.perf_counter() - self._start_time
+                progress_texts = [f"  {self._stage_text} ... {elapsed_seconds:.0f} s"]
+                progress_texts += [describe_progress() for describe_progress in _progress_functions]
+                progress_text = ", ".join(progress_texts)
+                if self._stage_text:
+                    self._write(
+                        f"\r\033[K{progress_text}" if self._is_terminal else f"{progress_text}\n"
+                    )
 
     def _write(self, text: str) -> None:
         self._stream.write(text)
@@ -115,8 +119,10 @@ class StageLines(logging.Handler):
 
 
 class Messages(logging.StreamHandler):
-    """Prints the messages of the program on standard error: warnings, and unless ``quiet`` is
-    requested all others, while its block runs."""
+    """Handler that prints the program's messages on standard error during a block.
+
+    With ``quiet`` only warnings are printed.
+    """
 
     def __init__(self, *, quiet: bool) -> None:
         super().__init__()
@@ -134,10 +140,10 @@ class Messages(logging.StreamHandler):
         LOGGER.propagate = True
 
     def format(self, record: logging.LogRecord) -> str:
-        """The message; a warning says that it is one."""
-        warns = record.levelno >= logging.WARNING
-        return f"{'fenics-crack: warning: ' if warns else ''}{record.getMessage()}"
+        """Return the message, with "warning" before a warning."""
+        is_warning = record.levelno >= logging.WARNING
+        return f"{'fenics-crack: warning: ' if is_warning else ''}{record.getMessage()}"
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Raise what keeps standard error from being written."""
+        """Raise the error of writing to standard error."""
         raise

@@ -1,8 +1,8 @@
-"""Work done by one rank for all, and errors passed from one rank to every rank.
+"""Do work on one rank for all ranks, and pass errors to every rank.
 
-MPI is imported here before PETSc, which would start it for one thread only, and PETSc is started
-here; SLEPc when it is first used, but here where there are several ranks. Every folder that uses
-them imports this module first.
+This module imports MPI before PETSc, since PETSc would start MPI for one thread only. It starts
+PETSc, too. SLEPc is started at the first use, with several ranks here. Every folder that uses these
+libraries imports this module first.
 """
 
 from __future__ import annotations
@@ -23,147 +23,167 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.installation import SIZES, check_launcher, loading
-from fenics_crack.basics.untrusted_files import away
+from fenics_crack.basics.installation import (
+    RANK_COUNT_VARIABLES,
+    check_launcher,
+    report_missing_libraries,
+)
+from fenics_crack.basics.untrusted_files import leave_working_folder
 
-with away(), loading():  # UCX would read a ucx.conf
+with leave_working_folder(), report_missing_libraries():  # UCX would read a ucx.conf
     if find_spec("dolfinx_solver"):  # DOLFINx of wheels, and MPICH, which Open MPI's mpirun ends
-        check_launcher(0, "MPICH", SIZES[:1])
+        check_launcher(0, "MPICH", RANK_COUNT_VARIABLES[:1])
         import dolfinx_solver  # noqa: F401
-        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which alone() has to find
+        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which run_single_threaded() has to find
     from mpi4py import MPI
     from petsc4py import init, lib
 
 check_launcher(MPI.COMM_WORLD.size, " ".join(map(str, MPI.get_vendor())))
 
 Result = TypeVar("Result")
-STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
-"""Signals that stop: of Ctrl-C; what mpirun sends its ranks a second before it kills them; and what
-it passes on to them, so that they end by themselves."""
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
+"""Signals that stop the program: Ctrl-C, and two signals from mpirun.
+
+SIGTERM goes to the ranks a second before mpirun kills them; SIGUSR1 is passed on to the ranks, to
+let them end by themselves.
+"""
 
 
 def _start_petsc() -> None:
-    """Start PETSc with options from ``~/.petscrc``, PETSC_OPTIONS and this program's arguments from
-    the first ``-crack_`` on; the later of them take precedence.
+    """Start PETSc with options from a file, the environment and the command line.
 
-    PETSc itself would also read .petscrc and petscrc in the working folder, which can load code,
-    and petsc4py, like slepc4py below, a petsc.cfg that says from where PETSc is loaded.
+    The file is ``~/.petscrc``, the variable PETSC_OPTIONS; of this program's arguments, the options
+    begin with the first ``-crack_``. Later options take precedence. PETSc itself would also read
+    .petscrc and petscrc in the working folder, which can load code. petsc4py would read a petsc.cfg
+    there, with the place of PETSc; slepc4py below, too.
     """
-    given = os.environ.get("PETSC_OPTIONS", "")
-    with away():
-        _, arch = lib.getPathArchPETSc()
-        own = os.path.expanduser("~/.petscrc")
-        if os.access(own, os.R_OK):
-            os.environ["PETSC_OPTIONS"] = f'-options_file "{own}" {given}'
-    options = dropwhile(lambda word: not word.startswith("-crack_"), sys.argv)
-    init([sys.executable, "-skip_petscrc", *options], arch)
-    os.environ["PETSC_OPTIONS"] = given
+    user_option_text = os.environ.get("PETSC_OPTIONS", "")
+    with leave_working_folder():
+        _, petsc_architecture = lib.getPathArchPETSc()
+        options_file_path = os.path.expanduser("~/.petscrc")
+        if os.access(options_file_path, os.R_OK):
+            os.environ["PETSC_OPTIONS"] = f'-options_file "{options_file_path}" {user_option_text}'
+    petsc_options = dropwhile(lambda word: not word.startswith("-crack_"), sys.argv)
+    init([sys.executable, "-skip_petscrc", *petsc_options], petsc_architecture)
+    os.environ["PETSC_OPTIONS"] = user_option_text
 
 
 if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
     _start_petsc()
 
 
-def check_scalars() -> None:
+def check_scalar_type() -> None:
     """Raise InputError unless PETSc computes with real numbers of eight bytes."""
     from petsc4py import PETSc
 
     if PETSc.ScalarType is not np.float64:
-        allowed = "float64: install a PETSc of real numbers (dolfinx-solver-real, petsc=*=real*)"
-        raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, allowed)
+        requirement = (
+            "float64: install a PETSc of real numbers (dolfinx-solver-real, petsc=*=real*)"
+        )
+        raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, requirement)
 
 
-check_scalars()
+check_scalar_type()
 
 
-def unread_options() -> list[str]:
-    """Return the options ``-crack_...`` of this program's arguments that PETSc has not read."""
+def list_unread_options() -> list[str]:
+    """Return the options ``-crack_...`` of the command line that PETSc has not read."""
     from petsc4py import PETSc
 
-    query, is_used = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None), ctypes.c_int()
-    names = [word for word in sys.argv[1:] if word.startswith("-crack_")]
-    return [n for n in names if query(n[1:].encode(), ctypes.byref(is_used)) or not is_used]
+    query_option = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None)
+    is_used_out = ctypes.c_int()
+    option_names = [argument for argument in sys.argv[1:] if argument.startswith("-crack_")]
+    return [
+        option_name
+        for option_name in option_names
+        if query_option(option_name[1:].encode(), ctypes.byref(is_used_out)) or not is_used_out
+    ]
 
 
-def slepc() -> Any:
-    """The module SLEPc, started (collective)."""
-    with away():
+def import_slepc() -> Any:
+    """Return the module SLEPc, started (collective)."""
+    with leave_working_folder():
         from slepc4py import SLEPc
     return SLEPc
 
 
 if MPI.COMM_WORLD.size > 1:  # it ends together, too; a rank of a sweep may come to it alone
-    slepc()
+    import_slepc()
 
 
 def check_communicator(comm: object) -> None:
     """Raise InputError unless a value is a communicator of mpi4py."""
     if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
-        allowed = "a communicator of mpi4py, such as MPI.COMM_WORLD"
+        requirement = "a communicator of mpi4py, such as MPI.COMM_WORLD"
         if isinstance(comm, Mapping):
-            allowed += "; changes are made by scene.replace({...})"
-        raise InputError("comm", comm, allowed)
+            requirement += "; changes are made by scene.replace({...})"
+        raise InputError("comm", comm, requirement)
 
 
-SHORTEST_SLEEP, LONGEST_SLEEP = 5e-5, 2e-3
-"""Between two looks at what a rank waits for [s]: each sleep is twice the one before."""
+MIN_SLEEP_SECONDS, MAX_SLEEP_SECONDS = 5e-5, 2e-3
+"""Shortest and longest time between two checks [s]: each sleep is twice as long as the last."""
 
 
-def wait_until(done: Callable[[], bool]) -> None:
-    """Sleep until something is done: MPI itself would wait with all of a processor."""
-    pause = SHORTEST_SLEEP
-    while not done():
-        time.sleep(pause)
-        pause = min(2.0 * pause, LONGEST_SLEEP)
+def wait_until(is_done: Callable[[], bool]) -> None:
+    """Sleep until a function returns True; MPI itself would wait with a busy processor."""
+    sleep_seconds = MIN_SLEEP_SECONDS
+    while not is_done():
+        time.sleep(sleep_seconds)
+        sleep_seconds = min(2.0 * sleep_seconds, MAX_SLEEP_SECONDS)
 
 
-def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
-    """Raise on every rank the error that the lowest failing rank met (collective).
+def raise_first_error(comm: MPI.Comm, error: Exception | None) -> None:
+    """Raise the error of the lowest failing rank on every rank (collective).
 
-    Otherwise one rank would raise while the others wait for ever in a collective call.
+    Otherwise a single rank would raise, and the others would wait forever in a collective call.
     """
-    errors = [found for found in comm.allgather(error) if found is not None]
-    if errors:
-        raise errors[0]
+    rank_errors = [rank_error for rank_error in comm.allgather(error) if rank_error is not None]
+    if rank_errors:
+        raise rank_errors[0]
 
 
-def on_each(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
-    """Call ``function`` on each rank, which has its own result; input that the lowest failing rank
-    refuses is refused on every rank."""
-    result, error = None, None
+def call_on_each_rank(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
+    """Call a function on each rank, and return the rank's own result (collective).
+
+    An InputError of the lowest failing rank is raised on every rank.
+    """
+    rank_result, rank_error = None, None
     try:
-        result = function()
-    except InputError as met:
-        error = met
-    raise_together(comm, error)
-    return cast(Result, result)
+        rank_result = function()
+    except InputError as caught_error:
+        rank_error = caught_error
+    raise_first_error(comm, rank_error)
+    return cast(Result, rank_result)
 
 
 def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
-    """Call ``function`` on rank 0 and hand its result, or its exception, to every rank."""
-    result, error = None, None
+    """Call a function on rank 0, and return the result on every rank (collective).
+
+    An exception of rank 0 is raised on every rank.
+    """
+    root_result, root_error = None, None
     if comm.rank == 0:
         try:
-            result = function()
-        except BaseException as caught:  # an interrupt too, for which the others would wait
-            error = caught
+            root_result = function()
+        except BaseException as caught_error:  # an interrupt too, for which the others would wait
+            root_error = caught_error
     if comm.size > 1:  # the others have nothing else to do
         wait_until(comm.Ibarrier().Test)
-    met = comm.bcast(error)
-    if met is not None:
-        raise error or met  # rank 0's own, with its cause
-    return cast(Result, result if comm.size == 1 else comm.bcast(result))  # packs it
+    shared_error = comm.bcast(root_error)
+    if shared_error is not None:
+        raise root_error or shared_error  # rank 0's own, with its cause
+    return cast(Result, root_result if comm.size == 1 else comm.bcast(root_result))  # packs it
 
 
-def collect_garbage(comm: MPI.Comm, *, stopped: bool = False) -> None:
+def collect_garbage(comm: MPI.Comm, *, was_stopped: bool = False) -> None:
     """Free PETSc objects that are no longer referenced (collective).
 
-    petsc4py leaves them alone when Python deletes them: ranks may do so in different orders. So it
-    does with those of small structures, which each rank has for itself.
+    petsc4py does not free objects when Python deletes them, since ranks may do so in different
+    orders. This holds for the objects of small structures, too, which each rank has for itself.
     """
     from petsc4py import PETSc
 
-    with suppress(*[PETSc.Error] if stopped else []):  # of a solver in the middle of a step
+    with suppress(*[PETSc.Error] if was_stopped else []):  # of a solver in the middle of a step
         PETSc.garbage_cleanup(comm)
         PETSc.garbage_cleanup(MPI.COMM_SELF)
 
@@ -173,50 +193,62 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
     return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
 
 
-def _install(handlers: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
-    """Install handlers of signals, as the main thread alone may, and return those before."""
+def _install_handlers(handler_by_signal: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
+    """Install signal handlers and return the previous handlers by signal.
+
+    Only the main thread may do so; in other threads nothing is installed and the dict is empty.
+    """
     if threading.current_thread() is not threading.main_thread():
         return {}
-    return {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    return {
+        signal_number: signal.signal(signal_number, handler)
+        for signal_number, handler in handler_by_signal.items()
+    }
 
 
 @contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Ignore Ctrl-C while what was found is written."""
-    handlers = _install(dict.fromkeys(STOPS, signal.SIG_IGN))
+def ignore_stop_signals() -> Iterator[None]:
+    """Ignore :data:`STOP_SIGNALS` during the block, while results are written."""
+    previous_handler_by_signal = _install_handlers(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
     try:
         yield
     finally:
-        _install(handlers)
+        _install_handlers(previous_handler_by_signal)
 
 
 class StopRequest:
-    """Ctrl-C, or another of :data:`STOPS`, stops where nothing is lost; a second one stops at once.
-    Of two, one within the other, the outer one is then asked, too.
+    """Turn Ctrl-C into a request to stop where no result is lost.
+
+    Any of :data:`STOP_SIGNALS` makes the request; a second signal stops at once. After the block,
+    the request goes on to a StopRequest around it.
 
     with StopRequest() as stop:
-        while not stop.asked(comm): ...
+        while not stop.is_requested(comm): ...
     """
 
     def __init__(self) -> None:
-        self._asked = False
-        self._handlers: dict[signal.Signals, Any] = {}
+        self._is_requested = False
+        self._previous_handler_by_signal: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> StopRequest:
-        self._handlers = _install(dict.fromkeys(STOPS, self._ask))
+        self._previous_handler_by_signal = _install_handlers(
+            dict.fromkeys(STOP_SIGNALS, self._request_stop)
+        )
         return self
 
     def __exit__(self, *exception: object) -> None:
-        _install(self._handlers)
-        outer = getattr(self._handlers.get(signal.SIGINT), "__self__", None)
-        if self._asked and isinstance(outer, StopRequest):
-            outer._asked = True
+        _install_handlers(self._previous_handler_by_signal)
+        outer_request = getattr(
+            self._previous_handler_by_signal.get(signal.SIGINT), "__self__", None
+        )
+        if self._is_requested and isinstance(outer_request, StopRequest):
+            outer_request._is_requested = True
 
-    def _ask(self, number: int, frame: object) -> None:
-        if self._asked:
+    def _request_stop(self, signal_number: int, frame: object) -> None:
+        if self._is_requested:
             raise KeyboardInterrupt
-        self._asked = True
+        self._is_requested = True
 
-    def asked(self, comm: MPI.Comm) -> bool:
-        """Return True if any rank has been asked to stop (collective)."""
-        return bool(comm.allreduce(self._asked, MPI.LOR))
+    def is_requested(self, comm: MPI.Comm) -> bool:
+        """Return True if any rank has a request to stop (collective)."""
+        return bool(comm.allreduce(self._is_requested, MPI.LOR))

@@ -1,4 +1,4 @@
-"""Report of a result, built once for all uses: the terminal, files, a page."""
+"""Report of a result, built once for the terminal, for files and for a page."""
 
 from __future__ import annotations
 
@@ -7,57 +7,60 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fenics_crack.basics.errors import Exit
-from fenics_crack.basics.tables import Said, Table
+from fenics_crack.basics.tables import Conclusion, Table
 
 
 @dataclass(frozen=True)
 class Report:
-    """Sentences and tables of a result, and how its command ended.
+    """Sentences and tables of a result, and the outcome of the command.
 
     Attributes
     ----------
     table : Table
-        Everything in few numbers, the .json file.
-    said : Said
+        Summary in few numbers, written to the .json file.
+    conclusion : Conclusion
         Parts of the last sentence, which has the answer.
     scene : Scene, optional
-        Whose units are chosen for the printed table, where that has several.
-    rows : Table, optional
-        The .csv file; default: the table.
-    shown : Table, optional
-        Printed as text; default: the table.
+        Scene that chooses the units of the printed table, if the table has several.
+    csv_table : Table, optional
+        Table for the .csv file; default: ``table``.
+    printed_table : Table, optional
+        Table printed as text; default: ``table``.
     notes, warnings : sequences of str
         Further information, doubts.
-    tables : dict of Table
-        Of a page, by their captions; default: what is printed.
-    further : dict of Table
-        Printed below the first one, and on a page.
+    page_tables : dict of Table
+        Tables of a page by caption; default: the printed table.
+    further_tables : dict of Table
+        Tables below the first table, printed and on a page, by caption.
     remarks : sequence of Remark
         Unusual values of the scene.
-    done, missed : bool
-        False where something has not converged; True if the error is above the tolerance, or
-        unknown.
+    has_converged : bool
+        False if any part of the result has not converged.
+    misses_tolerance : bool
+        True if the error is unknown or above the tolerance.
     """
 
     table: Table
-    said: Said
+    conclusion: Conclusion
     scene: Any = None
-    rows: Table | None = None
-    shown: Table | None = None
+    csv_table: Table | None = None
+    printed_table: Table | None = None
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    further: Mapping[str, Table] = field(default_factory=dict)
+    page_tables: Mapping[str, Table] = field(default_factory=dict)
+    further_tables: Mapping[str, Table] = field(default_factory=dict)
     remarks: Sequence[object] = ()
-    done: bool = True
-    missed: bool = False
+    has_converged: bool = True
+    misses_tolerance: bool = False
 
     @property
-    def closing(self) -> str:
-        """The last sentence."""
-        return self.said.closing(len(self.warnings), len(self.remarks))
+    def closing_sentence(self) -> str:
+        """The last sentence, with the numbers of warnings and remarks."""
+        return self.conclusion.sentence(len(self.warnings), len(self.remarks))
 
     @property
-    def exit(self) -> Exit:
-        """The exit code of its command."""
-        return (Exit.MISSED if self.missed else Exit.DONE) if self.done else Exit.NOT_CONVERGED
+    def exit_code(self) -> Exit:
+        """The exit code of the command."""
+        if not self.has_converged:
+            return Exit.NOT_CONVERGED
+        return Exit.MISSED if self.misses_tolerance else Exit.DONE

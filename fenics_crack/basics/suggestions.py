@@ -1,8 +1,8 @@
-"""Suggestions for a name that does not exist, misspelt or another program's word for it, and for a
-number with a decimal comma or in another unit.
+"""Suggest a replacement for a wrong name or number.
 
-Whoever refuses one asks here what to suggest: keys and values of a scene, commands, names of the
-package, and arguments of its functions.
+A wrong name may be misspelt, or another program's word. A wrong number may have a decimal comma or
+another unit. The functions serve errors about keys and values of a scene, commands, names of the
+package, and arguments of functions.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any, TypeVar, cast
 
 from fenics_crack.basics.errors import InputError
 
-Called = TypeVar("Called", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., Any])
 
-LIKENESS = 0.7
-"""Minimum likeness of a misspelt word and the suggested one (difflib's ratio)."""
-SAME_WORD = 0.85
-"""Likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
-SEARCH_WORDS = {
+MIN_LIKENESS = 0.7
+"""Minimum likeness of a misspelt word and the suggested word (ratio of difflib)."""
+SAME_WORD_LIKENESS = 0.85
+"""Minimum likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
+SEARCH_WORDS_BY_CALL = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
     "fc.curve(scene)": "curve frf frequency response continuation nlfr path resonance",
@@ -50,21 +50,33 @@ SEARCH_WORDS = {
     "result.displacement(time)": "displacement displacements x u q solution vector mode shape",
     "result.time": "t times instants",
 }
-"""Calls to write, by the words that other programs and people have for them; what several kinds of
-results have is of a "result"."""
-VERBS = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
-"""First words of names, and those of this package for the same."""
+"""Words that other programs and people use, by the call to write here.
+
+A "result" stands for several kinds of results.
+"""
+OWN_VERB_BY_FOREIGN_VERB = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
+"""First word of this package's names, by the first word in other programs."""
 
 
-CLASS_WORDS = {
+DESCRIPTION_BY_CLASS_NAME = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
     "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
     "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
     "float": "a number",
 }  # fmt: skip
-"""Words for classes of arguments; those of Python's own are always compared."""
-UNIT_PREFIXES = {"G": 1e9, "M": 1e6, "k": 1e3, "": 1.0, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
-FOREIGN_UNITS = {
+"""Words for classes of arguments; Python's own classes are always compared."""
+FACTOR_BY_UNIT_PREFIX = {
+    "G": 1e9,
+    "M": 1e6,
+    "k": 1e3,
+    "": 1.0,
+    "c": 1e-2,
+    "m": 1e-3,
+    "u": 1e-6,
+    "n": 1e-9,
+}
+"""Factor from a prefixed unit to the unit."""
+FOREIGN_FACTORS_BY_UNIT = {
     "kg/m^3": {"g/cm^3": 1e3, "kg/dm^3": 1e3, "t/m^3": 1e3, "t/mm^3": 1e12},
     "Pa": {"N/mm^2": 1e6, "N/m^2": 1.0},
     "N/m": {"N/mm": 1e3},
@@ -72,183 +84,294 @@ FOREIGN_UNITS = {
     "m/s^2": {"g": 9.80665},
     "": {"%": 1e-2},
 }
-"""Units of others by a key's unit, and what they are in that."""
-SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
-NUMBER = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
+"""Factors from other units to a key's unit, by key's unit and other unit."""
+UNIT_SPELLING_TABLE = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
+"""Table for ``str.translate``: other spellings of units, and the spelling here."""
+NUMBER_WITH_UNIT_PATTERN = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
+"""Pattern with two groups, a number and a unit."""
 
 
-def near(word: object, known: Iterable[str], likeness: float = LIKENESS) -> list[str]:
-    """The known word that a misspelt one may stand for, or two that are as near; or none."""
+def find_similar_names(
+    word: object, known_names: Iterable[str], min_likeness: float = MIN_LIKENESS
+) -> list[str]:
+    """Return the known name most like a word, two if equally like, or none."""
     import difflib  # takes a while, and mistakes alone need it
 
-    by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
-    found = difflib.get_close_matches(lower, by_lower, 2, likeness)
-    ratios = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
-    return [by_lower[name] for name, one in zip(found, ratios, strict=True) if one == ratios[0]]
+    name_by_lower_case = {name.lower(): name for name in known_names}
+    lower_word = str(word).lower()[:100]
+    similar_names = difflib.get_close_matches(lower_word, name_by_lower_case, 2, min_likeness)
+    ratios = [difflib.SequenceMatcher(None, name, lower_word).ratio() for name in similar_names]
+    return [
+        name_by_lower_case[name]
+        for name, ratio in zip(similar_names, ratios, strict=True)
+        if ratio == ratios[0]
+    ]
 
 
-def near_or_longer(name: str, known: Collection[str], likeness: float = LIKENESS) -> list[str]:
-    """The same, or the known names in which a short one begins a word, as "tol" "tolerance"."""
-    begun = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
-    longer = [other for other in known if begun.search(other) and len(name) >= 3]
-    return near(name, known, likeness) or sorted(longer, key=len)
+def find_similar_or_longer_names(
+    name: str, known_names: Collection[str], min_likeness: float = MIN_LIKENESS
+) -> list[str]:
+    """Return similar known names; otherwise known names in which a word begins with the name.
+
+    A name needs three letters for the second search: "tol" finds "tolerance".
+    """
+    beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
+    longer_names = [
+        known_name
+        for known_name in known_names
+        if beginning_pattern.search(known_name) and len(name) >= 3
+    ]
+    return find_similar_names(name, known_names, min_likeness) or sorted(longer_names, key=len)
 
 
-def in_other_words(name: str) -> list[str]:
-    """Return the calls to write for a name in the words of others: those that share the most of its
-    words, or none. Those of a result are left out where there are functions."""
-    parts = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
-    counts = {
-        text: sum(bool(near(part, words.split(), SAME_WORD)) for part in parts)
-        for text, words in SEARCH_WORDS.items()
+def find_calls_by_synonyms(name: str) -> list[str]:
+    """Return the calls with most of a name's words among their search words.
+
+    The list is empty if no word matches. With functions ``fc....`` among the calls, calls of a
+    result are left out.
+    """
+    name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
+    n_matches_by_call = {
+        call_text: sum(
+            bool(find_similar_names(name_word, synonym_text.split(), SAME_WORD_LIKENESS))
+            for name_word in name_words
+        )
+        for call_text, synonym_text in SEARCH_WORDS_BY_CALL.items()
     }
-    most = max(counts.values())
-    calls = [text for text, count in counts.items() if count == most > 0]
-    return [text for text in calls if text.startswith("fc.")] or calls
+    max_matches = max(n_matches_by_call.values())
+    call_texts = [
+        call_text
+        for call_text, n_matches in n_matches_by_call.items()
+        if n_matches == max_matches > 0
+    ]
+    return [call_text for call_text in call_texts if call_text.startswith("fc.")] or call_texts
 
 
-def meant(names: Sequence[str]) -> str:
-    """A question after what may be meant, with a space behind it; empty if there is nothing."""
-    return f"did you mean {' or '.join(names[:3])}? " if names else ""
+def did_you_mean_text(suggested_names: Sequence[str]) -> str:
+    """Return the question "did you mean ...? " with up to three names; "" without names."""
+    return f"did you mean {' or '.join(suggested_names[:3])}? " if suggested_names else ""
 
 
-def instead_of(name: str, known: Sequence[str]) -> str:
-    """A question after what may be meant by a name that the package, with its known names, does not
-    have; empty if nothing is similar."""
+def suggest_replacements(name: str, known_names: Sequence[str]) -> str:
+    """Return a question with replacements for a name that the package lacks.
+
+    Without a similar name, and for private names, the text is "".
+    """
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
-    others = in_other_words(name)
-    verb, _, rest = name.partition("_")
-    same = near(f"{VERBS[verb]}_{rest}", known) if rest and verb in VERBS else []
-    if same:
-        return meant([f"fc.{other}" for other in same])
-    similar = near(name, known, SAME_WORD) if others else near_or_longer(name, known)
-    similar = [other for other in similar if not any(other in text for text in others)]
-    return meant([*(f"fc.{other}" for other in similar), *others])
+    synonym_call_texts = find_calls_by_synonyms(name)
+    verb, _, name_after_verb = name.partition("_")
+    names_with_own_verb = (
+        find_similar_names(f"{OWN_VERB_BY_FOREIGN_VERB[verb]}_{name_after_verb}", known_names)
+        if name_after_verb and verb in OWN_VERB_BY_FOREIGN_VERB
+        else []
+    )
+    if names_with_own_verb:
+        return did_you_mean_text([f"fc.{known_name}" for known_name in names_with_own_verb])
+    similar_names = (
+        find_similar_names(name, known_names, SAME_WORD_LIKENESS)
+        if synonym_call_texts
+        else find_similar_or_longer_names(name, known_names)
+    )
+    similar_names = [
+        known_name
+        for known_name in similar_names
+        if not any(known_name in call_text for call_text in synonym_call_texts)
+    ]
+    return did_you_mean_text(
+        [*(f"fc.{known_name}" for known_name in similar_names), *synonym_call_texts]
+    )
 
 
-def check_options(whose: str, options: Mapping[str, object], known: Collection[str]) -> None:
-    """Raise InputError for a keyword that is no option of a function."""
-    for key, value in options.items():
-        if key not in known:
-            question = meant(near_or_longer(key, known))
-            allowed = f"left out; {question}the options of {whose} are {', '.join(known)}"
-            raise InputError(key, value, allowed)
+def check_options(
+    owner_words: str, options: Mapping[str, object], option_names: Collection[str]
+) -> None:
+    """Raise InputError for a keyword that is not in ``option_names``.
 
-
-def _kinds_of(value: object) -> set[str]:
-    """Return the names of the classes that a value is of."""
-    names = {base.__name__.removesuffix("_") for base in type(value).__mro__}  # also NumPy's bool_
-    kinds_by_name: dict[str, Any] = {"Mapping": Mapping, "Path": os.PathLike, "None": type(None)}
-    kinds_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
-    return names | {name for name, kind in kinds_by_name.items() if isinstance(value, kind)}
-
-
-def fitting_argument(key: str, value: Any, annotation: str, kinds: Collection[str]) -> Any:
-    """Return an argument that fits an annotation: the value, or the result of a Run.
-
-    Raise InputError where all alternatives of the annotation are among some kinds, and the value is
-    of none of them; which words are allowed each function says. Classes are compared by their
-    names: no module is imported for that.
+    ``owner_words`` say in the error what has these options: a function, or pictures.
     """
-    class_names = list(dict.fromkeys(part.partition("[")[0] for part in annotation.split(" | ")))
-    names = _kinds_of(value)
-    if {"str"} != {*class_names} <= {*kinds, *CLASS_WORDS} and names.isdisjoint(class_names):
-        if "Run" in names and not _kinds_of(value.result).isdisjoint(class_names):
+    for key, value in options.items():
+        if key not in option_names:
+            question_text = did_you_mean_text(find_similar_or_longer_names(key, option_names))
+            requirement = f"left out; {question_text}the options of {owner_words} are "
+            requirement += ", ".join(option_names)
+            raise InputError(key, value, requirement)
+
+
+def _class_names_of(value: object) -> set[str]:
+    """Return the names of a value's classes, with the abstract classes that are compared."""
+    # The name of NumPy's bool_ becomes that of Python's.
+    class_names = {base_class.__name__.removesuffix("_") for base_class in type(value).__mro__}
+    abstract_class_by_name: dict[str, Any] = {
+        "Mapping": Mapping,
+        "Path": os.PathLike,
+        "None": type(None),
+    }
+    abstract_class_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
+    return class_names | {
+        name
+        for name, abstract_class in abstract_class_by_name.items()
+        if isinstance(value, abstract_class)
+    }
+
+
+def fit_argument(key: str, value: Any, annotation: str, known_class_names: Collection[str]) -> Any:
+    """Return a value that fits an annotation: the argument, or the result of a Run.
+
+    Raise InputError if the value is of no class of the annotation. Unless every class there is in
+    ``known_class_names`` or has a description, nothing is checked; a lone ``str`` is left to the
+    function. Classes are compared by name: no module is imported for the check.
+    """
+    annotation_class_names = list(
+        dict.fromkeys(
+            annotation_part.partition("[")[0] for annotation_part in annotation.split(" | ")
+        )
+    )
+    value_class_names = _class_names_of(value)
+    comparable_class_names = {*known_class_names, *DESCRIPTION_BY_CLASS_NAME}
+    is_checked = {"str"} != {*annotation_class_names} <= comparable_class_names
+    if is_checked and value_class_names.isdisjoint(annotation_class_names):
+        if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(
+            annotation_class_names
+        ):
             return value.result
         is_plain = isinstance(value, str | int | float | None)
-        words = (CLASS_WORDS.get(n) or f"a{'n' * (n[0] in 'AEIO')} {n}" for n in class_names)
-        raise InputError(key, value if is_plain else type(value).__name__, " or ".join(words))
+        class_descriptions = (
+            DESCRIPTION_BY_CLASS_NAME.get(class_name)
+            or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
+            for class_name in annotation_class_names
+        )
+        raise InputError(
+            key, value if is_plain else type(value).__name__, " or ".join(class_descriptions)
+        )
     return value
 
 
-def checked_call(
-    function: Called,
-    keys: Callable[[str], Sequence[str]] | None = None,
-    kinds: Collection[str] = (),
-) -> Called:
-    """Decorate a function so that it refuses a call that does not fit it, with what may be meant.
+def check_calls(
+    function: Function,
+    find_scene_keys: Callable[[str], Sequence[str]] | None = None,
+    known_class_names: Collection[str] = (),
+) -> Function:
+    """Decorate a function to check its arguments, and to suggest others.
 
-    That is another argument, a key of the scene that ``keys`` finds for it, or another function. A
-    ``comm`` that is no communicator is refused, too, and what is of none of the ``kinds`` of its
-    annotation; of a Run its result is taken where that is of these.
+    A wrong argument raises a TypeError with suggestions: another argument, a key of the scene from
+    ``find_scene_keys``, or another function. A ``comm`` that is no communicator raises an
+    InputError. Each argument goes through :func:`fit_argument`, with ``known_class_names``.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
     signature = signature_of(function)
-    open_ended = any(one.kind is one.VAR_KEYWORD for one in signature.parameters.values())
-    known = [name for name, one in signature.parameters.items() if one.kind is not one.VAR_KEYWORD]
-    known = [name for name in known if name not in ("self", "cls")]
-    named = {name for name, one in signature.parameters.items() if one.kind is one.KEYWORD_ONLY}
-    shown = [f"{name}=..." if name in named else name for name in known]
+    takes_any_keyword = any(
+        parameter.kind is parameter.VAR_KEYWORD for parameter in signature.parameters.values()
+    )
+    argument_names = [
+        name
+        for name, parameter in signature.parameters.items()
+        if parameter.kind is not parameter.VAR_KEYWORD
+    ]
+    argument_names = [name for name in argument_names if name not in ("self", "cls")]
+    keyword_only_names = {
+        name
+        for name, parameter in signature.parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    }
+    argument_texts = [
+        f"{name}=..." if name in keyword_only_names else name for name in argument_names
+    ]
 
     @functools.wraps(function)
     def call(*args: Any, **options: Any) -> Any:
         try:
-            bound = signature.bind(*args, **options)
+            bound_arguments = signature.bind(*args, **options)
         except TypeError as error:
-            name, reason = function.__name__, str(error)
-            wrong = next((one for one in options if one not in signature.parameters), None)
-            if reason == "too many positional arguments":
-                names = []
-            elif wrong is None or open_ended:
-                names = [text for text in in_other_words(name) if f"fc.{name}(" not in text]
+            name, reason_text = function.__name__, str(error)
+            unknown_keyword = next(
+                (parameter for parameter in options if parameter not in signature.parameters), None
+            )
+            if reason_text == "too many positional arguments":
+                suggestions = []
+            elif unknown_keyword is None or takes_any_keyword:
+                suggestions = [
+                    call_text
+                    for call_text in find_calls_by_synonyms(name)
+                    if f"fc.{name}(" not in call_text
+                ]
             else:
-                reason = f"got an unexpected keyword argument {wrong!r}"
-                names = near_or_longer(wrong, known)
-                if not names and keys is not None:
-                    names = [f'scene.replace({{"{key}": ...}})' for key in keys(wrong)]
-            question = f"{meant(names)}its arguments are {', '.join(shown)}"
-            raise TypeError(f"{name}() {reason}; {question}") from None
-        given = bound.arguments
-        if "comm" in given:
+                reason_text = f"got an unexpected keyword argument {unknown_keyword!r}"
+                suggestions = find_similar_or_longer_names(unknown_keyword, argument_names)
+                if not suggestions and find_scene_keys is not None:
+                    suggestions = [
+                        f'scene.replace({{"{key}": ...}})'
+                        for key in find_scene_keys(unknown_keyword)
+                    ]
+            question_text = (
+                f"{did_you_mean_text(suggestions)}its arguments are {', '.join(argument_texts)}"
+            )
+            raise TypeError(f"{name}() {reason_text}; {question_text}") from None
+        arguments = bound_arguments.arguments
+        if "comm" in arguments:
             from fenics_crack.basics.ranks import check_communicator
 
-            check_communicator(given["comm"])
-        for name, value in given.items():
+            check_communicator(arguments["comm"])
+        for name, value in arguments.items():
             annotation = str(signature.parameters[name].annotation)
-            given[name] = fitting_argument(name, value, annotation, kinds)
-        return function(*bound.args, **bound.kwargs)
+            arguments[name] = fit_argument(name, value, annotation, known_class_names)
+        return function(*bound_arguments.args, **bound_arguments.kwargs)
 
-    return cast(Called, call)
+    return cast(Function, call)
 
 
 # --- numbers --------------------------------------------------------------------------------------
 
 
-def converted(text: str, unit: str) -> float | None:
-    """A number with a decimal comma, or in another unit than a key's, in that of the key."""
-    found = NUMBER.fullmatch(text.strip()[:100].translate(SPELLINGS))
+def convert_number(text: str, unit: str) -> float | None:
+    """Convert a number with a decimal comma, or in another unit, to a unit.
+
+    Returns
+    -------
+    float or None
+        Number in ``unit``; None if the text is no number or the unit is unknown.
+    """
+    number_match = NUMBER_WITH_UNIT_PATTERN.fullmatch(
+        text.strip()[:100].translate(UNIT_SPELLING_TABLE)
+    )
     try:
-        value = float(found[1].replace(",", ".")) if found else None
+        number = float(number_match[1].replace(",", ".")) if number_match else None
     except ValueError:
         return None
-    if found is None or value is None:
+    if number_match is None or number is None:
         return None
-    given = re.sub(r"([a-z])([23])\b", r"\1^\2", (found[2] or unit).strip())
-    if given == unit:
-        return value
-    factor = FOREIGN_UNITS.get(unit, {}).get(given)
-    if factor is None and unit and given.endswith(unit):
-        factor = UNIT_PREFIXES.get(given.removesuffix(unit))
-    if factor is None or not math.isfinite(value * factor):
+    given_unit = re.sub(r"([a-z])([23])\b", r"\1^\2", (number_match[2] or unit).strip())
+    if given_unit == unit:
+        return number
+    factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
+    if factor is None and unit and given_unit.endswith(unit):
+        factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
+    if factor is None or not math.isfinite(number * factor):
         return None
-    return float(f"{value * factor:.12g}")  # no 0.30000000000000004
+    return float(f"{number * factor:.12g}")  # no 0.30000000000000004
 
 
-def candidates(value: object, unit: str) -> Iterator[object]:
-    """Yield the values that may be meant by one that is no number, or no list of numbers."""
+def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
+    """Yield values that may be meant instead of a wrong value.
+
+    Candidates are a number or None, a whole number, and a list of numbers.
+    """
     if isinstance(value, str):
-        number = converted(value, unit)
+        number = convert_number(value, unit)
         yield number
         if number is not None and number.is_integer():
             yield int(number)
         value = value.strip("[] ").split(",")
     if isinstance(value, list | tuple):
-        yield [converted(one, unit) if isinstance(one, str) else one for one in value]
+        yield [convert_number(entry, unit) if isinstance(entry, str) else entry for entry in value]
 
 
-def written(value: object) -> str:
-    """A value as a scene has it, numbers in short: "2.1e+11"."""
-    short = f"{value:g}" if isinstance(value, float) else ""
-    return short if short and float(short) == value else repr(value)
+def format_scene_value(value: object) -> str:
+    """Return a value as text for a scene, numbers in short: "2.1e+11"."""
+    short_number_text = f"{value:g}" if isinstance(value, float) else ""
+    return (
+        short_number_text
+        if short_number_text and float(short_number_text) == value
+        else repr(value)
+    )

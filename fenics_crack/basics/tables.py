@@ -1,7 +1,7 @@
-"""Tables for people (text, HTML), shells (CSV) and programs (JSON), and results that become tables.
+"""Make tables for people (text, HTML), shells (CSV) and programs (JSON).
 
-A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
-``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
+A result derives from :class:`Described`, or from :class:`Tabular` for a table, and defines
+``to_dict``. Its one line, its table in a notebook and its CSV file follow from this dict.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.atomic_files import write_file_whole
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 
-SHOWN_ROWS = 40
-"""Rows of a table shown as text and as HTML; files have all of them."""
-FEW_ROWS = 8
-"""Rows of a long result that are chosen to be printed: the largest, or spread evenly."""
-TURN = 2.0 * math.pi
+MAX_PRINTED_ROWS = 40
+"""Maximum rows of a table as text and as HTML; files have all rows."""
+N_SELECTED_ROWS = 8
+"""Number of printed rows of a long result: the largest, or spread evenly."""
+RAD_PER_TURN = 2.0 * math.pi
 """Factor from Hz to rad/s."""
-RPM = TURN / 60.0
+RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-_UNITS = {
+_NAMES_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
     "frequency_error",
@@ -41,8 +41,9 @@ _UNITS = {
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
 }
-UNITS = {name: one.unit for name, one in QUANTITIES.items()}
-UNITS |= {name: unit for unit, names in _UNITS.items() for name in names.split()}
+UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
+"""Units of the entries of ``to_dict``; all other entries have no unit."""
+UNIT_BY_NAME |= {name: unit for unit, names in _NAMES_BY_UNIT.items() for name in names.split()}
 """Units of the entries of ``to_dict``; all others have none."""
 
 
@@ -55,33 +56,38 @@ class Table:
     columns : sequence of str
         Names with their units.
     rows : sequence of sequences
-        Numbers, words, truth values; nan where a value is unknown.
+        Numbers, words, truth values; nan for an unknown value.
     """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
 
     @classmethod
-    def of(cls, values: Mapping[str, Any], units: Mapping[str, str]) -> Table:
-        """A table of lists, one for each column, or of single values, one for each row."""
-        names = [with_unit(name, units.get(name, "")) for name in values]
-        if any(isinstance(value, list) for value in values.values()):
-            return cls(names, [list(row) for row in zip(*values.values(), strict=True)])
-        return cls(("quantity", "value"), list(zip(names, values.values(), strict=True)))
+    def from_dict(cls, values_by_name: Mapping[str, Any], unit_by_name: Mapping[str, str]) -> Table:
+        """Return a table with a column for each list, or a row for each value."""
+        headings = [heading_with_unit(name, unit_by_name.get(name, "")) for name in values_by_name]
+        if any(isinstance(column_or_value, list) for column_or_value in values_by_name.values()):
+            return cls(headings, [list(row) for row in zip(*values_by_name.values(), strict=True)])
+        return cls(("quantity", "value"), list(zip(headings, values_by_name.values(), strict=True)))
 
-    def formatted(self, how: str) -> str:
-        """The table as "text" (the first rows of a long one), "csv" or "json"."""
-        return {"text": self._text, "csv": self._csv, "json": self._json}[how]()
+    def formatted(self, format_name: str) -> str:
+        """Return the table as "text" (the first rows of a long table), "csv" or "json"."""
+        return {"text": self._as_text, "csv": self._as_csv, "json": self._as_json}[format_name]()
 
     def html(self, caption: str) -> str:
-        """The table for a notebook (the first rows of a long one)."""
-        rows = [("th", self.columns)]
-        rows += [("td", [_words(value) for value in row]) for row in self.rows[:SHOWN_ROWS]]
-        if len(self.rows) > SHOWN_ROWS:
-            caption += f"; the first {SHOWN_ROWS} of {len(self.rows)} rows"
-        lines = ("".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) for tag, cells in rows)
-        body = "".join(f"<tr>{line}</tr>" for line in lines)
-        return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
+        """Return the table for a notebook (the first rows of a long table)."""
+        tagged_rows = [("th", self.columns)]
+        tagged_rows += [
+            ("td", [_value_text(value) for value in row]) for row in self.rows[:MAX_PRINTED_ROWS]
+        ]
+        if len(self.rows) > MAX_PRINTED_ROWS:
+            caption += f"; the first {MAX_PRINTED_ROWS} of {len(self.rows)} rows"
+        row_html_texts = (
+            "".join(f"<{cell_tag}>{html.escape(cell)}</{cell_tag}>" for cell in cells)
+            for cell_tag, cells in tagged_rows
+        )
+        rows_html = "".join(f"<tr>{row_html}</tr>" for row_html in row_html_texts)
+        return f"<table><caption>{html.escape(caption)}</caption>{rows_html}</table>"
 
     def save(self, path: str | Path) -> None:
         """Write the table as JSON if the name ends in ``.json``, else as CSV.
@@ -91,98 +97,124 @@ class Table:
         InputError
             The file cannot be written.
         """
-        write_whole(path, self._json() if Path(path).suffix == ".json" else self._csv())
+        write_file_whole(path, self._as_json() if Path(path).suffix == ".json" else self._as_csv())
 
-    def _text(self) -> str:
-        shown = self.rows[:SHOWN_ROWS]
-        columns = []
-        for place, name in enumerate(self.columns):
-            values = [row[place] for row in shown]
-            words = [name, *map(_words, values)]
-            width = max(map(len, words))
-            words.insert(1, width * "-")
-            numbers = all(isinstance(value, float | int | np.number) for value in values)
-            columns.append([w.rjust(width) if numbers else w.ljust(width) for w in words])
-        lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
-        if len(self.rows) > len(shown):
-            lines.append(f"... and {len(self.rows) - len(shown)} more")
+    def _as_text(self) -> str:
+        printed_rows = self.rows[:MAX_PRINTED_ROWS]
+        text_columns = []
+        for column_index, heading in enumerate(self.columns):
+            column_values = [row[column_index] for row in printed_rows]
+            column_texts = [heading, *map(_value_text, column_values)]
+            column_width = max(map(len, column_texts))
+            column_texts.insert(1, column_width * "-")
+            is_numeric = all(isinstance(value, float | int | np.number) for value in column_values)
+            text_columns.append(
+                [
+                    text.rjust(column_width) if is_numeric else text.ljust(column_width)
+                    for text in column_texts
+                ]
+            )
+        lines = ["  ".join(line).rstrip() for line in zip(*text_columns, strict=True)]
+        if len(self.rows) > len(printed_rows):
+            lines.append(f"... and {len(self.rows) - len(printed_rows)} more")
         return "\n".join(lines) + "\n"
 
-    def _csv(self) -> str:
-        file = io.StringIO()
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(self.columns)
-        writer.writerows(map(_plain, row) for row in self.rows)
-        return file.getvalue()
+    def _as_csv(self) -> str:
+        csv_buffer = io.StringIO()
+        csv_writer = csv.writer(csv_buffer, lineterminator="\n")
+        csv_writer.writerow(self.columns)
+        csv_writer.writerows(map(_python_value, row) for row in self.rows)
+        return csv_buffer.getvalue()
 
-    def _json(self) -> str:
-        records = [dict(zip(self.columns, map(_known, row), strict=True)) for row in self.rows]
-        return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
+    def _as_json(self) -> str:
+        row_dicts = [
+            dict(zip(self.columns, map(_json_value, row), strict=True)) for row in self.rows
+        ]
+        return json.dumps(row_dicts, indent=1, ensure_ascii=False) + "\n"
 
 
 @dataclass(frozen=True)
-class Said:
-    """Parts of the last sentence on a result, wherever it is said.
+class Conclusion:
+    """Parts of the last sentence on a result.
 
     Attributes
     ----------
     outcome : str
-        How it ended: "solved", "not converged".
-    known : str
+        How the computation ended: "solved", "not converged".
+    answer : str
         The answer, and its accuracy.
-    unknown : str
-        Why the error is unknown.
-    others : sequence of str
-        The verdict on the stability, and what a reader of the numbers alone would miss; empty ones
+    unknown_error_reason : str
+        Reason why the error is unknown; "" if the error is known.
+    further_clauses : sequence of str
+        The verdict on the stability, and what a reader of the numbers alone would miss. Empty texts
         are left out.
     """
 
     outcome: str
-    known: str = ""
-    unknown: str = ""
-    others: Sequence[str] = ()
+    answer: str = ""
+    unknown_error_reason: str = ""
+    further_clauses: Sequence[str] = ()
 
-    def closing(self, warnings: int = 0, remarks: int = 0) -> str:
-        """The sentence, after so many warnings and remarks."""
-        counts = {"warning": warnings, "remark": remarks}
-        before = " and ".join(counted(count, name) for name, count in counts.items() if count)
-        doubt = f"the error is unknown: {self.unknown}" if self.unknown else ""
-        return "; ".join(filter(None, (self.outcome, self.known, doubt, *self.others, before)))
+    def sentence(self, n_warnings: int = 0, n_remarks: int = 0) -> str:
+        """Return the sentence, with the numbers of warnings and remarks at the end."""
+        count_by_noun = {"warning": n_warnings, "remark": n_remarks}
+        warning_count_text = " and ".join(
+            format_count(count, noun) for noun, count in count_by_noun.items() if count
+        )
+        doubt_clause = (
+            f"the error is unknown: {self.unknown_error_reason}"
+            if self.unknown_error_reason
+            else ""
+        )
+        return "; ".join(
+            filter(
+                None,
+                (
+                    self.outcome,
+                    self.answer,
+                    doubt_clause,
+                    *self.further_clauses,
+                    warning_count_text,
+                ),
+            )
+        )
 
 
 class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers and words by name, or lists of equal length; SI units.
+        """Return numbers and words by name, or lists of equal length; SI units.
 
         ``pandas.DataFrame`` takes such a dict of lists, and a list of dicts of numbers.
         """
         raise NotImplementedError
 
     def table(self, *names: str) -> Table:
-        """:meth:`to_dict`, or some entries of it, as a table with units."""
-        values = self.to_dict()
-        return Table.of({name: values[name] for name in names or values}, self._units())
+        """Return :meth:`to_dict`, or some entries, as a table with units."""
+        values_by_name = self.to_dict()
+        return Table.from_dict(
+            {name: values_by_name[name] for name in names or values_by_name}, self._units()
+        )
 
     def _units(self) -> Mapping[str, str]:
-        """Units of the entries of :meth:`to_dict`."""
-        return UNITS
+        """Return units of the entries of :meth:`to_dict` by name."""
+        return UNIT_BY_NAME
 
     def _title(self) -> str:
-        """The text between the brackets of the one line."""
-        return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
+        """Return the text between the brackets of the one line."""
+        return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
-    def said(self) -> Said | None:
-        """What the last sentence on it says; None where the one line says it all."""
+    def said(self) -> Conclusion | None:
+        """Return the parts of the last sentence; None if the one line says everything."""
         return None
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self._title()})"
 
     def __str__(self) -> str:
-        said = self.said()
-        return repr(self) if said is None else f"{self!r}: {said.closing()}"
+        conclusion = self.said()
+        return repr(self) if conclusion is None else f"{self!r}: {conclusion.sentence()}"
 
     def _repr_html_(self) -> str:
         return self.table().html(str(self))
@@ -202,135 +234,167 @@ class Tabular(Described):
         self.table().save(path)
 
     def to_dataframe(self) -> Any:
-        """The same as a ``pandas.DataFrame``.
+        """Return :meth:`table` as a ``pandas.DataFrame``, without units in the headings.
 
         Raises
         ------
         ImportError
             pandas is not installed: the package does without it.
         """
-        return optional("pandas", "to_dataframe").DataFrame(self.to_dict())
+        return import_optional("pandas", "to_dataframe").DataFrame(self.to_dict())
 
 
-def optional(library: str, method: str) -> Any:
-    """A library that one method needs; the ImportError without it says how to go on."""
+def import_optional(library: str, method: str) -> Any:
+    """Import a library that a single method needs.
+
+    Without the library, the ImportError says how to go on.
+    """
     try:
         return import_module(library)
     except ImportError as error:
-        other = "to_dict() has the same columns, and to_csv(path) writes them"
-        raise ImportError(f"{method} needs {library} (pip install {library}); {other}") from error
+        alternative_text = "to_dict() has the same columns, and to_csv(path) writes them"
+        raise ImportError(
+            f"{method} needs {library} (pip install {library}); {alternative_text}"
+        ) from error
 
 
 # --- numbers for people ---------------------------------------------------------------------------
 
-LEAST_ERROR = 1e-5
-"""Relative error below which none is reported: tables have six digits."""
-NO_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
+MIN_REPORTED_ERROR = 1e-5
+"""Relative error below which no number is reported: tables have six digits."""
+UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
 """Units shown without a prefix."""
-_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+_PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
-def readable(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and prefixed unit for numbers up to a largest one: (1e6, "µm")."""
-    exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if 0.0 < largest < math.inf else 0
-    prefix = _PREFIXES.get(exponent)
+def choose_unit_prefix(max_value: float, unit: str) -> tuple[float, str]:
+    """Return factor and prefixed unit for numbers up to a maximum: (1e6, "µm")."""
+    exponent = 3 * int(np.floor(np.log10(max_value) / 3.0)) if 0.0 < max_value < math.inf else 0
+    prefix = _PREFIX_BY_EXPONENT.get(exponent)
     return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
 
 
-def quantity(value: float, unit: str) -> str:
-    """A number with its unit: "1.452 µm"; "0.9" of one without."""
-    factor, unit = (1.0, unit.strip("1-")) if unit in NO_PREFIX else readable(abs(value), unit)
+def format_quantity(value: float, unit: str) -> str:
+    """Return a number with its unit, "1.452 µm"; without a unit "0.9"."""
+    factor, unit = (
+        (1.0, unit.strip("1-"))
+        if unit in UNITS_WITHOUT_PREFIX
+        else choose_unit_prefix(abs(value), unit)
+    )
     return f"{factor * value:.4g} {unit}".rstrip()
 
 
-def with_unit(name: str, unit: str) -> str:
-    """A heading: "omega [rad/s]"; "rotation.rpm" says its unit itself."""
-    return name if unit in ("", "1", name.rpartition(".")[2]) else f"{name} [{unit}]"
+def heading_with_unit(quantity_name: str, unit: str) -> str:
+    """Return a heading, "omega [rad/s]"; "rotation.rpm" has its unit in the name."""
+    return (
+        quantity_name
+        if unit in ("", "1", quantity_name.rpartition(".")[2])
+        else f"{quantity_name} [{unit}]"
+    )
 
 
 def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
-    """Return factor of rad/s, name and unit of an axis or a column of load frequencies."""
+    """Return factor from rad/s, name and unit of an axis of load frequencies."""
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
 
 def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
-    """The same of a rotor's speeds."""
-    return (1.0 / RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+    """Return factor from rad/s, name and unit of an axis of rotor speeds."""
+    return (
+        (1.0 / RAD_PER_S_PER_RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+    )
 
 
-def speed_in_words(speed: float, in_rpm: bool) -> str:
-    """A rotor's speed [rad/s] with its unit: "3000 rpm"."""
-    return in_unit(speed_axis(in_rpm), speed)
+def format_speed(speed: float, in_rpm: bool) -> str:
+    """Return a rotor's speed [rad/s] as text with its unit: "3000 rpm"."""
+    return format_in_unit(speed_axis(in_rpm), speed)
 
 
-def in_unit(axis: tuple[float, str, str], *values: float) -> str:
-    """Values in the unit of an axis: "50.1 Hz", "50.1 and 50.3 Hz"; "0.9" of one without."""
+def format_in_unit(axis: tuple[float, str, str], *values: float) -> str:
+    """Return values in an axis' unit as text: "50.1 Hz", "50.1 and 50.3 Hz"."""
     factor, _, unit = axis
-    numbers = " and ".join(f"{factor * value:.6g}" for value in values)
-    return f"{numbers} {unit}".removesuffix(" -")
+    number_text = " and ".join(f"{factor * value:.6g}" for value in values)
+    return f"{number_text} {unit}".removesuffix(" -")
 
 
-def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
-    """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it,
-    and with the "rpm" of their "speed" [rad/s]."""
-    twins = {"omega": ("frequency", TURN), "speed": ("rpm", RPM)}
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        found[name] = value
-        if name in twins:
-            twin, unit = twins[name]
-            found[twin] = (np.array(value) / unit).tolist()
-    return found
+def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
+    """Return the entries with frequencies and revolutions per minute added.
+
+    "frequency" [Hz] follows "omega" [rad/s], "rpm" follows "speed" [rad/s]: numbers or lists.
+    """
+    second_name_and_factor = {
+        "omega": ("frequency", RAD_PER_TURN),
+        "speed": ("rpm", RAD_PER_S_PER_RPM),
+    }
+    extended_value_by_name: dict[str, Any] = {}
+    for name, value in values_by_name.items():
+        extended_value_by_name[name] = value
+        if name in second_name_and_factor:
+            second_name, factor = second_name_and_factor[name]
+            extended_value_by_name[second_name] = (np.array(value) / factor).tolist()
+    return extended_value_by_name
 
 
-def hertz_of(omega: str = "omega") -> Any:
-    """A property: the frequency [Hz] of what an attribute of the same object has in rad/s."""
+def hertz_property(attribute_name: str = "omega") -> Any:
+    """Return a property: the frequency [Hz] of an attribute in rad/s."""
 
     def frequency(self: Any) -> Any:
-        return getattr(self, omega) / TURN
+        return getattr(self, attribute_name) / RAD_PER_TURN
 
-    return property(frequency, doc=f"``{omega}`` in Hz.")
+    return property(frequency, doc=f"``{attribute_name}`` in Hz.")
 
 
-def percent(share: float) -> str:
-    """A share in per cent, with two digits, or all before the point: "2.4 %", "140 %"."""
+def format_percent(share: float) -> str:
+    """Return a share in per cent with two significant digits: "2.4 %", "140 %".
+
+    From 99.5 % on the number is whole.
+    """
     return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
 
 
-def error_in_words(error: float) -> str:
-    """A relative error in per cent: "2.4 %", "less than 0.001 %"."""
-    return f"less than {percent(LEAST_ERROR)}" if 0.0 < error < LEAST_ERROR else percent(error)
+def format_error(error: float) -> str:
+    """Return a relative error in per cent: "2.4 %", "less than 0.001 %"."""
+    return (
+        f"less than {format_percent(MIN_REPORTED_ERROR)}"
+        if 0.0 < error < MIN_REPORTED_ERROR
+        else format_percent(error)
+    )
 
 
-def without_causes(causes: Iterable[str]) -> str:
+def describe_omitted_causes(cause_names: Iterable[str]) -> str:
     """Name the causes that an error leaves out: "error due to the mesh not included"."""
-    names = " and the ".join(causes)
-    return f"error due to the {names} not included" if names else ""
+    cause_text = " and the ".join(cause_names)
+    return f"error due to the {cause_text} not included" if cause_text else ""
 
 
-def counted(count: int, thing: str) -> str:
-    """A number of things: "1 pair", "2 pairs"."""
-    return f"{count} {thing}{'' if count == 1 else 's'}"
+def format_count(count: int, noun: str) -> str:
+    """Return a number of things as text: "1 pair", "2 pairs"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def ranging(values: np.ndarray, digits: str = ".0f") -> str:
-    """From the least of some numbers, by default counts, to the most: "9", "5 to 40"."""
-    return " to ".join(dict.fromkeys(format(f(values), digits) for f in (np.min, np.max)))
+def format_range(values: np.ndarray, number_format: str = ".0f") -> str:
+    """Return minimum and maximum as text, "5 to 40"; "9" if they are equal."""
+    return " to ".join(
+        dict.fromkeys(
+            format(extreme_function(values), number_format) for extreme_function in (np.min, np.max)
+        )
+    )
 
 
-def _plain(value: Any) -> Any:
-    """A value as one of Python's own types."""
+def _python_value(value: Any) -> Any:
+    """Return a NumPy number as a Python number; other values stay."""
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _known(value: Any) -> Any:
-    """A value for JSON: None where a number is nan or infinite."""
-    value = _plain(value)
+def _json_value(value: Any) -> Any:
+    """Return a value for JSON: None instead of nan and infinity."""
+    value = _python_value(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _words(value: Any) -> str:
-    value = _plain(value)
+def _value_text(value: Any) -> str:
+    """Return a value as text: "yes" or "no", six digits, "-" for nan."""
+    value = _python_value(value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

@@ -1,10 +1,11 @@
-"""Settings of the machine: Debian's modules, one thread at a time, some memory.
+"""Set up the machine: Debian's modules, a single thread at a time, memory limits.
 
-Its functions run one at a time, and with one thread of OpenBLAS and of OpenMP. gmsh, PETSc and
-MUMPS keep their state in global variables: two threads of Python in them end the process. And their
-dense algebra is small, as ours is: OpenBLAS's threads wait for each other longer than they work,
-and do so by spinning. So do four threads of OpenMP, with which CHOLMOD assembles each of its many
-small blocks, whatever OMP_NUM_THREADS says.
+The package's functions run one at a time, each with one thread of OpenBLAS and OpenMP. gmsh, PETSc
+and MUMPS keep their state in global variables: with two Python threads in them, the process ends.
+
+Dense matrices are small here, also within these libraries. OpenBLAS's threads would wait for each
+other longer than they work, and spin meanwhile. So would four threads of OpenMP, in which CHOLMOD
+assembles each small block, whatever OMP_NUM_THREADS says.
 """
 
 from __future__ import annotations
@@ -25,152 +26,197 @@ from typing import Any, NamedTuple
 
 from fenics_crack.basics.errors import InputError
 
-SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
+THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Variables that set the number of OpenBLAS's threads."""
-LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
-"""Variables by which mpirun gives a process its rank, before MPI is started."""
-DEBIAN_BUILT_AGAINST = ("numpy", "mpi4py")
-"""Modules for whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built."""
-ONE_PROCESS_SETTINGS = {
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+"""Variables with which mpirun gives a process its rank, before MPI is started."""
+DEBIAN_MODULES = ("numpy", "mpi4py")
+"""Modules whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built for."""
+ONE_PROCESS_VARIABLES = {
     "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
 }  # fmt: skip
-"""Settings of Open MPI for one process: it looks for no network, opens no port, and starts no
-daemon, which would take as long as all else before the first command."""
+"""Settings of Open MPI for one process: no search for a network, no open port, no daemon.
+
+A daemon would take as long as all other work before the first command.
+"""
 _lock = threading.RLock()
 
 
 @cache
-def check_modules() -> None:
-    """Check, before they are imported, that Debian's NumPy and mpi4py are found and no others.
+def check_debian_modules() -> None:
+    """Check, before they are imported, that NumPy and mpi4py are Debian's.
 
-    The versions are those that ``install.sh`` has pinned in this virtual environment; one that it
-    has not made is not checked.
+    ``install.sh`` has pinned the versions in this virtual environment; an environment without pins
+    is not checked.
 
     Raises
     ------
     InputError
         Another version stands before Debian's.
     """
-    pins = Path(sys.prefix, "debian-pins.txt")
-    wanted = dict(re.findall("(.+)==(.+)", pins.read_text())) if pins.exists() else {}
-    for name in wanted.keys() & DEBIAN_BUILT_AGAINST:
-        place = getattr(find_spec(name), "origin", None)
-        if place is None or place.startswith("/usr/lib/python3/"):
+    pin_file = Path(sys.prefix, "debian-pins.txt")
+    version_by_module = (
+        dict(re.findall("(.+)==(.+)", pin_file.read_text())) if pin_file.exists() else {}
+    )
+    for module_name in version_by_module.keys() & DEBIAN_MODULES:
+        module_path = getattr(find_spec(module_name), "origin", None)
+        if module_path is None or module_path.startswith("/usr/lib/python3/"):
             continue
         from importlib.metadata import version  # takes a while, and is hardly ever needed
 
-        if version(name) != wanted[name]:
-            remedy = f"run 'sh install.sh' again, or remove {Path(place).parent}"
-            allowed = f"{wanted[name]}, for which Debian's DOLFINx is built: {remedy}"
-            raise InputError(name, version(name), allowed)
+        if version(module_name) != version_by_module[module_name]:
+            remedy_text = f"run 'sh install.sh' again, or remove {Path(module_path).parent}"
+            requirement = f"{version_by_module[module_name]}, for which Debian's DOLFINx is built"
+            requirement += f": {remedy_text}"
+            raise InputError(module_name, version(module_name), requirement)
 
 
-def launched() -> bool:
+def is_started_by_mpirun() -> bool:
     """Return True if mpirun has started this process."""
-    return any(name in os.environ for name in LAUNCHERS)
+    return any(name in os.environ for name in RANK_VARIABLES)
 
 
 @contextmanager
-def alone() -> Iterator[None]:
-    """Keep other threads of Python out, and OpenBLAS and OpenMP to one; their numbers are restored.
+def run_single_threaded() -> Iterator[None]:
+    """Run a block with one thread of Python, OpenBLAS and OpenMP, and restore the numbers.
 
-    A number that the user has chosen stays: by one of :data:`SETTINGS`, or in the process (by
-    threadpoolctl), where it differs from that with which OpenBLAS begins. OpenMP heeds the first of
-    them alone.
+    A number that the user has chosen stays. The user chooses by a variable of
+    :data:`THREAD_COUNT_VARIABLES`; OpenMP heeds only the first. Or the user chooses in the process
+    (by threadpoolctl): the number then differs from OpenBLAS's default.
     """
     with _lock:
-        pools = [] if any(map(os.environ.get, SETTINGS)) else _pools(len(sys.modules))
-        limited = [(pool, begin) for pool, begin in pools if pool("get_num_threads") == begin > 1]
-        for pool, _ in limited:
-            pool("set_num_threads", 1)
-        chosen = os.environ.get(SETTINGS[0], "1") != "1"
-        openmp = [] if chosen else _openmp(len(sys.modules))
-        levels = [library.omp_get_max_active_levels() for library in openmp]
-        for library in openmp:
-            library.omp_set_max_active_levels(0)
+        openblas_count_pairs = (
+            []
+            if any(map(os.environ.get, THREAD_COUNT_VARIABLES))
+            else _load_openblas_libraries(len(sys.modules))
+        )
+        limited_openblas_pairs = [
+            (openblas, n_default_threads)
+            for openblas, n_default_threads in openblas_count_pairs
+            if openblas("get_num_threads") == n_default_threads > 1
+        ]
+        for openblas, _ in limited_openblas_pairs:
+            openblas("set_num_threads", 1)
+        has_user_setting = os.environ.get(THREAD_COUNT_VARIABLES[0], "1") != "1"
+        openmp_libraries = [] if has_user_setting else _load_openmp_libraries(len(sys.modules))
+        previous_max_levels = [
+            openmp_library.omp_get_max_active_levels() for openmp_library in openmp_libraries
+        ]
+        for openmp_library in openmp_libraries:
+            openmp_library.omp_set_max_active_levels(0)
         try:
             yield
         finally:
-            for library, level in zip(openmp, levels, strict=True):
-                library.omp_set_max_active_levels(level)
-            for pool, begin in limited:
-                pool("set_num_threads", begin)
+            for openmp_library, previous_max_level in zip(
+                openmp_libraries, previous_max_levels, strict=True
+            ):
+                openmp_library.omp_set_max_active_levels(previous_max_level)
+            for openblas, n_default_threads in limited_openblas_pairs:
+                openblas("set_num_threads", n_default_threads)
 
 
-class _Pool(NamedTuple):
-    """A loaded OpenBLAS; the names of its functions differ between Debian's and those of wheels."""
+class _OpenBlas(NamedTuple):
+    """A loaded OpenBLAS; Debian and wheels have different names for its functions.
+
+    ``name_affixes`` are the prefix and the suffix of a function's name.
+    """
 
     library: ctypes.CDLL
-    form: tuple[str, str]
+    name_affixes: tuple[str, str]
 
-    def __call__(self, name: str, *values: int) -> int:
-        return int(getattr(self.library, name.join(self.form))(*values) or 0)
+    def __call__(self, function_name: str, *arguments: int) -> int:
+        """Call a function by its name without affixes; None becomes 0."""
+        return int(getattr(self.library, function_name.join(self.name_affixes))(*arguments) or 0)
 
-    def begins_with(self) -> int:
-        """Return the number of threads that it starts with by default."""
-        config: Any = getattr(self.library, "get_config".join(self.form))
-        config.restype = ctypes.c_char_p
-        most = re.search(rb"MAX_THREADS=(\d+)", config())
-        processors = self("get_num_procs")
-        return min(processors, int(most[1])) if most else processors
-
-
-@lru_cache(maxsize=1)
-def _pools(modules: int) -> list[tuple[_Pool, int]]:
-    """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
-    found, forms = [], [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
-    for library in map(ctypes.CDLL, loaded_libraries(r"[^/\s]*openblas")):
-        known = [form for form in forms if hasattr(library, "set_num_threads".join(form))]
-        found += [_Pool(library, form) for form in known[:1]]
-    return [(pool, pool.begins_with()) for pool in found]
+    def default_thread_count(self) -> int:
+        """Return the number of threads that this OpenBLAS starts by default."""
+        get_config: Any = getattr(self.library, "get_config".join(self.name_affixes))
+        get_config.restype = ctypes.c_char_p
+        max_threads_match = re.search(rb"MAX_THREADS=(\d+)", get_config())
+        n_processors = self("get_num_procs")
+        return min(n_processors, int(max_threads_match[1])) if max_threads_match else n_processors
 
 
 @lru_cache(maxsize=1)
-def _openmp(modules: int) -> list[ctypes.CDLL]:
-    """Each OpenMP of this process, GCC's, LLVM's and Intel's; found anew after imports."""
-    found = map(ctypes.CDLL, loaded_libraries(r"lib(?:g|i)?omp"))
-    return [library for library in found if hasattr(library, "omp_set_max_active_levels")]
+def _load_openblas_libraries(n_modules: int) -> list[tuple[_OpenBlas, int]]:
+    """Return each OpenBLAS of this process, and its default number of threads.
+
+    The argument only makes the cache search again after imports.
+    """
+    openblas_libraries: list[_OpenBlas] = []
+    all_affixes = [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
+    for shared_library in map(ctypes.CDLL, list_loaded_libraries(r"[^/\s]*openblas")):
+        matching_affixes = [
+            affixes
+            for affixes in all_affixes
+            if hasattr(shared_library, "set_num_threads".join(affixes))
+        ]
+        openblas_libraries += [
+            _OpenBlas(shared_library, affixes) for affixes in matching_affixes[:1]
+        ]
+    return [(openblas, openblas.default_thread_count()) for openblas in openblas_libraries]
 
 
-def loaded_libraries(name: str) -> list[str]:
-    """Paths of the libraries of this process whose names begin as a pattern says."""
+@lru_cache(maxsize=1)
+def _load_openmp_libraries(n_modules: int) -> list[ctypes.CDLL]:
+    """Return each OpenMP of this process: GCC's, LLVM's and Intel's.
+
+    The argument only makes the cache search again after imports.
+    """
+    openmp_libraries = map(ctypes.CDLL, list_loaded_libraries(r"lib(?:g|i)?omp"))
+    return [
+        shared_library
+        for shared_library in openmp_libraries
+        if hasattr(shared_library, "omp_set_max_active_levels")
+    ]
+
+
+def list_loaded_libraries(name_pattern: str) -> list[str]:
+    """Return paths of loaded libraries; a pattern matches the beginning of the file name."""
     try:
-        files = Path("/proc/self/maps").read_text()
+        memory_map_text = Path("/proc/self/maps").read_text()
     except OSError:
         return []
-    return sorted({*re.findall(rf"/\S*/{name}[^/\s]*\.so[.\d]*$", files, re.MULTILINE)})
+    return sorted(
+        {*re.findall(rf"/\S*/{name_pattern}[^/\s]*\.so[.\d]*$", memory_map_text, re.MULTILINE)}
+    )
 
 
 def machine_memory() -> float:
-    """Memory of this machine [byte]."""
+    """Return the memory of this machine [byte]."""
     return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 
 
-def memory_of_process(name: str) -> float:
-    """Memory of this process by its name in Linux's ``/proc/self/status``, as "VmSize" [byte]."""
-    status = Path("/proc/self/status").read_text()
-    return 1024.0 * int(status.partition(f"{name}:")[2].split()[0])
+def process_memory(entry_name: str) -> float:
+    """Return this process's memory [byte] by its name in ``/proc/self/status``, as "VmSize"."""
+    status_text = Path("/proc/self/status").read_text()
+    return 1024.0 * int(status_text.partition(f"{entry_name}:")[2].split()[0])
 
 
-def address_limit() -> float:
-    """Memory that this process may ask for, by ``ulimit -v`` [byte]; inf without one."""
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    return float("inf") if limit == resource.RLIM_INFINITY else float(limit)
+def address_space_limit() -> float:
+    """Return this process's address space limit (``ulimit -v``) [byte]; inf if unlimited."""
+    byte_limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    return float("inf") if byte_limit == resource.RLIM_INFINITY else float(byte_limit)
 
 
-def addresses_left() -> float:
-    """Memory that this process may still ask for [byte]."""
-    return address_limit() - memory_of_process("VmSize")
+def remaining_address_space() -> float:
+    """Return the address space that this process may still ask for [byte]."""
+    return address_space_limit() - process_memory("VmSize")
 
 
 @contextmanager
-def one_process_settings() -> Iterator[None]:
-    """Set :data:`ONE_PROCESS_SETTINGS` while MPI starts, unless mpirun has started this process."""
-    settings = {} if launched() else ONE_PROCESS_SETTINGS
-    new_settings = {name: value for name, value in settings.items() if name not in os.environ}
-    os.environ |= new_settings
+def set_one_process_variables() -> Iterator[None]:
+    """Set :data:`ONE_PROCESS_VARIABLES` during the block, in which MPI starts.
+
+    Nothing is set if mpirun has started this process; a variable that the user has set stays.
+    """
+    value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_VARIABLES
+    added_value_by_variable = {
+        name: value for name, value in value_by_variable.items() if name not in os.environ
+    }
+    os.environ |= added_value_by_variable
     try:
         yield
     finally:
-        for name in new_settings:  # the user's own stay
+        for name in added_value_by_variable:  # the user's own stay
             del os.environ[name]

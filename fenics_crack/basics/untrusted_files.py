@@ -1,10 +1,9 @@
-"""Files that may come from strangers: what is read of them is limited before it is read, and what
-merely lies in the working folder is not read at all.
+"""Read files that may come from strangers, with limits, and keep out of the working folder.
 
-A library that parses a damaged file may crash, ask for all memory or not end, and a script language
-may hide in what looks like data. So what gmsh and HDF5 parse is parsed by a small program of its
-own, :func:`run_reader`, with limited memory and time; it hands over plain arrays. It loads its
-library once, and reads each file in a copy of itself.
+A library that parses a damaged file may crash, ask for all memory or not end, and data may hide
+a script. So :func:`run_reader` lets a separate small program parse the files of gmsh and HDF5, with
+limited memory and time, and hand over plain arrays. The program loads the library once, and reads
+each file in a copy of its process.
 """
 
 from __future__ import annotations
@@ -37,269 +36,362 @@ from typing import Any, TextIO
 
 import numpy as np
 
-MOST_BYTES = 2**31
-"""Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
-FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
-"""Variables that are hidden from a reader: it is no rank, and loads no plug-ins."""
-SURROUNDINGS = {
+MAX_FILE_BYTES = 2**31
+"""Maximum bytes of a file with a mesh, a matrix or a result, and of the numbers in it."""
+HIDDEN_VARIABLE_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
+"""Prefixes of variables hidden from a reader: it is no rank, and loads no plug-ins."""
+READER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
+"""Environment variables that a reader gets."""
 READER_PROGRAM = Path(__file__).with_name("untrusted_reader.py")
-BYTE_ORDER_MARKS = {
+ENCODING_BY_BYTE_ORDER_MARK = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
-"""Byte order marks, the longer ones first."""
-COMMA, POINT = (re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\."))
-"""Numbers with a decimal comma, and with a decimal point."""
-READ_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
-IN_SI = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
-IN_SI |= {name + unit: (unit, part) for name, part in READ_PREFIXES.items() for unit in ("m", "Hz")}
+"""Names of encodings by byte order mark, the longer marks first."""
+COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
+    re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\.")
+)
+"""Patterns of numbers with a decimal comma, and with a decimal point."""
+FACTOR_BY_HEADING_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+"""Factor from a prefixed unit in a heading to the unit."""
+SI_UNIT_AND_FACTOR = {"rad": ("rad", 1.0), **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0))}
+"""SI unit and factor, by the unit of a heading that is converted."""
+SI_UNIT_AND_FACTOR |= {
+    name + unit: (unit, part)
+    for name, part in FACTOR_BY_HEADING_PREFIX.items()
+    for unit in ("m", "Hz")
+}
 """Units of headings that are converted: to which, and the factor."""
 
 
 @contextmanager
-def away() -> Iterator[None]:
-    """Leave the working folder for that of Python's own modules while a library looks for settings.
+def leave_working_folder() -> Iterator[None]:
+    """Change to the folder of Python's modules while a library looks for settings.
 
-    A stranger's folder may hold some that load code, run programs or change numbers. One that this
-    user may not enter, as root's, is left for good.
+    A stranger's folder may hold settings that load code, run programs or change numbers. A folder
+    that this user may not enter, as root's, is left for good.
     """
-    here = os.open("/proc/self/cwd", os.O_PATH)
+    working_folder_descriptor = os.open("/proc/self/cwd", os.O_PATH)
     try:
         os.chdir(os.path.dirname(os.__file__))
         yield
     finally:
         with suppress(PermissionError):
-            os.fchdir(here)
-        os.close(here)
+            os.fchdir(working_folder_descriptor)
+        os.close(working_folder_descriptor)
 
 
-def bytes_of(path: str | Path, most: int | None = MOST_BYTES, *, links: bool = True) -> int:
-    """Size of a regular file: neither a device nor a pipe, which need not end; without ``links``
-    no link to one either.
+def regular_file_size(
+    path: str | Path, max_bytes: int | None = MAX_FILE_BYTES, *, follows_links: bool = True
+) -> int:
+    """Return the size of a regular file [byte].
+
+    Devices and pipes are refused, since they need not end. With ``follows_links=False`` a link is
+    refused, too.
 
     Raises
     ------
     OSError
-        There is no such file, or it is larger than ``most``.
+        There is no such file, or it is larger than ``max_bytes``.
     """
     try:
-        found = os.stat(path, follow_symlinks=links)
+        file_status = os.stat(path, follow_symlinks=follows_links)
     except ValueError as error:  # no name of a file
         raise OSError(str(error)) from None
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(file_status.st_mode):
         raise OSError("it is not a regular file")
-    if most is not None and found.st_size > most:
-        raise OSError(f"it has more than {most} bytes")
-    return found.st_size
+    if max_bytes is not None and file_status.st_size > max_bytes:
+        raise OSError(f"it has more than {max_bytes} bytes")
+    return file_status.st_size
 
 
-def content_of(path: str | Path, most: int | None = 2**26, *, links: bool = True) -> bytes:
-    """Content of a file that is read whole, as a scene or a table, whose million rows have 40 MiB;
-    OSError as of :func:`bytes_of`."""
-    bytes_of(path, most, links=links)
+def read_regular_file(
+    path: str | Path, max_bytes: int | None = 2**26, *, follows_links: bool = True
+) -> bytes:
+    """Return the whole content of a regular file; OSError from :func:`regular_file_size`.
+
+    The default limit suits scenes and tables: a million rows have 40 MiB.
+    """
+    regular_file_size(path, max_bytes, follows_links=follows_links)
     return Path(path).read_bytes()
 
 
-def beginning_of(path: str | Path, count: int) -> bytes:
-    """First bytes of a regular file of any size; OSError as of :func:`bytes_of`."""
-    bytes_of(path, None)
+def read_first_bytes(path: str | Path, n_bytes: int) -> bytes:
+    """Return the first bytes of a regular file of any size.
+
+    OSError as in :func:`regular_file_size`.
+    """
+    regular_file_size(path, None)
     with open(path, "rb") as file:
-        return file.read(count)
+        return file.read(n_bytes)
 
 
 @contextmanager
-def copied(path: str | Path, name: str) -> Iterator[Path]:
-    """A copy of a file under another name, alone in a folder; OSError as of :func:`bytes_of`."""
-    bytes_of(path)
+def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]:
+    """Copy a file under another name, alone in a temporary folder, during a block.
+
+    Yields the path of the copy. OSError as in :func:`regular_file_size`.
+    """
+    regular_file_size(path)
     with tempfile.TemporaryDirectory() as folder:
-        yield Path(shutil.copyfile(path, Path(folder) / name))
+        yield Path(shutil.copyfile(path, Path(folder) / copy_name))
 
 
-def allowance(size: int) -> int:
-    """Bytes that the content of a compressed file of ``size`` bytes may take: 50 times as many, of
-    ours it takes 1 to 10 times; of any file 16 MiB, of which text takes seconds."""
-    return min(max(2**24, 50 * size), MOST_BYTES)
+def max_unpacked_bytes(packed_bytes: int) -> int:
+    """Return the maximum bytes of a compressed file's content.
+
+    The maximum is 50 times the file's size; this program's files take 1 to 10 times. Any file may
+    take 16 MiB: text of this size takes seconds.
+    """
+    return min(max(2**24, 50 * packed_bytes), MAX_FILE_BYTES)
 
 
-def sha256(path: str | Path) -> str:
-    """SHA-256 of a regular file; OSError as :func:`bytes_of`."""
-    left, total = bytes_of(path), hashlib.sha256()
+def file_sha256(path: str | Path) -> str:
+    """Return the SHA-256 of a regular file; OSError from :func:`regular_file_size`."""
+    remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
     with open(path, "rb") as file:
-        while left > 0 and (block := file.read(min(left, 2**20))):
-            total.update(block)
-            left -= len(block)
-    return total.hexdigest()
+        while remaining_bytes > 0 and (block := file.read(min(remaining_bytes, 2**20))):
+            hash_object.update(block)
+            remaining_bytes -= len(block)
+    return hash_object.hexdigest()
 
 
-def text_of(path: str | Path) -> str:
-    """Text of a file in UTF-8, with or without a byte order mark.
+def read_utf8_text(path: str | Path) -> str:
+    """Return the text of a UTF-8 file, with or without a byte order mark.
 
     Raises
     ------
     OSError, ValueError
-        As of :func:`content_of`; or its text is in another encoding.
+        From :func:`read_regular_file`; or the text has another encoding.
     """
-    content = content_of(path)
-    for mark, name in BYTE_ORDER_MARKS.items():
-        if content.startswith(mark):
+    content = read_regular_file(path)
+    for byte_order_mark, encoding_name in ENCODING_BY_BYTE_ORDER_MARK.items():
+        if content.startswith(byte_order_mark):
             raise ValueError(
-                f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
+                f"it begins with the byte order mark (BOM) of {encoding_name}; save it as UTF-8"
             )
     return content.decode("utf-8-sig")
 
 
-def table_rows(path: str | Path) -> list[tuple[int, list[str]]]:
-    """Lines of a CSV file as their numbers and cells, with decimal points, without empty ones and
-    those that begin with #.
+def read_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
+    """Return number and cells of each line of a CSV file.
 
-    Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas. A first
-    column without a heading that numbers the rows from 0 is left out.
+    Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas, which
+    become points. Empty lines, lines that begin with #, and a first column without a heading that
+    numbers the rows from 0 are left out.
 
     Raises
     ------
     OSError, ValueError
-        As :func:`text_of`; or a separator or a decimal mark is ambiguous.
+        From :func:`read_utf8_text`; or a separator or a decimal mark is ambiguous.
     """
-    every = enumerate(text_of(path).splitlines(), 1)
-    lines = [(number, line) for number, line in every if line.strip()[:1] not in ("", "#")]
-    heading = re.sub('"[^"]*"', "", lines[0][1]) if lines else ""
-    mark = next((mark for mark in ",;\t" if mark in heading), ",")
-    rows = [
-        (number, [cell.strip() for cell in next(csv.reader([line], delimiter=mark))])
-        for number, line in lines
+    numbered_lines = enumerate(read_utf8_text(path).splitlines(), 1)
+    numbered_content_lines = [
+        (line_number, line)
+        for line_number, line in numbered_lines
+        if line.strip()[:1] not in ("", "#")
     ]
-    beyond = ((number, cell) for number, cells in rows for cell in cells[len(rows[0][1]) :])
-    if more := [number for number, cell in beyond if re.fullmatch(r"[\d.eE+-]+", cell)]:
-        raise ValueError(f"line {more[0]} has more cells than headings; use decimal points")
-    if [cells[0] for _, cells in rows] == ["", *map(str, range(len(rows) - 1))]:
-        rows = [(number, cells[1:]) for number, cells in rows]
-    point = _decimal_points([cell for _, cells in rows[1:] for cell in cells])
-    return [(number, [point.get(cell, cell) for cell in cells]) for number, cells in rows]
+    heading = re.sub('"[^"]*"', "", numbered_content_lines[0][1]) if numbered_content_lines else ""
+    separator = next((separator for separator in ",;\t" if separator in heading), ",")
+    numbered_rows = [
+        (line_number, [cell.strip() for cell in next(csv.reader([line], delimiter=separator))])
+        for line_number, line in numbered_content_lines
+    ]
+    numbered_extra_cells = (
+        (line_number, cell)
+        for line_number, cells in numbered_rows
+        for cell in cells[len(numbered_rows[0][1]) :]
+    )
+    if bad_line_numbers := [
+        line_number
+        for line_number, cell in numbered_extra_cells
+        if re.fullmatch(r"[\d.eE+-]+", cell)
+    ]:
+        raise ValueError(
+            f"line {bad_line_numbers[0]} has more cells than headings; use decimal points"
+        )
+    if [cells[0] for _, cells in numbered_rows] == ["", *map(str, range(len(numbered_rows) - 1))]:
+        numbered_rows = [(line_number, cells[1:]) for line_number, cells in numbered_rows]
+    text_by_cell = _replace_decimal_commas(
+        [cell for _, cells in numbered_rows[1:] for cell in cells]
+    )
+    return [
+        (line_number, [text_by_cell.get(cell, cell) for cell in cells])
+        for line_number, cells in numbered_rows
+    ]
 
 
-def _decimal_points(cells: Sequence[str]) -> dict[str, str]:
-    """Return numbers with decimal commas by cells that have them; ValueError where a comma may be
-    another mark."""
-    number = re.compile(r"[+-]?[\d.,]*\d[\d.,eE+-]*")
-    commas = [cell for cell in cells if "," in cell and number.fullmatch(cell)]
-    odd = [cell for cell in commas if not COMMA.fullmatch(cell)]
-    odd += [cell for cell in cells if commas and POINT.fullmatch(cell)]
-    if odd or (commas and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in commas)):
-        pair = " and ".join(sorted({commas[0], *odd[:1]}))
-        raise ValueError(f"the decimal mark is ambiguous: {pair}; use points alone")
-    return {cell: cell.replace(",", ".") for cell in commas}
+def _replace_decimal_commas(cells: Sequence[str]) -> dict[str, str]:
+    """Return numbers with decimal points, by cell with a decimal comma.
+
+    Raises
+    ------
+    ValueError
+        A comma may be another mark.
+    """
+    number_pattern = re.compile(r"[+-]?[\d.,]*\d[\d.,eE+-]*")
+    comma_cells = [cell for cell in cells if "," in cell and number_pattern.fullmatch(cell)]
+    ambiguous_cells = [cell for cell in comma_cells if not COMMA_NUMBER_PATTERN.fullmatch(cell)]
+    ambiguous_cells += [
+        cell for cell in cells if comma_cells and POINT_NUMBER_PATTERN.fullmatch(cell)
+    ]
+    if ambiguous_cells or (
+        comma_cells and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in comma_cells)
+    ):
+        example_text = " and ".join(sorted({comma_cells[0], *ambiguous_cells[:1]}))
+        raise ValueError(f"the decimal mark is ambiguous: {example_text}; use points alone")
+    return {cell: cell.replace(",", ".") for cell in comma_cells}
 
 
-def heading_in_si(heading: str) -> tuple[str, float]:
-    """Return a heading with the unit in brackets at its end to which it is converted, and the
-    factor of the numbers below; other units stay."""
-    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
-    unit, factor = IN_SI.get(parts[2], ("", 1.0)) if parts else ("", 1.0)
-    return f"{parts[1]} [{unit}]" if parts and unit else heading, factor
+def convert_heading_to_si(heading: str) -> tuple[str, float]:
+    """Return a heading with its unit converted to SI, and the factor of the numbers.
+
+    The unit stands in brackets at the end. Other units stay, with the factor 1.
+    """
+    heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
+    si_unit, factor = (
+        SI_UNIT_AND_FACTOR.get(heading_match[2], ("", 1.0)) if heading_match else ("", 1.0)
+    )
+    return f"{heading_match[1]} [{si_unit}]" if heading_match and si_unit else heading, factor
 
 
 @contextmanager
-def opened_text(path: str | Path, errors: str = "strict") -> Iterator[tuple[Iterable[str], int]]:
-    """The lines of a large file of text, as of a matrix, which may be packed (.gz, .bz2), and how
-    many bytes they have at most.
+def open_text_lines(
+    path: str | Path, errors: str = "strict"
+) -> Iterator[tuple[Iterable[str], int]]:
+    """Open a large text file, such as a matrix, which may be packed (.gz, .bz2).
+
+    Yields
+    ------
+    lines : iterable of str
+        The lines of the file.
+    max_bytes : int
+        Maximum bytes of the unpacked lines.
 
     Raises
     ------
     OSError, ValueError
-        As of :func:`bytes_of`; or, while lines are taken, unpacked it is too large for its size.
+        From :func:`regular_file_size`; or the lines, while they are taken, are too many for the
+        size of a packed file.
     """
-    size = bytes_of(path)
-    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
-    most = size if unpack is None else allowance(size)
-    with (unpack or open)(path, "rt", encoding="utf-8", errors=errors) as file:
-        yield file if unpack is None else _lines_of(file, most), most
+    file_size = regular_file_size(path)
+    open_function: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
+    max_bytes = file_size if open_function is None else max_unpacked_bytes(file_size)
+    with (open_function or open)(path, "rt", encoding="utf-8", errors=errors) as file:
+        yield file if open_function is None else _yield_limited_lines(file, max_bytes), max_bytes
 
 
-def rows_in(
-    lines: Iterable[str], comment: str = "#", delimiter: str | None = None, most: int | None = None
+def parse_number_rows(
+    lines: Iterable[str],
+    comment_mark: str = "#",
+    delimiter: str | None = None,
+    max_rows: int | None = None,
 ) -> np.ndarray:
-    """The numbers in some lines, or in ``most`` of them: (n, columns); ValueError."""
+    """Return the numbers of text lines as rows (n, columns); ValueError from NumPy."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of no lines
         return np.loadtxt(
-            iter(lines), comments=comment, delimiter=delimiter, ndmin=2, max_rows=most
+            iter(lines), comments=comment_mark, delimiter=delimiter, ndmin=2, max_rows=max_rows
         )
 
 
-def _lines_of(file: TextIO, most: int) -> Iterator[str]:
-    """Lines of a file that is unpacked while it is read; ValueError where there are too many."""
-    while line := file.readline(most + 1):
-        most -= len(line)
-        if most < 0:
+def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
+    """Yield lines of a packed file; ValueError beyond a number of characters."""
+    while line := file.readline(max_characters + 1):
+        max_characters -= len(line)
+        if max_characters < 0:
             raise ValueError("unpacked it is too large for its size")
         yield line
 
 
 def run_reader(
-    reader: Path, path: Path, seconds: int, memory: int = 2**30, **request: Any
+    reader_file: Path, path: Path, max_seconds: int, base_memory: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
-    """Let a program of its own read a file (:mod:`fenics_crack.basics.untrusted_reader`).
+    """Let a separate program read a file (:mod:`fenics_crack.basics.untrusted_reader`).
 
-    Its processor time [s] and its address space [bytes] are limited: ``memory``, and four times
-    what its arrays may take. gmsh needs 0.2 GiB, h5py half of it. Its function ``read`` takes
-    ``request`` (JSON) as keyword arguments.
+    Processor time [s] and address space [bytes] of the program are limited. The address space is
+    ``base_memory`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB, h5py half
+    as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword arguments.
 
     Returns
     -------
     dict or str
-        The arrays; or why there are none, their array ``error``.
+        The arrays by name; or the reason why there are none, from the array ``error``.
     """
-    most = allowance(bytes_of(path, None))
-    asked = {"folder": os.getcwd(), "path": str(path), "seconds": seconds, "wait": 4 * seconds}
-    asked |= {"most": most, "memory": memory + 4 * most, "request": request}
-    with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
-        ended = _asked(reader, json.dumps(asked).encode(), handed.fileno())
-        if ended in (-signal.SIGXCPU, -signal.SIGALRM):
-            return f"it is not read in {seconds} s"
-        if ended:
+    max_array_bytes = max_unpacked_bytes(regular_file_size(path, None))
+    request_entries = {
+        "folder": os.getcwd(),
+        "path": str(path),
+        "seconds": max_seconds,
+        "wait": 4 * max_seconds,
+    }
+    request_entries |= {
+        "most": max_array_bytes,
+        "memory": base_memory + 4 * max_array_bytes,
+        "request": request,
+    }
+    with os.fdopen(os.memfd_create("numbers"), "w+b") as array_file:  # a disk may be full
+        exit_status = _send_request(
+            reader_file, json.dumps(request_entries).encode(), array_file.fileno()
+        )
+        if exit_status in (-signal.SIGXCPU, -signal.SIGALRM):
+            return f"it is not read in {max_seconds} s"
+        if exit_status:
             return "it crashes its reader"
-        handed.seek(0)
+        array_file.seek(0)
         try:
-            with np.load(handed, allow_pickle=False) as arrays:
-                found = dict(arrays)
+            with np.load(array_file, allow_pickle=False) as npz_arrays:
+                array_by_name = dict(npz_arrays)
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             return "its reader has handed over nothing"
-    return str(found["error"]) if "error" in found else found
+    return str(array_by_name["error"]) if "error" in array_by_name else array_by_name
 
 
-def _asked(reader: Path, words: bytes, handed: int) -> int:
-    """Return the exit status of a copy of a reader; the reader waits for the next file."""
-    rights = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [handed])
+def _send_request(reader_file: Path, request_bytes: bytes, array_descriptor: int) -> int:
+    """Send a request to a reader, and return the exit status of its copy.
+
+    The reader itself waits for the next file.
+    """
+    passed_descriptors = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
-        line, answer = _started(reader, os.getpid(), get_ident())[1], b""
+        reader_socket, answer_bytes = _start_reader(reader_file, os.getpid(), get_ident())[1], b""
         try:
             # PETSc ends the program at a signal of a line that is broken.
-            line.sendmsg([words], [rights], socket.MSG_NOSIGNAL)
-            answer = line.recv(64)
+            reader_socket.sendmsg([request_bytes], [passed_descriptors], socket.MSG_NOSIGNAL)
+            answer_bytes = reader_socket.recv(64)
         except OSError:
             continue
         finally:
-            if not answer:  # of one that is interrupted no answer is taken for the next file's
-                _started.cache_clear()
-        if answer:
-            return int(answer)
+            if (
+                not answer_bytes
+            ):  # of one that is interrupted no answer is taken for the next file's
+                _start_reader.cache_clear()
+        if answer_bytes:
+            return int(answer_bytes)
     return 1
 
 
 @lru_cache
-def _started(
-    reader: Path, process: int, thread: int
+def _start_reader(
+    reader_file: Path, process_id: int, thread_id: int
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """A reader, one for each process and thread that asks, and the line to it; it ends when this is
-    closed."""
-    inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with theirs:
-        started = subprocess.Popen(
-            [sys.executable, "-I", str(READER_PROGRAM), str(reader), str(theirs.fileno())],
-            env=inner | SURROUNDINGS, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    """Start a reader, one for each process and thread, and return it with a socket to it.
+
+    The reader ends when this socket is closed.
+    """
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(HIDDEN_VARIABLE_PREFIXES)
+    }
+    own_socket, reader_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    reader_descriptor = reader_socket.fileno()
+    with reader_socket:
+        reader_process = subprocess.Popen(
+            [sys.executable, "-I", str(READER_PROGRAM), str(reader_file), str(reader_descriptor)],
+            env=environment | READER_ENVIRONMENT, pass_fds=[reader_descriptor],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-    return started, ours
+    return reader_process, own_socket

@@ -1,10 +1,10 @@
-"""A program of its own that reads strange files: ``untrusted_reader.py READER SOCKET``.
+"""Read strange files in a program of its own: ``untrusted_reader.py READER SOCKET``.
 
-READER is a file of Python with ``read(path, most)``; its libraries are loaded once. Each file that
-is requested at the open socket of number SOCKET is read by a copy of this process (fork): arrays of
-up to MOST bytes of numbers go to the file that is handed over, as .npz; or the reason why there are
-none. What is read may crash the copy, ask for all memory or not end, so its memory and its times
-are limited. The answer is how it ended.
+READER is a Python file with ``read(path, most)``; its libraries are loaded once. SOCKET is the
+number of an open socket, at which requests arrive. A copy of this process (fork) reads each
+requested file. Arrays with up to ``most`` bytes of numbers, or the reason for an error, go as .npz
+to the file that comes with the request. A strange file may crash the copy, ask for all memory or
+not end, so memory and times are limited. The answer at the socket is the copy's exit status.
 """
 
 import contextlib
@@ -20,60 +20,67 @@ import sys
 import numpy as np
 
 
-def serve(reader: str, line: socket.socket) -> None:
-    """Have files read until nobody asks any more."""
+def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
+    """Read files in copies of this process until the socket is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
     end_with_parent()
     with contextlib.suppress(Exception):  # what fails now fails again in the copy
-        runpy.run_path(reader)
+        runpy.run_path(reader_file)
     while True:
-        words, handed, *_ = socket.recv_fds(line, 2**16, 1)
-        if not words:
+        request_bytes, array_descriptors, *_ = socket.recv_fds(request_socket, 2**16, 1)
+        if not request_bytes:
             return
-        copy = os.fork()
-        if copy == 0:
-            end = 1
+        copy_process_id = os.fork()
+        if copy_process_id == 0:
+            exit_status = 1
             try:
                 end_with_parent()
-                line.close()  # no file answers for the next one
-                attempt(reader, handed[0], json.loads(words))
-                end = 0
+                request_socket.close()  # no file answers for the next one
+                read_requested_file(reader_file, array_descriptors[0], json.loads(request_bytes))
+                exit_status = 0
             finally:
-                os._exit(end)
-        os.close(handed[0])
-        line.send(str(os.waitstatus_to_exitcode(os.waitpid(copy, 0)[1])).encode())
+                os._exit(exit_status)
+        os.close(array_descriptors[0])
+        request_socket.send(
+            str(os.waitstatus_to_exitcode(os.waitpid(copy_process_id, 0)[1])).encode()
+        )
 
 
 def end_with_parent() -> None:
-    """Let the system kill this process when the one that started it has ended (Linux)."""
+    """Let the system kill this process when its parent has ended (Linux)."""
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
-def limit(kind: int, soft_limit: int, margin: int = 0) -> None:
-    """Set a soft limit of this process, and the hard one at which it is killed, up to its own."""
-    hard_limit = resource.getrlimit(kind)[1]
+def set_resource_limit(resource_number: int, soft_limit: int, margin: int = 0) -> None:
+    """Set a soft limit of this process, and a hard limit by a margin above.
+
+    Both stay at or below the present hard limit, at which the system kills the process.
+    """
+    hard_limit = resource.getrlimit(resource_number)[1]
     if not 0 <= hard_limit <= soft_limit + margin:  # infinity may be negative
         hard_limit = soft_limit + margin
-    resource.setrlimit(kind, (min(soft_limit, max(hard_limit - margin, 1)), hard_limit))
+    resource.setrlimit(resource_number, (min(soft_limit, max(hard_limit - margin, 1)), hard_limit))
 
 
-def attempt(reader: str, handed: int, asked: dict) -> None:
-    """Read a file, and hand over what it holds."""
-    os.chdir(asked["folder"])
-    signal.alarm(asked["wait"])
-    limit(resource.RLIMIT_AS, asked["memory"])
-    limit(resource.RLIMIT_FSIZE, sys.maxsize)  # what is handed over lies in memory
-    limit(resource.RLIMIT_CPU, asked["seconds"], 1)
-    read = runpy.run_path(reader)["read"]
+def read_requested_file(reader_file: str, array_descriptor: int, request_entries: dict) -> None:
+    """Read a file, and write its arrays, or the error as text, to a descriptor."""
+    os.chdir(request_entries["folder"])
+    signal.alarm(request_entries["wait"])
+    set_resource_limit(resource.RLIMIT_AS, request_entries["memory"])
+    set_resource_limit(resource.RLIMIT_FSIZE, sys.maxsize)  # what is handed over lies in memory
+    set_resource_limit(resource.RLIMIT_CPU, request_entries["seconds"], 1)
+    read_function = runpy.run_path(reader_file)["read"]
     try:
-        found = read(asked["path"], asked["most"], **asked["request"])
+        array_by_name = read_function(
+            request_entries["path"], request_entries["most"], **request_entries["request"]
+        )
     except Exception as error:  # whatever a damaged file leads a library to
-        found = {"error": np.array(str(error) or type(error).__name__)}
-    with os.fdopen(handed, "wb") as out:
-        np.savez(out, **found)
+        array_by_name = {"error": np.array(str(error) or type(error).__name__)}
+    with os.fdopen(array_descriptor, "wb") as array_file:
+        np.savez(array_file, **array_by_name)
 
 
 if __name__ == "__main__":
-    serve(sys.argv[1], socket.socket(fileno=int(sys.argv[2])))
+    serve_requests(sys.argv[1], socket.socket(fileno=int(sys.argv[2])))
     os._exit(0)  # what is loaded needs no taking apart

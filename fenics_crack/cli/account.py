@@ -9,10 +9,10 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import MOST_HARMONICS
-from fenics_crack.basics.observables import QUANTITIES, Where, names_of
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, ObservableFlag, observable_names
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Table, percent, quantity
+from fenics_crack.basics.tables import Table, format_percent, format_quantity
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.runs.run import Run
@@ -92,8 +92,8 @@ def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> 
     if not rotation_angles[worst_index] > SMALL_MOTION:
         return []
     return [
-        f"{quantity(max_displacements[worst_index], 'm')} of {run.watched[worst_index].words} is "
-        "beyond small "
+        f"{format_quantity(max_displacements[worst_index], 'm')} of "
+        f"{run.watched[worst_index].words} is beyond small "
         "displacements: the equations neglect the square of the rotation about the clamp, of "
         f"{rotation_angles[worst_index]:.2g} rad; the stated errors do not include it"
     ]
@@ -135,7 +135,7 @@ def describe_large_error(
             else " (harmonic_balance.harmonics)"
         )
         refinement_text = f"more harmonics{setting_text}"
-    elif n_harmonics < MOST_HARMONICS:
+    elif n_harmonics < MAX_HARMONIC_ORDER:
         refinement_text = "a smaller harmonic_balance.tolerance"
     is_unilateral = scene.contact is not None and scene.contact.law == "unilateral"
     residual_remedy = "softer contact, or contact.law = 'unilateral'"
@@ -147,7 +147,7 @@ def describe_large_error(
         "residual": ("the residual", f"{residual_remedy}: it is rounding"),
     }[report.largest_part]
     error_text = (
-        f"the estimated relative error of the gap is {percent(report.total)}{location_text}"
+        f"the estimated relative error of the gap is {format_percent(report.total)}{location_text}"
     )
     error_text += f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED})'}"
     if report.unknown:
@@ -252,7 +252,7 @@ def describe_mode_dependence(
 # --- printed parts of tables ----------------------------------------------------------------------
 
 
-def select_printed_quantities(table: Table, scene: Scene, table_place: Where) -> Table:
+def select_printed_quantities(table: Table, scene: Scene, table_place: ObservableFlag) -> Table:
     """Return the printed part of a table: quantities that the scene requests.
 
     Without a request, quantities shown at the ``table_place`` are printed. Frequencies and speeds
@@ -260,7 +260,7 @@ def select_printed_quantities(table: Table, scene: Scene, table_place: Where) ->
     any other table in each column. Other columns are always printed; other rows by the level in
     :data:`OTHER_QUANTITIES_BY_NAME`. Rows with nan are left out.
     """
-    requested_names, default_names = scene.quantities, names_of(where=table_place)
+    requested_names, default_names = scene.quantities, observable_names(required_flags=table_place)
     table = _round_to_zero(table)
 
     def is_printed(name: str, unit: str) -> bool:
@@ -268,7 +268,7 @@ def select_printed_quantities(table: Table, scene: Scene, table_place: Where) ->
         if _is_in_unused_unit(name, unit, scene):
             return False
         name = name.replace("frequency_", "omega_")
-        return name in (requested_names or default_names) if name in QUANTITIES else True
+        return name in (requested_names or default_names) if name in OBSERVABLES_BY_NAME else True
 
     if table.columns[0] == "name":
         printed_levels = (
@@ -316,7 +316,7 @@ def printed_table(report: Report) -> Table:
 
     With a scene, frequencies and speeds have the scene's units alone.
     """
-    table, scene = report.shown or report.table, report.scene
+    table, scene = report.printed_table or report.table, report.scene
     if scene is None:
         return table
     return _select_columns(table, lambda name, unit: not _is_in_unused_unit(name, unit, scene))
@@ -362,9 +362,9 @@ def _format_quantity(description: str, quantity_value: Any, unit: str) -> tuple[
     """Return a quantity's description, and the value with unit as text."""
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
-        return description, quantity(quantity_value, unit)
+        return description, format_quantity(quantity_value, unit)
     if is_finite_number and description.startswith("relative "):
-        return description, percent(quantity_value)
+        return description, format_percent(quantity_value)
     value_text = (
         f"{quantity_value:.6g}"
         if is_finite_number

@@ -19,10 +19,14 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.basics import threads
-from fenics_crack.basics.atomic_files import FULL
+from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.basics.progress import Messages
-from fenics_crack.basics.suggestions import in_other_words, meant, near
+from fenics_crack.basics.suggestions import (
+    did_you_mean_text,
+    find_calls_by_synonyms,
+    find_similar_names,
+)
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
@@ -88,7 +92,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
-    if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.LAUNCHERS):
+    if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.RANK_VARIABLES):
         _discard_rank_output()
     if sys.stdout is None:
         _print_message("standard output is closed")
@@ -136,7 +140,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
 
 def _abort_all_ranks(exit_code: Exit) -> None:
     """End all ranks with an exit code."""
-    if threads.launched():
+    if threads.is_started_by_mpirun():
         from mpi4py import MPI
 
         if MPI.COMM_WORLD.size > 1:
@@ -154,7 +158,7 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
         )
     except SystemExit:
         sys.stdout.flush()
-        if threads.launched():
+        if threads.is_started_by_mpirun():
             from mpi4py import MPI
 
             MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
@@ -230,10 +234,10 @@ def _describe_resource_shortage(error: Exception) -> str:
     """Describe the lack of memory or disk space behind an error, else ""."""
     is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
-    is_near_limit = threads.memory_of_process("VmPeak") > 0.9 * threads.address_limit()
+    is_near_limit = threads.process_memory("VmPeak") > 0.9 * threads.address_space_limit()
     if isinstance(error, MemoryError) or is_reported or is_near_limit:
         return "memory was not enough"
-    if isinstance(error, OSError) and error.errno in FULL:
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
         return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
     return ""
 
@@ -246,7 +250,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     """
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
-    threads.check_modules()
+    threads.check_debian_modules()
     from fenics_crack.cli.given import (
         STRUCTURE_FILE_NAME,
         Console,
@@ -254,7 +258,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         read_prepared_study,
     )
 
-    is_launched = threads.launched()
+    is_launched = threads.is_started_by_mpirun()
     is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
     inputs = None if is_launched or is_prepared_file else read_inputs(arguments)
     may_need_mesh = is_launched or not ("scene" in arguments and inputs is None)
@@ -270,15 +274,20 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     )
     if needs_mesh and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with threads.one_process_settings():
-        from fenics_crack.basics.ranks import MPI, STOPS, on_root, unread_options  # starts MPI
+    with threads.set_one_process_variables():
+        from fenics_crack.basics.ranks import (  # starts MPI
+            MPI,
+            STOP_SIGNALS,
+            list_unread_options,
+            on_root,
+        )
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _discard_rank_output()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
-    for signal_number in STOPS:
+    for signal_number in STOP_SIGNALS:
         signal.signal(signal_number, signal.default_int_handler)
-    with threads.alone(), Messages(quiet=arguments.quiet):
+    with threads.run_single_threaded(), Messages(quiet=arguments.quiet):
         if is_prepared_file:
             inputs = read_prepared_study(arguments, comm)
         elif is_launched:
@@ -289,7 +298,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         )
         exit_code = _call_command(arguments, inputs, console) or Exit.DONE
         console.print_warnings(
-            *map("PETSc option {}: no solver has read it".format, unread_options())
+            *map("PETSc option {}: no solver has read it".format, list_unread_options())
         )
         return exit_code
 
@@ -590,19 +599,18 @@ class SuggestingParser(argparse.ArgumentParser):
                 if unknown_option in list_options(command_name)
             ]
             all_options = list_options(*HELP_AND_CALL_BY_COMMAND)
-            message += (
-                f"; {meant([] if commands_with_option else near(unknown_option, all_options))}"
-            )
+            similar_options = find_similar_names(unknown_option, all_options)
+            message += f"; {did_you_mean_text([] if commands_with_option else similar_options)}"
             message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
         elif wrong_word_match:
-            python_calls = "\n".join(in_other_words(wrong_word_match[1]))
+            python_calls = "\n".join(find_calls_by_synonyms(wrong_word_match[1]))
             suggested_commands = [
                 command_name
                 for command_name in HELP_AND_CALL_BY_COMMAND
                 if re.search(rf"fc\.(run_)?{command_name}\(", python_calls)
             ]
-            similar_commands = near(wrong_word_match[1], HELP_AND_CALL_BY_COMMAND)
-            message += f"; {meant(similar_commands or suggested_commands)}"
+            similar_commands = find_similar_names(wrong_word_match[1], HELP_AND_CALL_BY_COMMAND)
+            message += f"; {did_you_mean_text(similar_commands or suggested_commands)}"
         super().error(message.rstrip("; "))
 
 

@@ -9,11 +9,17 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fenics_crack.basics.atomic_files import remove_file, together
-from fenics_crack.basics.errors import FEW_MODES, INTERRUPTED, Exit, InputError, StoppedError
-from fenics_crack.basics.ranks import on_root, uninterrupted
+from fenics_crack.basics.atomic_files import complete_files_together, remove_file
+from fenics_crack.basics.errors import (
+    INTERRUPTED_STATUS,
+    N_LOWEST_MODES,
+    Exit,
+    InputError,
+    StoppedError,
+)
+from fenics_crack.basics.ranks import ignore_stop_signals, on_root
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import speed_in_words
+from fenics_crack.basics.tables import format_speed
 from fenics_crack.cli.account import printed_table
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import (
@@ -54,7 +60,7 @@ def run_and_report_function(
     values_by_parameter = {
         "comm": console.comm,
         "progress": console.shows_progress,
-        "few": FEW_MODES,
+        "few": N_LOWEST_MODES,
     }
     values_by_parameter |= (
         vars(arguments) | vars(inputs) | {"scene": inputs.prepared_study or inputs.scene}
@@ -68,7 +74,7 @@ def run_and_report_function(
         result = package_function(**arguments_by_parameter)
     file_stem, report = RESULT_KINDS[result.KIND].file_stem, None
     run = result if isinstance(result, Run) else None
-    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED
+    is_stopped = run is not None and vars(run.result).get("status") == INTERRUPTED_STATUS
     try:
         with console.report_stage("errors"):
             if run is not None and not is_stopped:
@@ -76,7 +82,7 @@ def run_and_report_function(
             report = build_report(result)
     except KeyboardInterrupt:
         is_stopped = True
-    with uninterrupted():
+    with ignore_stop_signals():
         if is_stopped and on_root(console.comm, (folder / f"{file_stem}.h5").exists):
             console.print_notes(
                 f"{folder / file_stem}.* is unchanged: the interrupted result has a name of its own"
@@ -125,13 +131,13 @@ def write_and_print_report(
         replacement_note = keep_previous_result(
             Path(f"{stem_path}.json"), report.table.formatted("json"), console.comm
         )
-    with together() as file_stack:
+    with complete_files_together() as file_stack:
         if result is not None:
             _save_result(result, Path(f"{stem_path}.h5"), console)
 
         def write_tables() -> None:
             report.table.save(f"{stem_path}.json")
-            (report.rows or report.table).save(f"{stem_path}.csv")
+            (report.csv_table or report.table).save(f"{stem_path}.csv")
             file_stack.close()
 
         on_root(console.comm, write_tables)
@@ -141,7 +147,7 @@ def write_and_print_report(
             lambda: draw_result(result, PictureFiles(stem_path.parent, picture_format)),
         )
     console.print_table(printed_table(report) if console.table_format == "text" else report.table)
-    for heading, further_table in report.further.items():
+    for heading, further_table in report.further_tables.items():
         console.print_notes(f"{heading}:\n{further_table.formatted('text')}".rstrip())
     picture_text = (
         f".{picture_format}"
@@ -160,8 +166,8 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
     console.print_warnings(*report.warnings)
-    console.print_notes(report.closing)
-    return report.exit
+    console.print_notes(report.closing_sentence)
+    return report.exit_code
 
 
 def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
@@ -264,7 +270,7 @@ def _convert_arrivals(
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
     if has_fixed_speed and abs(arrivals.mean_speed / scene.speed - 1.0) > STEADY:
         measured_speed, scene_speed = (
-            speed_in_words(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
+            format_speed(speed, scene.in_rpm) for speed in (arrivals.mean_speed, scene.speed)
         )
         requirement_text = (
             f"at {scene_speed}, the speed of [rotation], unless the load is an excitation.order"
@@ -299,7 +305,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     measurement_plan = identification.where_to_measure()
 
     def write_results() -> None:
-        with together():
+        with complete_files_together():
             identification.save(folder)
             measurement_plan.to_csv(folder / "where_to_measure.csv")
             identification.fit_table().save(folder / "fit.csv")
@@ -320,5 +326,5 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     report = build_report(Identified(scene, identification.summary(), folder / "posterior.png"))
     remark_texts = [*report.remarks, *remarks_on_scene(scene)]
     return print_report_sentences(
-        replace(report, remarks=remark_texts, done=not identification.doubts), console
+        replace(report, remarks=remark_texts, has_converged=not identification.doubts), console
     )

@@ -14,17 +14,21 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
-from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.caches import replace_unusable_caches
 from fenics_crack.basics.errors import Exit, InputError
 from fenics_crack.basics.installation import (
-    c_compiler,
-    foreign_launcher,
-    loading,
+    find_c_compiler,
+    foreign_launcher_error,
     program_on_path,
-    version_of,
+    read_version_line,
+    report_missing_libraries,
 )
 from fenics_crack.basics.progress import LOGGER
-from fenics_crack.basics.threads import check_modules, loaded_libraries, one_process_settings
+from fenics_crack.basics.threads import (
+    check_debian_modules,
+    list_loaded_libraries,
+    set_one_process_variables,
+)
 from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
@@ -52,7 +56,7 @@ Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y 
 
 def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
     """Print a table of all checks; return FAULT if any check fails."""
-    with loading():
+    with report_missing_libraries():
         from fenics_crack.basics.tables import Table  # NumPy
     check_rows = [
         (check_name, "FAULT" if is_fault else "ok", finding_text)
@@ -109,8 +113,8 @@ def _describe_program() -> str:
 
 def _check_numpy() -> str:
     """Return the versions of NumPy and SciPy; InputError if NumPy is too old."""
-    check_modules()
-    with loading():
+    check_debian_modules()
+    with report_missing_libraries():
         import numpy
         import scipy
     if tuple(map(int, numpy.__version__.split(".")[:2])) < MIN_NUMPY_VERSION:
@@ -120,14 +124,16 @@ def _check_numpy() -> str:
 
 def _check_mpi() -> str:
     """Return MPI library and launcher; InputError if they do not fit together."""
-    with one_process_settings():
+    with set_one_process_variables():
         from fenics_crack.basics.ranks import MPI
     mpi_vendor, mpi_version = MPI.get_vendor()
-    if len(library_paths := loaded_libraries(r"libmpi\.")) > 1:
+    if len(library_paths := list_loaded_libraries(r"libmpi\.")) > 1:
         raise InputError("MPI", ", ".join(library_paths), "one library: each knows other ranks")
     launcher_path = program_on_path("mpirun")
-    if launcher_path and ("Open MPI" in version_of(launcher_path)) != (mpi_vendor == "Open MPI"):
-        raise foreign_launcher(launcher_path, mpi_vendor)
+    if launcher_path and ("Open MPI" in read_version_line(launcher_path)) != (
+        mpi_vendor == "Open MPI"
+    ):
+        raise foreign_launcher_error(launcher_path, mpi_vendor)
     launcher_text = launcher_path or "no mpirun on PATH"
     return (
         f"{mpi_vendor} {'.'.join(map(str, mpi_version))}, ranks: {MPI.COMM_WORLD.size}; "
@@ -137,14 +143,16 @@ def _check_mpi() -> str:
 
 def _check_petsc() -> str:
     """Return the versions of PETSc and SLEPc; InputError without MUMPS."""
-    from fenics_crack.basics.ranks import check_scalars, slepc
+    from fenics_crack.basics.ranks import check_scalar_type, import_slepc
 
-    check_scalars()
+    check_scalar_type()
     from petsc4py import PETSc
 
     if not PETSc.Sys.hasExternalPackage("mumps"):
         raise InputError("PETSc", "without MUMPS", "built with MUMPS")
-    version_texts = [".".join(map(str, package.Sys.getVersion())) for package in (PETSc, slepc())]
+    version_texts = [
+        ".".join(map(str, package.Sys.getVersion())) for package in (PETSc, import_slepc())
+    ]
     return "PETSc {}, SLEPc {}, real numbers, MUMPS".format(*version_texts)
 
 
@@ -152,7 +160,7 @@ def _check_gmsh() -> str:
     """Return the version of gmsh."""
     from fenics_crack.basics import gmsh_process  # noqa: F401
 
-    with loading():
+    with report_missing_libraries():
         import gmsh
     return f"gmsh {gmsh.__version__}"
 
@@ -161,27 +169,27 @@ def _check_dolfinx() -> str:
     """Return the version of DOLFINx."""
     from fenics_crack.fem import compat  # noqa: F401
 
-    with loading():
+    with report_missing_libraries():
         import dolfinx
     return f"DOLFINx {dolfinx.__version__}"
 
 
 def _check_compiler() -> str:
     """Return path and version of the C compiler."""
-    compiler_path = c_compiler()
-    return f"{compiler_path}: {version_of(compiler_path)}"
+    compiler_path = find_c_compiler()
+    return f"{compiler_path}: {read_version_line(compiler_path)}"
 
 
 def _check_caches() -> str:
     """Settle the folder for compiled forms, and return it."""
-    settle_caches()
+    replace_unusable_caches()
     cache_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return f"{cache_folder}/fenics takes compiled forms"
 
 
 def _check_pictures() -> str:
     """Return the versions of Matplotlib and pyvista."""
-    with loading():
+    with report_missing_libraries():
         matplotlib_module, pyvista_module = map(import_module, ("matplotlib", "pyvista"))
     return f"Matplotlib {matplotlib_module.__version__}, pyvista {pyvista_module.__version__}"
 

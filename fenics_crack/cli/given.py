@@ -26,11 +26,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import BEFORE, keep_files, prepare_folder, write_whole
+from fenics_crack.basics.atomic_files import (
+    REPLACED_FILES_FOLDER_NAME,
+    keep_files,
+    prepare_folder,
+    write_file_whole,
+)
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
-from fenics_crack.basics.progress import LOGGER, StageLines, begin
-from fenics_crack.basics.tables import RPM, Table
-from fenics_crack.basics.untrusted_files import content_of, text_of
+from fenics_crack.basics.progress import LOGGER, StageLines, begin_stage
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
+from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import packaged
 
@@ -172,7 +177,7 @@ def _find_further_errors(
     """
     corrected_changes, reported_keys = {**changes_by_key}, {"scene"}
     suggestions_text, has_no_template_value = "", True
-    tables_by_name = {} if error.key == "scene" else tomllib.loads(text_of(scene_path))
+    tables_by_name = {} if error.key == "scene" else tomllib.loads(read_utf8_text(scene_path))
     while error.key not in reported_keys:
         reported_keys.add(error.key)
         table_name, _, key_name = error.key.partition(".")
@@ -234,7 +239,7 @@ def _campbell_speeds(arguments: Namespace, scene: Scene) -> np.ndarray | None:
     if arguments.command != "campbell":
         return None
     scene.given("rotation")
-    unit_factor = RPM if scene.in_rpm else 1.0
+    unit_factor = RAD_PER_S_PER_RPM if scene.in_rpm else 1.0
     first_speed, last_speed, n_speeds = arguments.speeds or (
         0.0,
         1.5 * scene.speed / unit_factor,
@@ -425,8 +430,8 @@ class Console:
             time.perf_counter(),
             self.is_quiet or (has_bars and self.shows_progress),
         )
-        with nullcontext() if is_silent else StageLines(kept=self.shows_progress):
-            begin(stage_name)
+        with nullcontext() if is_silent else StageLines(keeps_lines=self.shows_progress):
+            begin_stage(stage_name)
             yield
         if self.is_verbose:
             LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
@@ -436,7 +441,9 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
     """Create a folder for results; InputError unless files can be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    on_root(comm, lambda: prepare_folder(folder, (BEFORE, PERIOD_FRAMES_FOLDER)))
+    on_root(
+        comm, lambda: prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME, PERIOD_FRAMES_FOLDER))
+    )
 
 
 def keep_previous_result(
@@ -460,7 +467,7 @@ def keep_previous_result(
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
-    previous_folder = table_path.with_name(BEFORE)
+    previous_folder = table_path.with_name(REPLACED_FILES_FOLDER_NAME)
     file_names = [
         f"{file_stem}{file_suffix}"
         for file_stem in (table_path.stem, *other_stems)
@@ -469,7 +476,7 @@ def keep_previous_result(
 
     def keep_files_on_root() -> str:
         try:
-            if content_of(table_path, links=False) == table_text.encode():
+            if read_regular_file(table_path, follows_links=False) == table_text.encode():
                 return ""
         except FileNotFoundError:
             return ""
@@ -527,7 +534,7 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
             if os.path.exists(file_path):  # False for a name too long, which writing will say
                 raise InputError("scene", str(file_path), "the name of a new file; this one exists")
         for file_path, scene_text in texts_by_path.items():
-            write_whole(file_path, scene_text, "scene")
+            write_file_whole(file_path, scene_text, "scene")
 
     on_root(console.comm, write_files)
     console.print_notes(

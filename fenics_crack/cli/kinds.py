@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
 from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.files.store import Stored
+from fenics_crack.files.store import StoredFile
 
 
 class ResultKind(NamedTuple):
@@ -123,7 +123,7 @@ def draw_result(result: Any, picture_files: PictureFiles) -> None:
     load_function(result_kind.drawing_function_path)(result, **path_keywords)
 
 
-def restore_result(stored_file: Stored) -> Any:
+def restore_result(stored_file: StoredFile) -> Any:
     """Build a result from a file read on one rank.
 
     Raises

@@ -18,10 +18,10 @@ from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import write_whole
-from fenics_crack.basics.errors import FEW_MODES, InputError
-from fenics_crack.basics.tables import percent, readable, with_unit
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.atomic_files import write_file_whole
+from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
+from fenics_crack.basics.tables import choose_unit_prefix, format_percent, heading_with_unit
+from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER
 from fenics_crack.cli.results import Waveforms, sample_waveforms
@@ -86,9 +86,8 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     if error_text := describe_error(run):
         title += f", error {error_text.partition(',')[0]}"
     elif solution.gap_coefficients.size and solution.report.estimated:
-        title += (
-            f", error {'unknown' if solution.report.unknown else percent(solution.report.total)}"
-        )
+        error_text = format_percent(solution.report.total)
+        title += f", error {'unknown' if solution.report.unknown else error_text}"
     if solution.stability is not None:
         title += f", {solution.stability.verdict}"
     if not solution.converged:
@@ -176,7 +175,9 @@ def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem
     """Draw stress intensities over the period, if they can be computed."""
     with suppress(InputError):  # a tip next to an edge, or no plate
         stress_intensities = stress_intensity(run)
-        unit_factor, unit = readable(float(stress_intensities.effective.max()), "Pa m^0.5")
+        unit_factor, unit = choose_unit_prefix(
+            float(stress_intensities.effective.max()), "Pa m^0.5"
+        )
         title = (
             "Stress intensity, range while open "
             f"{unit_factor * stress_intensities.effective.max():.4g} "
@@ -300,7 +301,7 @@ def _compute_linear_response(
     amplitudes : (n,) [m]
     """
     max_modes = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
-    natural_omega = solve_modes(structure, min(FEW_MODES, max_modes), lips=lips).omega
+    natural_omega = solve_modes(structure, min(N_LOWEST_MODES, max_modes), lips=lips).omega
     relative_offsets = np.geomspace(1e-6, 0.1, 30)
     omega_near_resonances = np.outer(
         natural_omega, np.concatenate([1.0 - relative_offsets, 1.0 + relative_offsets])
@@ -462,9 +463,9 @@ def draw_swept(
         (x_values, x_label), (y_values, y_label) = scaled_axes
         unit_factor, prefixed_unit = 1.0, unit
         if unit in ("m", "N"):
-            unit_factor, prefixed_unit = readable(float(np.nanmax(np.abs(values))), unit)
+            unit_factor, prefixed_unit = choose_unit_prefix(float(np.nanmax(np.abs(values))), unit)
         label_options: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
-        label_options["value_label"] = with_unit(quantity_name, prefixed_unit)
+        label_options["value_label"] = heading_with_unit(quantity_name, prefixed_unit)
         picture_path = picture_files(f"{file_stem}_map", caption)
         plot.draw_map(
             x_values,
@@ -481,8 +482,8 @@ def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
     """Return an axis's values in a readable unit, and the label."""
     unit, unit_factor = unit_of_key(axis.key), 1.0
     if unit and unit not in UNITS_WITHOUT_PREFIX:
-        unit_factor, unit = readable(float(np.abs(axis_values).max()), unit)
-    return unit_factor * axis_values, with_unit(key_in_words(axis.key), unit)
+        unit_factor, unit = choose_unit_prefix(float(np.abs(axis_values).max()), unit)
+    return unit_factor * axis_values, heading_with_unit(key_in_words(axis.key), unit)
 
 
 def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
@@ -546,7 +547,7 @@ def copy_posterior_picture(identification: Identified, picture_files: PictureFil
     picture_path = picture_files("posterior", "Probability of cracks, given the measurements.")
     source_path = identification.picture.with_suffix(picture_path.suffix)
     try:
-        write_whole(picture_path, content_of(source_path, links=False))
+        write_file_whole(picture_path, read_regular_file(source_path, follows_links=False))
     except OSError:
         requirement_text = f"png, or the --pictures of identify: there is no {source_path}"
         raise InputError("--pictures", picture_path.suffix[1:], requirement_text) from None

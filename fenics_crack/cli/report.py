@@ -18,11 +18,11 @@ from typing import Any
 
 import h5py
 
-from fenics_crack.basics.atomic_files import passing_folder, write_whole
+from fenics_crack.basics.atomic_files import make_temporary_folder, write_file_whole
 from fenics_crack.basics.errors import InputError, WriteError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.account import printed_table
 from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import Console, make_writable
@@ -32,7 +32,7 @@ from fenics_crack.cli.scenes import describe_harmonics
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot_curve
 from fenics_crack.draw.figure import Picture, distinct_colours
-from fenics_crack.files.store import Stored, read, versions
+from fenics_crack.files.store import StoredFile, library_versions, read_result_file
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene, unit_of_key
@@ -117,7 +117,7 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
     console.print_notes(str(page_path), exclusion_note)
 
 
-def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[Stored], str]:
+def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
     """Read result files, also from folders, without parts of other results.
 
     Returns
@@ -133,12 +133,12 @@ def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[Stored], str]
     InputError
         A file cannot be read, or a folder has no result.
     """
-    result_files: list[Stored] = []
+    result_files: list[StoredFile] = []
     for result_path in result_paths:
         file_paths = sorted(result_path.glob("*.h5")) if result_path.is_dir() else [result_path]
         if not file_paths:
             raise InputError("result", str(result_path), "a folder with results, .h5 files")
-        result_files += map(read, file_paths)
+        result_files += map(read_result_file, file_paths)
     result_files = [
         stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
     ] or result_files
@@ -159,7 +159,7 @@ def _read_result_files(result_paths: Sequence[Path]) -> tuple[list[Stored], str]
 
 
 def _draw_curves(
-    result_files: Sequence[Stored],
+    result_files: Sequence[StoredFile],
     given_labels: Sequence[str],
     picture_folder: Path,
     picture_format: str,
@@ -219,7 +219,7 @@ def _draw_curves(
 
 
 def _write_page(
-    stored_files: Sequence[Stored], page_path: Path, command_words: Sequence[str]
+    stored_files: Sequence[StoredFile], page_path: Path, command_words: Sequence[str]
 ) -> None:
     """Write the page on results.
 
@@ -262,7 +262,7 @@ def _write_page(
     )
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
     file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
-    picture_folder = passing_folder()
+    picture_folder = make_temporary_folder()
     page_fields = _build_scene_fields(scene_results[0], picture_folder) if scene_results else {}
     fields_of_results = []
     for result_index, (stored_file, result) in enumerate(files_and_results):
@@ -288,14 +288,16 @@ def _write_page(
         "command": shlex.join(command_words),
     }
     template_environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    write_whole(
+    write_file_whole(
         page_path,
         template_environment.from_string(packaged("cli/report.html")).render(page_fields),
         "--output",
     )
 
 
-def _build_result_fields(stored_file: Stored, result: Any, picture_folder: Path) -> dict[str, Any]:
+def _build_result_fields(
+    stored_file: StoredFile, result: Any, picture_folder: Path
+) -> dict[str, Any]:
     """Draw a result, and return template fields about the result."""
     report, picture_files = build_report(result), PictureFiles(picture_folder)
     try:
@@ -306,12 +308,16 @@ def _build_result_fields(stored_file: Stored, result: Any, picture_folder: Path)
         picture_files.notes.append(f"no picture: {error}")
     file_time = datetime.fromtimestamp(stored_file.path.stat().st_mtime, UTC).astimezone()
     box_class = (
-        "bad" if not report.done else "doubtful" if report.missed or report.warnings else "good"
+        "bad"
+        if not report.has_converged
+        else "doubtful"
+        if report.misses_tolerance or report.warnings
+        else "good"
     )
-    tables_by_caption = report.tables or {"In numbers": printed_table(report)}
+    tables_by_caption = report.page_tables or {"In numbers": printed_table(report)}
     return {
         "heading": RESULT_KINDS[stored_file.kind].heading,
-        "closing": f"{_capitalize_sentence(report.closing)}.",
+        "closing": f"{_capitalize_sentence(report.closing_sentence)}.",
         "box": box_class,
         "notes": [
             *map(
@@ -328,7 +334,7 @@ def _build_result_fields(stored_file: Stored, result: Any, picture_folder: Path)
             for picture_path, caption in picture_files.captions_by_path.items()
             if picture_path.exists()
         ],
-        "tables": {**tables_by_caption, **report.further},
+        "tables": {**tables_by_caption, **report.further_tables},
         "path": stored_file.path,
         "written": f"{file_time:{DATE_FORMAT}}",
     }
@@ -371,7 +377,7 @@ def _format_value(key: str, value: object) -> str:
     return value_in_words(key, value)
 
 
-def _tabulate_versions(stored_files: Sequence[Stored]) -> Table:
+def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
     """Tabulate program versions behind each result and the page."""
     version_rows = []
     for stored_file in stored_files:
@@ -380,12 +386,14 @@ def _tabulate_versions(stored_files: Sequence[Stored]) -> Table:
             f"{stored_file.attributes['versions']}"
         )
         version_rows.append((str(stored_file.path), file_versions))
-    page_versions = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
+    page_versions = (
+        f"Python {platform.python_version()}, {library_versions()}, h5py {h5py.__version__}"
+    )
     version_rows.append(("this page", f"fenics_crack {VERSION}, {page_versions}"))
     return Table(("file", "made with"), version_rows)
 
 
 def _encode_picture(picture_path: Path, caption: str) -> dict[str, str]:
     """Return the data URL and the caption of a picture."""
-    base64_text = base64.b64encode(content_of(picture_path, None)).decode("ascii")
+    base64_text = base64.b64encode(read_regular_file(picture_path, None)).decode("ascii")
     return {"words": caption, "data": f"data:image/{picture_path.suffix[1:]};base64,{base64_text}"}

@@ -10,19 +10,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import INTERRUPTED, ConvergenceError, InputError
-from fenics_crack.basics.observables import PRINTED, QUANTITIES, SPECIAL, Place, names_of
+from fenics_crack.basics.errors import INTERRUPTED_STATUS, ConvergenceError, InputError
+from fenics_crack.basics.observables import (
+    IN_PRINTED_TABLE,
+    IN_SPECIAL_POINTS_TABLE,
+    OBSERVABLES_BY_NAME,
+    Place,
+    observable_names,
+)
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
-    FEW_ROWS,
-    LEAST_ERROR,
-    UNITS,
+    MIN_REPORTED_ERROR,
+    N_SELECTED_ROWS,
+    UNIT_BY_NAME,
     Table,
-    counted,
-    in_unit,
-    quantity,
-    with_frequency,
-    with_unit,
+    add_frequency_entries,
+    format_count,
+    format_in_unit,
+    format_quantity,
+    heading_with_unit,
 )
 from fenics_crack.cli import account
 from fenics_crack.cli.account import MEANING_BY_BIFURCATION, OTHER_QUANTITIES_BY_NAME
@@ -99,11 +105,16 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
     if table.columns[0] != "name":
         return Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
     report_fields |= {
-        "shown": account.select_printed_quantities(table, run.scene, PRINTED),
+        "shown": account.select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
         "tables": _number_tables_by_heading(run, table),
     }
     report = Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
-    conclusion_row = ["conclusion", OTHER_QUANTITIES_BY_NAME["conclusion"][0], report.closing, "-"]
+    conclusion_row = [
+        "conclusion",
+        OTHER_QUANTITIES_BY_NAME["conclusion"][0],
+        report.closing_sentence,
+        "-",
+    ]
     conclusion_row += ["" for _ in table.columns[len(conclusion_row) :]]
     return replace(report, table=Table(table.columns, [*table.rows, conclusion_row]))
 
@@ -116,7 +127,7 @@ def _describe_node_distances(run: Run[Any]) -> list[str]:
         if watched_displacement.distance > 0
     }
     distances_text = ", ".join(
-        f"{point_name} {quantity(node_distance, 'm')}"
+        f"{point_name} {format_quantity(node_distance, 'm')}"
         for point_name, node_distance in distance_by_point.items()
     )
     exclusion_text = "; not part of the stated errors" if run.stated is not None else ""
@@ -213,7 +224,9 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 
     The result is empty in two dimensions, or if the scene requests none.
     """
-    requested_places = [QUANTITIES[name].of for name in quantities_on_request(run.scene)]
+    requested_places = [
+        OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(run.scene)
+    ]
     if run.scene.dimension == 2 or Place.TIPS not in requested_places:
         return {}
     stress_intensities = stress_intensity(run)
@@ -227,7 +240,9 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
         name: [float(f"{component:.4g}") for component in column]
         for name, column in columns_by_name.items()
     }
-    return {"Stress intensity along the crack fronts": Table.of(lists_by_name, units_by_name)}
+    return {
+        "Stress intensity along the crack fronts": Table.from_dict(lists_by_name, units_by_name)
+    }
 
 
 def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
@@ -289,7 +304,7 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
         period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
         amplitude_range = _describe_range(np.concatenate(amplitude_arrays))
         clauses.append(
-            f"still varies after {counted(min(period_counts), 'period')}, {amplitude_range}"
+            f"still varies after {format_count(min(period_counts), 'period')}, {amplitude_range}"
         )
     return f"; the motion {' or '.join(clauses)} half peak-to-peak" if clauses else ""
 
@@ -297,7 +312,7 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
 def _describe_range(amplitudes: np.ndarray) -> str:
     """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm"."""
     end_texts = dict.fromkeys(
-        quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
+        format_quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
     )
     return f"{'between ' if len(end_texts) > 1 else ''}{' and '.join(end_texts)}"
 
@@ -359,7 +374,8 @@ def _tabulate_quantities(
     out.
     """
     quantity_rows: list[QuantityRow] = [
-        (name, name, value, UNITS[name]) for name, value in with_frequency({"omega": omega}).items()
+        (name, name, value, UNIT_BY_NAME[name])
+        for name, value in add_frequency_entries({"omega": omega}).items()
     ]
     quantity_rows += [observation[:4] for observation in observe(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
@@ -413,7 +429,9 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
         mode_number = bilinear_frequencies(run.structure).nearest(run.result.omega)["mode"]
         quantity_name = natural_name(run.scene, frequency_kind, int(mode_number))
     relative_error, cause_text = run.stated.stated(quantity_name)
-    error_percent = 100.0 * max(relative_error, LEAST_ERROR) if relative_error < np.inf else np.nan
+    error_percent = (
+        100.0 * max(relative_error, MIN_REPORTED_ERROR) if relative_error < np.inf else np.nan
+    )
     missing_causes = (
         run.stated.missing_causes(quantity_name) if quantity_name in run.stated.values else {}
     )
@@ -433,8 +451,11 @@ def _list_natural_frequencies(
         "omega_open" in rad/s, then "frequency_open" in Hz.
     value : ndarray
     """
-    for quantity_name in names_of(Place.MODES):
-        description, unit = QUANTITIES[quantity_name].words, QUANTITIES[quantity_name].unit
+    for quantity_name in observable_names(Place.MODES):
+        description, unit = (
+            OBSERVABLES_BY_NAME[quantity_name].words,
+            OBSERVABLES_BY_NAME[quantity_name].unit,
+        )
         yield quantity_name, description, unit, frequencies_by_name[quantity_name]
         if unit == "rad/s":
             yield (
@@ -548,7 +569,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
             "; ".join(filter(None, (f"by the tolerance: {curve.method}", status_detail)))
         )
     if curve.exact:
-        width_text = in_unit(parameter_axis(curve.parameter, True), curve.resolution)
+        width_text = format_in_unit(parameter_axis(curve.parameter, True), curve.resolution)
         note_texts.append(
             f"windows of instability narrower than {width_text} may lie between points"
         )
@@ -556,14 +577,16 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         run,
         special_point_table,
         rows=tabulate_curve_points(run, indicator_columns),
-        shown=account.select_printed_quantities(shortened_table, scene, SPECIAL),
+        shown=account.select_printed_quantities(shortened_table, scene, IN_SPECIAL_POINTS_TABLE),
         notes=note_texts,
         warnings=warning_texts,
         tables={
-            "Special points": account.select_printed_quantities(special_point_table, scene, SPECIAL)
+            "Special points": account.select_printed_quantities(
+                special_point_table, scene, IN_SPECIAL_POINTS_TABLE
+            )
         },
         further=_blade_tables_by_heading(run, "Blades, each at its largest response"),
-        done=bool(curve.complete) and curve.status != INTERRUPTED,
+        done=bool(curve.complete) and curve.status != INTERRUPTED_STATUS,
         missed=bool(unknown_error(run)),
     )
 
@@ -591,13 +614,17 @@ def _has_passed_point(curve: ResponseCurve, point_index: int) -> bool:
 
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
     """Return parameter values with unit: "50.1 and 50.3 Hz"."""
-    return in_unit(parameter_axis(run.result.parameter, run.scene.in_hertz), *parameter_values)
+    return format_in_unit(
+        parameter_axis(run.result.parameter, run.scene.in_hertz), *parameter_values
+    )
 
 
 def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     """Yield warnings about large errors, undecided stability and an early end."""
     curve, scene = run.result, run.scene
-    if curve.status == INTERRUPTED:  # nothing more is assessed; exact orbits have their verdicts
+    if (
+        curve.status == INTERRUPTED_STATUS
+    ):  # nothing more is assessed; exact orbits have their verdicts
         end_text = "" if curve.complete else "ended early: it "
         skipped_text = "errors and stability" if curve.multipliers is None else "errors"
         yield f"the curve {end_text}was interrupted; its {skipped_text} were not examined"
@@ -631,7 +658,7 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         location_text = "between " if last_index > first_index else ""
         location_text += _format_parameters(run, *end_values)
         undecided_reason = curve.reason((first_index + last_index) // 2)
-        count_text = counted(last_index + 1 - first_index, "point")
+        count_text = format_count(last_index + 1 - first_index, "point")
         yield f"the stability is undecided at {count_text}, {location_text}: {undecided_reason}"
     if len(undecided_ranges) > 1:
         n_further_points = sum(
@@ -639,7 +666,7 @@ def _describe_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         )
         reason_hint = "each for its own reason: curve.reason(index) in Python"
         yield (
-            f"the stability is undecided at {counted(n_further_points, 'other point')}, "
+            f"the stability is undecided at {format_count(n_further_points, 'other point')}, "
             f"{reason_hint}"
         )
     yield from run.stated.dents if run.stated is not None else ()
@@ -679,7 +706,7 @@ def tabulate_curve_points(
 
     ``columns_by_heading`` are the indicators, if known already.
     """
-    quantity_names = [name for name in run.result.to_dict() if name not in QUANTITIES]
+    quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)
     indicator_columns = columns_by_heading or _indicator_columns_by_heading(run, run.result)
     indicator_rows = zip(*(column.tolist() for column in indicator_columns.values()), strict=True)
@@ -752,7 +779,7 @@ def _interpolate_peak_columns(
         for name, column in columns_by_heading.items()
     }
     return row_by_heading | {
-        with_unit(run.watched[0].column("amplitude"), "m"): np.array([peak.amplitude])
+        heading_with_unit(run.watched[0].column("amplitude"), "m"): np.array([peak.amplitude])
     }
 
 
@@ -765,9 +792,10 @@ def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]
     else:
         columns_by_heading = {DESCRIPTION_BY_PARAMETER[curve.parameter]: curve.values}
         columns_by_name = columns_by_name if curve.parameter == "resonance" else {}
-    named_columns = with_frequency(columns_by_name).items()
+    named_columns = add_frequency_entries(columns_by_name).items()
     return columns_by_heading | {
-        with_unit(name, UNITS[name]): np.asarray(column) for name, column in named_columns
+        heading_with_unit(name, UNIT_BY_NAME[name]): np.asarray(column)
+        for name, column in named_columns
     }
 
 
@@ -798,7 +826,7 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
         return row_index < len(bifurcations), other_rows[row_index][amplitude_column]
 
     kept_indices = sorted(
-        sorted(range(len(other_rows)), key=rank_row, reverse=True)[: FEW_ROWS - 3]
+        sorted(range(len(other_rows)), key=rank_row, reverse=True)[: N_SELECTED_ROWS - 3]
     )
     kept_rows = [*first_rows, *(other_rows[row_index] for row_index in kept_indices)]
     return Table(table.columns, kept_rows), len(other_rows) - len(kept_indices)
@@ -812,12 +840,12 @@ def _indicator_columns_by_heading(
     ``curve`` is the run's curve, or a part with fewer points. Headings have units.
     """
     columns_by_heading = {
-        with_unit(observation.column, observation.unit): observation.value
+        heading_with_unit(observation.column, observation.unit): observation.value
         for observation in observe(run, curve)
     }
     frequencies_by_name = _solve_natural_frequencies(run, curve.omega).nearest(curve.omega)
     return columns_by_heading | {
-        with_unit(name, unit): value
+        heading_with_unit(name, unit): value
         for name, _, unit, value in _list_natural_frequencies(frequencies_by_name)
     }
 

@@ -13,7 +13,14 @@ import numpy as np
 from fenics_crack.balance.problem import check_memory
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import RPM, TURN, Table, counted, percent, ranging
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    Table,
+    format_count,
+    format_percent,
+    format_range,
+)
 from fenics_crack.cli.given import CommandInputs, Console
 from fenics_crack.errors.stated import errors_of_natural
 from fenics_crack.errors.verification import Verification
@@ -166,14 +173,14 @@ def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         values_by_label["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for condition_text, frequencies in frequencies_by_condition.items():
         values_by_label[f"first natural frequency{condition_text} [Hz]"] = (
-            float(frequencies[0]) / TURN
+            float(frequencies[0]) / RAD_PER_TURN
         )
         values_by_label[f"first natural frequency{condition_text} [rad/s]"] = float(frequencies[0])
         values_by_label[f"the next{condition_text} [Hz]"] = ", ".join(
-            f"{frequency / TURN:.6g}" for frequency in frequencies[1:]
+            f"{frequency / RAD_PER_TURN:.6g}" for frequency in frequencies[1:]
         )
     load_omega = scene.excitation.omega
-    values_by_label["load's frequency [Hz]"] = load_omega / TURN
+    values_by_label["load's frequency [Hz]"] = load_omega / RAD_PER_TURN
     values_by_label["load's frequency [rad/s]"] = load_omega
     for condition_text, frequencies in frequencies_by_condition.items():
         if frequencies[0] > 0.0:
@@ -191,13 +198,15 @@ def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
         unknown_text = f"unknown: {mesh_errors.unknown['mesh']}"
         return {"error of natural frequencies due to the mesh": unknown_text}
     error_texts = [
-        percent(mesh_errors.stated(name)[0]) for name in mesh_errors.values if name.endswith("_1")
+        format_percent(mesh_errors.stated(name)[0])
+        for name in mesh_errors.values
+        if name.endswith("_1")
     ]
     values_by_label = {
         "error of first natural frequencies due to the mesh": " and ".join(error_texts)
     }
     if "resonance" in mesh_errors.values:
-        resonance_error = percent(mesh_errors.stated("resonance")[0])
+        resonance_error = format_percent(mesh_errors.stated("resonance")[0])
         values_by_label["error of the resonance at the load due to the mesh"] = resonance_error
     return values_by_label
 
@@ -213,14 +222,14 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     values_by_label: dict[str, object] = {}
     if math.isfinite(load_resonance.value) and (engine_order is None or scene.disk is not None):
         values_by_label[f"{label} [Hz]"], values_by_label[f"{label} [rad/s]"] = (
-            load_resonance.value / TURN,
+            load_resonance.value / RAD_PER_TURN,
             load_resonance.value,
         )
     elif math.isfinite(load_resonance.value):
         label = f"order {engine_order} meets the {label}, rotor speed"
         values_by_label[f"{label} [rad/s]"], values_by_label[f"{label} [rpm]"] = (
             load_resonance.value,
-            load_resonance.value / RPM,
+            load_resonance.value / RAD_PER_S_PER_RPM,
         )
     is_not_proportional = (
         key_figures.closed or key_figures.mean_opening or not scales_with_load(scene)
@@ -237,7 +246,7 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         return {}
     values_by_label: dict[str, object] = {
         "rotor speed [rad/s]": scene.speed,
-        "rotor speed [rpm]": scene.speed / RPM,
+        "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
     if key_figures.elements is not None:
         values_by_label["crack opened by rotation and mean load [m]"] = key_figures.mean_opening
@@ -269,10 +278,10 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
         values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
         values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
     faces_text = word_for_crack_faces(study.scene)
-    static_stiffness = ranging(key_figures.own_stiffness, ".3g")
+    static_stiffness = format_range(key_figures.own_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
     if key_figures.stiffness_ratio is not None:
-        values_by_label["contact stiffness / static stiffness"] = ranging(
+        values_by_label["contact stiffness / static stiffness"] = format_range(
             key_figures.stiffness_ratio, ".3g"
         )
     values_by_label["static opening, mean load [m]"] = key_figures.mean_opening
@@ -296,9 +305,9 @@ def _describe_reduction(study: Study) -> str:
     scene_reduction, mode_counts = reduction_of(scene, study.structure), modes_chosen(study)
     if scene_reduction is None:
         return "none"
-    modes_text = counted(scene_reduction.modes, "mode")
+    modes_text = format_count(scene_reduction.modes, "mode")
     if mode_counts:
-        modes_text = f"{counted(mode_counts[0], 'mode')} or more, for an error of "
+        modes_text = f"{format_count(mode_counts[0], 'mode')} or more, for an error of "
         modes_text += f"{scene.harmonic_balance.tolerance:g}"
     if scene_reduction.method == "massless":
         return f"massless, {modes_text}, {word_for_crack_faces(scene)} without mass"

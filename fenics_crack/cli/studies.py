@@ -7,9 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
-from fenics_crack.basics.observables import SPECIAL, names_of
+from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, observable_names
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import FEW_ROWS, Table, counted, in_unit, percent
+from fenics_crack.basics.tables import (
+    N_SELECTED_ROWS,
+    Table,
+    format_count,
+    format_in_unit,
+    format_percent,
+)
 from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, describe_large_error
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.scene import unit_of_key
@@ -30,12 +36,12 @@ def report_of_verification(verification: Verification) -> Report:
     return Report(
         verification.table(),
         verification.said(),
-        shown=verification.totals(),
+        printed_table=verification.totals(),
         notes=verification.statement[: -len(verification.warnings) or None],
         warnings=verification.warnings,
         remarks=remarks_on_scene(verification.scene),
-        done=not verification.failures,
-        missed=bool(verification.doubt(next(iter(verification.values)))),
+        has_converged=not verification.failures,
+        misses_tolerance=bool(verification.doubt(next(iter(verification.values)))),
     )
 
 
@@ -53,12 +59,10 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         if case_count
     )
     n_high_order_cases = int(np.sum(sweep_result["largest_order"] > 3))
-    high_order_note = (
-        f"in {counted(n_high_order_cases, 'case')} the largest higher harmonic is above the third"
-    )
-    high_order_note = (
-        f"{high_order_note}: ratio_largest, largest_order" if n_high_order_cases else ""
-    )
+    high_order_note = ""
+    if n_high_order_cases:
+        high_order_note = f"in {format_count(n_high_order_cases, 'case')} the largest higher "
+        high_order_note += "harmonic is above the third: ratio_largest, largest_order"
     tables_by_heading = {"Cases": short_table}
     if sweep_result.failed:
         failed_rows = [
@@ -68,12 +72,12 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
     return Report(
         sweep_result.table(),
         sweep_result.said(),
-        shown=short_table,
+        printed_table=short_table,
         notes=[f"cases: {states_text}{selection_text}", high_order_note],
         warnings=[*describe_sweep_warnings(sweep_result)],
-        tables=tables_by_heading,
+        page_tables=tables_by_heading,
         remarks=[*remarks_on_scene(sweep_result.scene), *describe_skipped_peak(sweep_result)],
-        done=not sweep_result.failed
+        has_converged=not sweep_result.failed
         and sweep_result.complete,  # mpirun calls all other ends an aborted job
     )
 
@@ -91,7 +95,7 @@ def describe_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     elif verdict_counts_text := " and ".join(
         f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
-        yield f"{verdict_counts_text} of {counted(verdicts.size, 'case')}"
+        yield f"{verdict_counts_text} of {format_count(verdicts.size, 'case')}"
     yield from describe_by_reason(sweep_result, sweep_result.undecided, "undecided")
     for warning_text in describe_by_reason(
         sweep_result, sweep_result.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
@@ -124,7 +128,8 @@ def _describe_large_errors(sweep_result: SweepResult) -> Iterator[str]:
             **dict(zip(ERROR_PARTS, part_errors[:, *case_index].tolist(), strict=True))
         )
         count_text = (
-            f"{counted(int(is_in_group.sum()), 'case')} with an error above {percent(error_limit)}"
+            f"{format_count(int(is_in_group.sum()), 'case')} with an error above "
+            f"{format_percent(error_limit)}"
         )
         for error_text in describe_large_error(
             case_scene,
@@ -165,7 +170,7 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
     end_values = (
         swept_axis.values[value_index] for value_index in value_order[step_index : step_index + 2]
     )
-    range_text = in_unit((1.0, swept_axis.key, unit_of_key(swept_axis.key)), *end_values)
+    range_text = format_in_unit((1.0, swept_axis.key, unit_of_key(swept_axis.key)), *end_values)
     other_axes = [
         axis for axis_index, axis in enumerate(sweep_result.axes) if axis_index != axis_indices[0]
     ]
@@ -175,7 +180,9 @@ def describe_skipped_peak(sweep_result: SweepResult) -> list[str]:
         if axes_text
     )
     n_further_steps = int(is_skipped.sum()) - 1
-    further_text = f", and at {counted(n_further_steps, 'other place')}" if n_further_steps else ""
+    further_text = (
+        f", and at {format_count(n_further_steps, 'other place')}" if n_further_steps else ""
+    )
     return [
         f"between {range_text}{location_text}{further_text}, the sweep steps over a peak that "
         "is narrower than the step: the largest response lies there; use smaller steps, or the "
@@ -196,7 +203,10 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         Selection of cases in words; empty if all cases are kept.
     """
     axis_keys = [axis.key for axis in sweep_result.axes]
-    indicator_names = ("response", *names_of(where=SPECIAL))  # the amplitude at the load
+    indicator_names = (
+        "response",
+        *observable_names(required_flags=IN_SPECIAL_POINTS_TABLE),
+    )  # the amplitude at the load
     quantity_names = [
         quantity_name
         for quantity_name in sweep_result.quantities
@@ -209,7 +219,7 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     if verdict_set <= {""} or verdict_set == {"undecided"}:
         column_names.remove("verdict")
     table = sweep_result.table(*column_names)
-    if len(table.rows) <= FEW_ROWS:
+    if len(table.rows) <= N_SELECTED_ROWS:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))
     for frequency_key in FREQUENCY_KEYS:
@@ -222,9 +232,9 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         f"; the table has the largest responses over {axis_keys[axis_index]}, "
         f"{sweep_result.path.stem}.csv all"
     )
-    if len(row_indices) > FEW_ROWS:
-        largest_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[:FEW_ROWS]
-        selection_text += f", {FEW_ROWS} of {len(row_indices)}"
+    if len(row_indices) > N_SELECTED_ROWS:
+        largest_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[:N_SELECTED_ROWS]
+        selection_text += f", {N_SELECTED_ROWS} of {len(row_indices)}"
         row_indices = np.sort(row_indices[largest_order])
     return Table(
         table.columns, [table.rows[row_index] for row_index in row_indices]

@@ -17,9 +17,9 @@ from fenics_crack.arrivals.arrival_times import (
 )
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.basics.errors import Exit, InputError
-from fenics_crack.basics.progress import within
+from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import counted, speed_in_words
+from fenics_crack.basics.tables import format_count, format_speed
 from fenics_crack.cli.account import describe_instability, describe_large_error
 from fenics_crack.cli.commands import write_and_print_report
 from fenics_crack.cli.given import (
@@ -70,7 +70,7 @@ def fit_and_report_timing(
             lambda: write_record(arrivals_by_blade, arrivals_path, np.radians(timing_table.probes)),
         )
         console.print_notes(
-            f"arrivals of {counted(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
+            f"arrivals of {format_count(len(arrivals_by_blade), 'blade')}: {arrivals_path}"
         )
     fits_by_blade = _fit_blade_vibrations(timing_table, arrivals_by_blade, console, scene, run)
     if scene.disk is not None and not all(
@@ -102,7 +102,7 @@ def _write_arrivals(
     console.print_notes(keep_previous_result(arrivals_path, table_text, console.comm))
     on_root(console.comm, write_files)
     first_speed, last_speed = (
-        speed_in_words(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
+        format_speed(arrivals.speed[row_index], scene.in_rpm) for row_index in (0, -1)
     )
     speed_range = (
         f"{first_speed} to {last_speed}" if scene_timing.is_run_up(arrivals, run) else first_speed
@@ -125,7 +125,7 @@ def _fit_blade_vibrations(
     fits_by_blade = {}
     with console.report_stage("vibration"):
         for blade_number, arrivals in arrivals_by_blade.items():
-            with within(f"blade {blade_number}"):
+            with prefix_stages(f"blade {blade_number}"):
                 fits_by_blade[blade_number] = scene_timing.fit_vibration(
                     timing_table, arrivals, *scene_and_run
                 )
@@ -141,7 +141,8 @@ def _write_timing_report(tip_timing: Timing, folder: Path, console: Console) -> 
 
 def _describe_arrival_counts(arrivals: ArrivalTimes) -> str:
     """Return the numbers of revolutions and probes in words."""
-    return f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
+    revolutions_text = format_count(len(arrivals), "revolution")
+    return f"{revolutions_text}, {format_count(len(arrivals.probes), 'probe')}"
 
 
 def _describe_timing_warnings(
@@ -156,7 +157,7 @@ def _describe_timing_warnings(
             and not 0.5 <= record_and_scene_speeds[0] / record_and_scene_speeds[1] <= 2.0
         ):
             record_speed, scene_speed = (
-                speed_in_words(rotor_speed, scene.in_rpm) for rotor_speed in record_and_scene_speeds
+                format_speed(rotor_speed, scene.in_rpm) for rotor_speed in record_and_scene_speeds
             )
             yield (
                 f"the arrivals are of {record_speed}, [rotation] has {scene_speed}: "
@@ -198,7 +199,8 @@ def _find_vibration_of_record(arguments: Namespace, console: Console) -> Exit:
     make_writable(result_folder, console.comm)
     first_arrivals = next(iter(arrivals_by_blade.values()))
     console.print_notes(
-        f"{counted(len(arrivals_by_blade), 'blade')}, {_describe_arrival_counts(first_arrivals)}"
+        f"{format_count(len(arrivals_by_blade), 'blade')}, "
+        f"{_describe_arrival_counts(first_arrivals)}"
     )
     needs_probes = (
         first_arrivals.steady and not {"probes", "frequencies"} & table_values_by_name.keys()

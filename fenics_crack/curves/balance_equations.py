@@ -78,7 +78,7 @@ class BalanceEquations(CurveSystem):
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         """Raise InputError unless the parameter can have a value."""
-        check_number(key, value, 0.0, above=True)
+        check_number(key, value, 0.0, excludes_bound=True)
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the largest cutoff of the problems at both ends [rad/s].

@@ -27,15 +27,15 @@ from fenics_crack.balance.harmonic_balance import check_initial, search_initial_
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
-    TOLERANCE,
+    DEFAULT_ERROR_TOLERANCE,
     ConvergenceError,
     InputError,
     check_choice,
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import fitting_argument
-from fenics_crack.basics.tables import counted, in_unit
+from fenics_crack.basics.suggestions import fit_argument
+from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.curves.branch import ReturnToParent, branch_start
 from fenics_crack.curves.curve import (
@@ -85,7 +85,7 @@ class StepLimits:
     turning_back: float = 0.1
 
     def __post_init__(self) -> None:
-        check_number("longest_step", self.longest_step, 0.0, above=True)
+        check_number("longest_step", self.longest_step, 0.0, excludes_bound=True)
         if self.longest_step > 1.0:
             raise InputError("longest_step", self.longest_step, "at most 1")
         check_count("most_points", self.most_points, 1)
@@ -218,8 +218,8 @@ class GrowingCurve:
         The values are printed in their unit; default: the value at the last point.
         """
         axis = parameter_axis(self.system.name, True)
-        point_count_text = counted(len(self.points), "point")
-        return f"{in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count_text}"
+        point_count_text = format_count(len(self.points), "point")
+        return f"{format_in_unit(axis, *(values or (self.points[-1].value,)))}, {point_count_text}"
 
     # --- how it goes on ---------------------------------------------------------------------------
 
@@ -377,12 +377,12 @@ class Continuation(GrowingCurve):
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
         step_limits = StepLimits(**steps)
-        fitting_argument("problem", problem, "Problem", ("Problem",))
-        fitting_argument("stability", stability, "bool", ())
+        fit_argument("problem", problem, "Problem", ("Problem",))
+        fit_argument("stability", stability, "bool", ())
         if exact and tolerance is None:
-            tolerance = TOLERANCE if branch_of is None else branch_of.tolerance
+            tolerance = DEFAULT_ERROR_TOLERANCE if branch_of is None else branch_of.tolerance
         if tolerance is not None:
-            check_number("tolerance", tolerance, 0.0, above=True)
+            check_number("tolerance", tolerance, 0.0, excludes_bound=True)
         if problem.samples is not None:
             check_count("samples", problem.samples, 4 * problem.harmonics + 1)
             if tolerance is not None:

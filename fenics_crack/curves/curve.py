@@ -22,11 +22,11 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import (
     Described,
     Tabular,
-    counted,
+    add_frequency_entries,
+    format_count,
     frequency_axis,
-    hertz_of,
+    hertz_property,
     speed_axis,
-    with_frequency,
 )
 from fenics_crack.curves.balance_equations import (
     BALANCE_EQUATIONS,
@@ -128,7 +128,7 @@ class Bifurcation(Described):
         """Load frequency [rad/s]."""
         return float(self.point.omega[0])
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     @cached_property
     def problem(self) -> Problem:
@@ -147,7 +147,7 @@ class Bifurcation(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Return kind, value of the curve's parameter, and load frequency."""
-        return with_frequency({"kind": self.kind, "value": self.value, "omega": self.omega})
+        return add_frequency_entries({"kind": self.kind, "value": self.value, "omega": self.omega})
 
     def _title(self) -> str:
         return f"{kind_in_words(self.kind)} at {self.value:.6g}, {self.point.method}"
@@ -252,7 +252,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     branch: bool = False
 
     KIND: ClassVar[str] = "response curve"
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     def __len__(self) -> int:
         return len(self.omega)
@@ -648,14 +648,14 @@ class ResponseCurve(ObservedMotion, Tabular):
         if self.multipliers is not None:
             columns["multiplier"] = np.abs(self.multipliers).tolist()
             columns["verdict"] = self.verdicts.tolist()
-        return with_frequency(columns | self.indicators().to_dict())
+        return add_frequency_entries(columns | self.indicators().to_dict())
 
     def _title(self) -> str:
         title_parts = [
             f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
-            counted(len(self), "point"),
+            format_count(len(self), "point"),
             self.method,
-            counted(len(self.bifurcations), "bifurcation"),
+            format_count(len(self.bifurcations), "bifurcation"),
         ]
         if self.multipliers is not None:
             title_parts.append(f"{np.mean(self.stable):.0%} stable")

@@ -11,13 +11,13 @@ import numpy as np
 from fenics_crack.balance.problem import MAX_CURVE_UNKNOWNS_PER_CALL, Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
-    INTERRUPTED,
+    INTERRUPTED_STATUS,
     ConvergenceError,
     InputError,
     check_count,
     check_omega,
 )
-from fenics_crack.basics.progress import begin, reaching
+from fenics_crack.basics.progress import add_progress_text, begin_stage
 from fenics_crack.basics.suggestions import check_options
 from fenics_crack.curves.continuation import Continuation, GrowingCurve, StepOptions, has_orbits
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
@@ -353,7 +353,7 @@ def run_to_end(
             growing_curve.status = str(error)
         curve = growing_curve.curve
     except KeyboardInterrupt:  # may also interrupt the verdicts
-        throw, growing_curve.status = False, INTERRUPTED
+        throw, growing_curve.status = False, INTERRUPTED_STATUS
         curve = growing_curve.unjudged_curve
     if throw and not curve.complete:
         curve_words = f"curve in {curve.parameter} from {curve.values[0]:g}"
@@ -367,11 +367,11 @@ def run_to_end(
 def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
     """Follow a curve to its end with a progress bar, or with progress messages."""
     if not progress or growing_curve.system.problem.structure.whole.comm.rank != 0:
-        begin("curve")
-        with reaching(growing_curve.describe_progress):
+        begin_stage("curve")
+        with add_progress_text(growing_curve.describe_progress):
             growing_curve.run()
         return
-    begin("")
+    begin_stage("")
     from tqdm import tqdm
 
     with tqdm(total=100, desc="curve", unit="%", bar_format=PROGRESS_BAR_FORMAT) as bar:

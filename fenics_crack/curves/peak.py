@@ -26,7 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.tables import Described, hertz_of, quantity, with_frequency
+from fenics_crack.basics.tables import (
+    Described,
+    add_frequency_entries,
+    format_quantity,
+    hertz_property,
+)
 
 RISING_AT_END = "still rising at the end of the range"
 """Description of a largest response that is no peak."""
@@ -84,11 +89,11 @@ class Peak(Described, Top):
     omega_error: float = math.nan
     without: str = "error due to the mesh not included"
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the attributes and the frequency [Hz]."""
-        return with_frequency(dict(vars(self)))
+        return add_frequency_entries(dict(vars(self)))
 
     def _title(self) -> str:
         damping_words = f"damping {self.damping:.3g}"
@@ -101,7 +106,7 @@ class Peak(Described, Top):
             error_words += f", of the frequency {self.omega_error:.2g}"
         error_words += f" ({self.without})" if self.without else ""
         frequency_words = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
-        amplitude_words = quantity(self.amplitude, "m")
+        amplitude_words = format_quantity(self.amplitude, "m")
         peak_words = f"{amplitude_words} at {frequency_words}"
         return f"{peak_words}, {error_words}, {self.verdict}, {damping_words}"
 

@@ -18,13 +18,13 @@ from typing import Any, Unpack, overload
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import (
-    MOST_HARMONICS,
+    MAX_HARMONIC_ORDER,
     ConvergenceError,
     InputError,
     check_choice,
     check_number,
 )
-from fenics_crack.basics.tables import Described, counted, with_frequency
+from fenics_crack.basics.tables import Described, add_frequency_entries, format_count
 from fenics_crack.curves.balance_equations import (
     BALANCE_EQUATIONS,
     BalanceAlongFrequency,
@@ -115,7 +115,7 @@ class Resonance(Described):
         """Return frequencies, the width, the distance to the top, the error and the amplitude."""
         names = "value", "omega", "harmonic", "width", "apart", "several", "error"
         columns = {name: getattr(self, name) for name in names}
-        return with_frequency(columns | {"amplitude": self.solution.amplitude()})
+        return add_frequency_entries(columns | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
@@ -218,7 +218,7 @@ def _refine_to_tolerance(point: PhasePoint, tolerance: float) -> tuple[PhasePoin
     while (
         error > tolerance
         and abs(point.distance_to_peak_in_widths) <= MAX_DISTANCE_TO_PEAK
-        and n_harmonics <= MOST_HARMONICS
+        and n_harmonics <= MAX_HARMONIC_ORDER
     ):
         try:
             finer_point = _find_nearby_resonance(point, harmonics=n_harmonics)
@@ -279,7 +279,7 @@ def _small_problem_and_start_omega(
     """
     for key, value in ("near", near_omega), ("tolerance", tolerance):
         if value is not None:
-            check_number(key, value, 0.0, above=True)
+            check_number(key, value, 0.0, excludes_bound=True)
     if not is_small(problem.structure):
         reduced_structure = reduce_structure(problem.structure, method="massless")
         problem = replace(problem, structure=reduced_structure)
@@ -452,7 +452,7 @@ def follow_resonance(
         for unknown_and_parameter in unknowns_and_parameters
     )
     if n_multimode_points:
-        point_count_text = f"{n_multimode_points} of {counted(len(curve), 'point')}"
+        point_count_text = f"{n_multimode_points} of {format_count(len(curve), 'point')}"
         remark = f"at {point_count_text} several modes answer together"
         curve = replace(curve, status=f"{curve.status}; {remark}")
     return curve

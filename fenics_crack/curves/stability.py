@@ -42,7 +42,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_count
-from fenics_crack.basics.tables import percent
+from fenics_crack.basics.tables import format_percent
 from fenics_crack.model.contact import (
     ContactLaw,
     check_law,
@@ -481,7 +481,7 @@ def _stability_by_linear_flow(
     if solution_error >= UNKNOWN_ERROR or not np.isfinite(uncertainty):
         reason = "the error of the solution is unknown"
     elif solution_error > LARGE_ERROR:
-        reason = f"the truncated harmonics change it by {percent(solution_error)}; use more"
+        reason = f"the truncated harmonics change it by {format_percent(solution_error)}; use more"
     elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, uncertainty):
         reason = "its largest multiplier is 1 within its uncertainty"
     verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"

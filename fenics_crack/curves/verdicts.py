@@ -28,7 +28,7 @@ import numpy as np
 
 from fenics_crack.balance.assessment import MAX_ERROR
 from fenics_crack.balance.solution import Stability
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import path_points_with_chord
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier_in_upper_half
@@ -79,7 +79,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """
     if not is_unilateral(curve.contact):
         return judge_by_linear_flow(curve)
-    begin("stability by exact orbits")
+    begin_stage("stability by exact orbits")
     multipliers = np.full(len(curve), np.nan + 0j)
     sampled_indices = {0, len(curve) // 2, len(curve) - 1}
     for indices in map(sorted, (sampled_indices, {*range(len(curve))} - sampled_indices)):
@@ -135,7 +135,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
 
     Bifurcations are where multipliers leave the unit circle.
     """
-    begin("stability of each point")
+    begin_stage("stability of each point")
     solutions = (curve.solution(index, search=False) for index in range(len(curve)))
     stabilities = [floquet(solution.structure, solution) for solution in solutions]
     bifurcations = [

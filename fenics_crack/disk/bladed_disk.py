@@ -30,12 +30,20 @@ from mpi4py import MPI
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import TURN, Said, Table, Tabular, counted, hertz_of, quantity
+from fenics_crack.basics.tables import (
+    RAD_PER_TURN,
+    Conclusion,
+    Table,
+    Tabular,
+    format_count,
+    format_quantity,
+    hertz_property,
+)
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel, WheelStructure, count_basis_families
 from fenics_crack.fem.build import assemble_structure
-from fenics_crack.files.saved import Saved
+from fenics_crack.files.saved import SavedResult
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
@@ -89,7 +97,7 @@ class Blades(Tabular):
     cracked: tuple[int, ...]
 
     KIND: ClassVar[str] = "blades"
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     @property
     def phase(self) -> np.ndarray:
@@ -115,7 +123,7 @@ class Blades(Tabular):
     def _title(self) -> str:
         blade_index = int(np.argmax(self.amplitude))
         size = f"{self.amplitude[blade_index]:.4g} m of blade {blade_index + 1}"
-        return f"{counted(len(self.amplitude), 'blade')}, the largest amplitude {size}"
+        return f"{format_count(len(self.amplitude), 'blade')}, the largest amplitude {size}"
 
 
 def blades(found: Any, dof: int | None = None) -> Blades:
@@ -167,7 +175,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
 
 @dataclass(frozen=True, repr=False)
-class NodalDiameters(Saved):
+class NodalDiameters(SavedResult):
     """Natural frequencies of a tuned bladed disk without a crack, over the nodal diameter.
 
     Attributes
@@ -182,7 +190,7 @@ class NodalDiameters(Saved):
     omega: np.ndarray
 
     KIND: ClassVar[str] = "nodal diameters"
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     @property
     def excited(self) -> int:
@@ -214,15 +222,19 @@ class NodalDiameters(Saved):
     def _units(self) -> dict[str, str]:
         return {f"frequency_{family + 1}": "Hz" for family in range(self.omega.shape[1])}
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """Return the parts of the last sentence on the frequencies."""
-        hertz = ", ".join(f"{omega / TURN:.6g}" for omega in self.omega[self.excited])
+        hertz = ", ".join(f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited])
         answer = f"engine order {self.order} excites nodal diameter {self.excited}: {hertz} Hz"
         remarks = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
-        return Said(f"{counted(len(self.omega), 'nodal diameter')} found", answer, others=remarks)
+        return Conclusion(
+            f"{format_count(len(self.omega), 'nodal diameter')} found",
+            answer,
+            further_clauses=remarks,
+        )
 
     def _title(self) -> str:
-        return f"{counted(len(self.omega), 'nodal diameter')} of {self.sectors} sectors"
+        return f"{format_count(len(self.omega), 'nodal diameter')} of {self.sectors} sectors"
 
 
 def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiameters:
@@ -265,7 +277,7 @@ def report_of_diameters(diameters: NodalDiameters) -> Report:
 
 
 @dataclass(frozen=True, repr=False)
-class Amplification(Saved):
+class Amplification(SavedResult):
     """Amplification factors of random patterns of mistuning, without contact.
 
     Attributes
@@ -295,8 +307,8 @@ class Amplification(Saved):
     seed: int
 
     KIND: ClassVar[str] = "amplification"
-    frequency = hertz_of()
-    tuned_frequency = hertz_of("tuned_omega")
+    frequency = hertz_property()
+    tuned_frequency = hertz_property("tuned_omega")
 
     @property
     def bound(self) -> float:
@@ -321,15 +333,15 @@ class Amplification(Saved):
     def _units(self) -> dict[str, str]:
         return {"frequency": "Hz"}
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """Return the parts of the last sentence on the patterns."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
         answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
-        return Said(f"{counted(len(self.factor), 'pattern')} solved", answer)
+        return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
 
     def _title(self) -> str:
         size = f"up to {self.factor.max():.4g} (bound {self.bound:.4g})"
-        patterns = f"{counted(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"
+        patterns = f"{format_count(len(self.factor), 'pattern')} of {100.0 * self.deviation:.3g} %"
         return f"{patterns}, amplification {size}"
 
 
@@ -397,10 +409,12 @@ def report_of_amplification(factors: Amplification) -> Report:
     """Report amplification factors by shares of the patterns."""
     shares = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     rows = [[share, factors.percentile(share)] for share in shares]
-    tuned_peak = f"{quantity(factors.tuned, 'm')} at {factors.tuned_omega / TURN:.6g} Hz"
+    tuned_peak = (
+        f"{format_quantity(factors.tuned, 'm')} at {factors.tuned_omega / RAD_PER_TURN:.6g} Hz"
+    )
     share_table = Table(["share of patterns [%]", "amplification factor"], rows)
     notes = [f"the tuned wheel without a crack: {tuned_peak}"]
-    return Report(factors.table(), factors.said(), shown=share_table, notes=notes)
+    return Report(factors.table(), factors.said(), printed_table=share_table, notes=notes)
 
 
 PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]

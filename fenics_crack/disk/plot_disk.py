@@ -7,7 +7,12 @@ from typing import TYPE_CHECKING, Unpack
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.tables import RPM, TURN, quantity, readable
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    choose_unit_prefix,
+    format_quantity,
+)
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_of
 from fenics_crack.disk.cyclic import excited_diameter
@@ -62,7 +67,7 @@ def draw_wheel(solution: PeriodicSolution, **where: Unpack[Where]) -> Figure:
     amplitude = sizes.max(axis=0)
     largest_displacement = displacements[int(np.argmax(sizes.max(axis=1)))]
     [panel] = picture = Picture(size=(6.4, 6.0), comm=wheel.comm, **where)
-    factor, unit = readable(float(amplitude.max()), "m")
+    factor, unit = choose_unit_prefix(float(amplitude.max()), "m")
     shape_displacement = 0.5 * tenth(largest_displacement, mesh.size) * largest_displacement
     coloured_mesh = draw_moved(panel, mesh, shape_displacement, factor * amplitude, of_wheel=True)
     panel.figure.colorbar(coloured_mesh, ax=panel, label=f"amplitude [{unit}]", shrink=0.7)
@@ -133,7 +138,7 @@ def draw_blades(
     )
     highlighted_blades += [(place, "orange", ", cracked") for place in wheel.cracked]
     for place, colour, words in highlighted_blades:
-        label = f"blade {place + 1}{words}, up to {quantity(float(peaks[place]), 'm')}"
+        label = f"blade {place + 1}{words}, up to {format_quantity(float(peaks[place]), 'm')}"
         panel.plot(factor * curve.values, lines[place], color=COLOURS[colour], lw=1.5, label=label)
     n_grey = len(whole_blades) - 1
     if n_grey > 0:
@@ -174,7 +179,7 @@ def draw_nodal_diameters(
     from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
 
     [panel] = picture = Picture(**where)
-    frequencies = found.omega[:, :families] / TURN
+    frequencies = found.omega[:, :families] / RAD_PER_TURN
     diameters = np.arange(len(frequencies))
     for (family, row), colour in zip(
         enumerate(frequencies.T, 1), [*COLOURS.values()] * 99, strict=False
@@ -187,10 +192,10 @@ def draw_nodal_diameters(
     )
     top = 1.08 * float(frequencies.max())
     if (speed := found.scene.speed) > 0.0:
-        hertz = speed / TURN
+        hertz = speed / RAD_PER_TURN
         orders = np.arange(0, int(np.ceil(top / hertz)) + 1)
         places = [excited_diameter(order, found.sectors) for order in orders]
-        label = f"engine orders at {speed / RPM:.4g} rpm"
+        label = f"engine orders at {speed / RAD_PER_S_PER_RPM:.4g} rpm"
         panel.plot(places, hertz * orders, "x--", color="#8f8f8f", ms=4, lw=0.6, label=label)
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, top))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -36,8 +36,8 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.suggestions import fitting_argument
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.suggestions import fit_argument
 from fenics_crack.disk.cyclic import (
     CyclicBasis,
     CyclicModes,
@@ -115,7 +115,7 @@ class Wheel(Structure):
         rotation: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> None:
-        fitting_argument("sector", sector, "Sector", ("Sector",))
+        fit_argument("sector", sector, "Sector", ("Sector",))
         check_count("families", families, 1)
         structure, n_sectors = sector.structure, sector.count
         tangential = structure.tangential
@@ -417,9 +417,9 @@ class WheelStructure(Structure):
         families : int
             Number of modes of each nodal diameter.
         """
-        begin(f"modes of {len(wheel.sector.diameters)} nodal diameters")
+        begin_stage(f"modes of {len(wheel.sector.diameters)} nodal diameters")
         basis, sector, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
-        begin("matrices of the wheel")
+        begin_stage("matrices of the wheel")
         mass, stiffness = basis.tuned_matrices
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
@@ -607,7 +607,7 @@ def reduce_wheel(
     structure = WheelStructure(
         wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
     )
-    begin("reduction")
+    begin_stage("reduction")
     count = min(families * wheel.sector.count, structure.n_dofs - structure.n_pairs)
     if not structure.n_pairs:
         reduced_structure = reduce_structure(structure, modes=count + more, reference=reference)

@@ -23,11 +23,11 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import readable
+from fenics_crack.basics.tables import choose_unit_prefix
 from fenics_crack.draw import vtk
 from fenics_crack.draw.figure import COLOURS, drawn_on, label_axis
 from fenics_crack.draw.vtk import PeriodFields
@@ -78,7 +78,7 @@ def animate_period(
     """
     if Path(path).suffix.lower() != ".gif":
         raise InputError("path", str(path), "a .gif file")
-    begin(Path(path).name)
+    begin_stage(Path(path).name)
     fields = PeriodFields(solution, frames, magnification, material)
     on_root(fields.mesh.structure.comm, lambda: _write(solution, fields, Path(path)))
     return fields.magnification
@@ -93,7 +93,7 @@ class _Colours:
     def __init__(self, fields: PeriodFields) -> None:
         name, unit = fields.colour
         end, highest = fields.colour_end, fields.colour_values.max()
-        self.factor, unit = readable(end, unit)
+        self.factor, unit = choose_unit_prefix(end, unit)
         self.label = f"{name} [{unit}]"
         self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(0.0, self.factor * end)
         self.steps = len(self.levels) - 1
@@ -200,7 +200,7 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
     animation, every = BytesIO(), {"save_all": True, "append_images": shown[1:]}
     shown[0].save(animation, "GIF", optimize=False, **every, **timing)
-    write_whole(path, animation.getvalue())
+    write_file_whole(path, animation.getvalue())
 
 
 def _palette(colours: _Colours) -> Image.Image:

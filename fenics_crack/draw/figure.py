@@ -25,12 +25,12 @@ from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, LogLocator
 from mpi4py import MPI
 from PIL import Image
 
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.suggestions import check_options, fitting_argument
-from fenics_crack.basics.tables import NO_PREFIX, readable, with_unit
+from fenics_crack.basics.suggestions import check_options, fit_argument
+from fenics_crack.basics.tables import UNITS_WITHOUT_PREFIX, choose_unit_prefix, heading_with_unit
 
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
@@ -101,7 +101,7 @@ class Picture:
     ) -> None:
         check_options("pictures (labels and limits: of their axes)", where, Where.__annotations__)
         path, axes = where.get("path"), given_axes(where)
-        fitting_argument("path", path, "str | Path | None", ())
+        fit_argument("path", path, "str | Path | None", ())
         self._path, self._title, self._comm = path, where.get("title"), comm
         self.legend = where.get("legend", True)
         if axes is None:
@@ -143,7 +143,7 @@ class Picture:
             self.panels[0].set_title(self._title, y=None if self.panels[0].child_axes else 1.0)
         if self._path is not None:
             file = Path(self._path)
-            begin(file.name)
+            begin_stage(file.name)
 
             def save() -> None:
                 if file.suffix == ".png":
@@ -153,7 +153,7 @@ class Picture:
                     with rc_context(STYLE):
                         self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
                     written = picture.getvalue()
-                write_whole(file, written)
+                write_file_whole(file, written)
 
             on_root(self._comm, save)
         return self.figure
@@ -201,9 +201,9 @@ def upright(label: str) -> str:
 def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     """Label an axis after all is drawn, and show its SI values in a unit with a prefix."""
     factor, prefixed = 1.0, unit
-    if unit not in NO_PREFIX:
-        factor, prefixed = readable(float(np.abs(axis.get_data_interval()).max()), unit)
-    label = with_unit(quantity, prefixed).replace("m^0.5", "√m")
+    if unit not in UNITS_WITHOUT_PREFIX:
+        factor, prefixed = choose_unit_prefix(float(np.abs(axis.get_data_interval()).max()), unit)
+    label = heading_with_unit(quantity, prefixed).replace("m^0.5", "√m")
     axis.set_label_text(upright(label) if axis.axis_name == "y" else label)
     low, high = axis.get_view_interval()
     if axis.get_scale() != "log":
@@ -220,7 +220,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
 
 def label_count(axis: Axis, things: str) -> None:
     """Label a linear axis of numbers of things, after all is drawn: "10⁶ load cycles"."""
-    factor, _ = readable(float(axis.get_data_interval()[1]), "")
+    factor, _ = choose_unit_prefix(float(axis.get_data_interval()[1]), "")
     axis.set_label_text(things if factor == 1.0 else f"{_power(1.0 / factor)} {things}")
     axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
 

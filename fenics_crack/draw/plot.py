@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import quantity, readable
+from fenics_crack.basics.tables import choose_unit_prefix, format_quantity
 from fenics_crack.draw.figure import (
     COLOURS,
     STYLE,
@@ -205,7 +205,7 @@ def draw_contact_map(
     smooth = law is not None and (is_rigid(law) or np.ndim(law.stiffness) > 0)
     if structure.pair_areas is not None and smooth:
         values, label, unit = values / structure.pair_areas, "contact pressure", "Pa"
-    scale, unit = readable(float(values.max()), unit)
+    scale, unit = choose_unit_prefix(float(values.max()), unit)
     if points.shape[1] == 3:
         shown = {f"largest {label} [{unit}]": scale * values.max(axis=0)}
         shown["share of the period closed"] = (values[:-1] > 0.0).mean(axis=0)
@@ -254,7 +254,7 @@ def _over_crack(
     """Values at points of a crack, zero at its front, over the plane in which it lies most."""
     across = int(np.argmin(np.ptp(points, axis=0)))
     one, other = (axis for axis in range(3) if axis != across)
-    scale, unit = readable(float(np.abs(points[:, [one, other]]).max()), "m")
+    scale, unit = choose_unit_prefix(float(np.abs(points[:, [one, other]]).max()), "m")
     at, ends = scale * points[:, [one, other]].T, {"vmin": 0.0, "vmax": values.max() or 1.0}
     drawn = axes.tripcolor(*at, triangles, values, shading="gouraud", cmap="viridis", **ends)
     axes.triplot(*at, triangles, color="black", lw=0.2)
@@ -645,7 +645,7 @@ def draw_friction_loops(solution: PeriodicSolution, **where: Unpack[Where]) -> F
     chosen = np.argsort(-loss, kind="stable")[: min(LOOPS, len(loss))]
     for pair, colour in zip(chosen.tolist(), distinct_colours(len(chosen)), strict=True):
         name = solution.structure.describe_pair(pair).removeprefix("of ")
-        label = f"{name}: {quantity(float(loss[pair]), 'J')}"
+        label = f"{name}: {format_quantity(float(loss[pair]), 'J')}"
         panel.plot(slide[:, pair], drag[:, pair], color=colour, lw=1.1, label=label)
         sliding = np.where(slips[:, pair], slide[:, pair], np.nan)
         panel.plot(sliding, drag[:, pair], color=colour, lw=3.2)

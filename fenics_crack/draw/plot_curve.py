@@ -12,7 +12,12 @@ from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.basics.tables import frequency_axis, percent, quantity, with_unit
+from fenics_crack.basics.tables import (
+    format_percent,
+    format_quantity,
+    frequency_axis,
+    heading_with_unit,
+)
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.curves.peak import damping_by_half_power_width
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, distinct_colours, label_axis
@@ -124,11 +129,11 @@ def _mark_peak(axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool
     if top.at_end:
         return
     place, height = factor * top.value, top.amplitude
-    words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
+    words = f"largest: {format_quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
     if curve.parameter == "omega":
         waves = curve.coefficients_at(dof)
         damping = damping_by_half_power_width(curve.values, waves, curve.subharmonic, top.index)
-        words += f",\nhalf-power damping {percent(damping)}" if np.isfinite(damping) else ""
+        words += f",\nhalf-power damping {format_percent(damping)}" if np.isfinite(damping) else ""
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
     axes.plot(place, height, "o", label="" if ink else words, **look)
 
@@ -190,7 +195,10 @@ def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
     if curve.parameter == "speed":
         order = float(curve.omega[0] / curve.values[0])
         hertz, load, of_load = frequency_axis(in_hertz)
-        slope, words = order * hertz / factor, with_unit(f"{load}, engine order {order:g}", of_load)
+        slope, words = (
+            order * hertz / factor,
+            heading_with_unit(f"{load}, engine order {order:g}", of_load),
+        )
         for above in axes.child_axes:  # of a curve drawn before
             above.set_visible(above.get_visible() and above.get_xlabel() == words)
         if not axes.child_axes:
@@ -200,7 +208,7 @@ def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
     if unit == "m":
         label_axis(axes.xaxis, name, unit)
     else:
-        axes.set_xlabel(with_unit(name, unit))
+        axes.set_xlabel(heading_with_unit(name, unit))
 
 
 def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:

@@ -12,17 +12,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fenics_crack.basics.causes import CAUSES
+from fenics_crack.basics.causes import ERROR_CAUSES
 from fenics_crack.basics.errors import InputError, check_count
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.tables import (
-    LEAST_ERROR,
-    RPM,
-    TURN,
+    MIN_REPORTED_ERROR,
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    format_quantity,
     frequency_axis,
-    quantity,
+    heading_with_unit,
     speed_axis,
-    with_unit,
 )
 from fenics_crack.draw.figure import (
     COLOURS,
@@ -209,7 +209,7 @@ def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
 
 def _draw_orders(panel: Axes, found: Verification, cause: str, looks: Looks) -> None:
     """|f_i - f| over h, relative to those of the scene's own choice."""
-    widest, largest = np.ones(1), 100.0 * LEAST_ERROR
+    widest, largest = np.ones(1), 100.0 * MIN_REPORTED_ERROR
     for name, look in looks.items():
         part = found.parts[cause][name]
         away = np.abs(np.array(part.values) - part.extrapolated)
@@ -247,15 +247,15 @@ def _draw_contributions(panel: Axes, found: Verification, looks: Looks) -> None:
     """Relative uncertainties by quantity and cause; beside each quantity its line in the other
     panel, and its observed order."""
     names, beside = list(found.values)[::-1], panel.get_yaxis_transform()
-    colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
+    colours = dict(zip(ERROR_CAUSES, COLOURS.values(), strict=False))
     for place, name in enumerate(names):
         total = 100.0 * found.relative(name, found.total(name))
-        if total > 100.0 * LEAST_ERROR:
+        if total > 100.0 * MIN_REPORTED_ERROR:
             panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
         for cause, error in found.contributions(name).items():
             inside = found.parts[cause][name].factor <= SAFE
             share = 100.0 * found.relative(name, error)
-            if share > 100.0 * LEAST_ERROR:
+            if share > 100.0 * MIN_REPORTED_ERROR:
                 look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
                 panel.plot(share, place, "o", ms=7, **look)
         if name in looks:
@@ -281,11 +281,11 @@ def _in_words(found: Verification, name: str) -> str:
     """A quantity and its value: "half peak-to-peak, 1.094 µm"."""
     point, _, own = name.rpartition(".")
     kind, _, mode = own.replace("frequency_", "omega_").rpartition("_")
-    row = QUANTITIES.get(own)
-    words = f"{QUANTITIES[kind].words}, mode {mode}" if row is None else row.words
+    row = OBSERVABLES_BY_NAME.get(own)
+    words = f"{OBSERVABLES_BY_NAME[kind].words}, mode {mode}" if row is None else row.words
     if point:
         words += f", {found.scene.point_names.get(point, point)}"
-    return f"{fill(words, LETTERS)}, {quantity(found.values[name], found.units[name])}"
+    return f"{fill(words, LETTERS)}, {format_quantity(found.values[name], found.units[name])}"
 
 
 def draw_growth(found: Growth, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
@@ -419,7 +419,7 @@ def draw_campbell(
         panel.plot(at, order * factor / pace * at, "o", color=COLOURS["grey"], mfc="none", ms=6)
     if diagram.cracked:
         panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to bonded")
-    panel.set(xlabel=with_unit(*name), ylabel=f"natural frequency [{unit}]")
+    panel.set(xlabel=heading_with_unit(*name), ylabel=f"natural frequency [{unit}]")
     return picture.finished()
 
 
@@ -483,7 +483,7 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
     for column, probe, colour, marker in columns:
         label = f"probe at {np.degrees(probe):.4g}°"
         panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)
-    panel.set_xlabel("revolution" if steady else with_unit(*over))
+    panel.set_xlabel("revolution" if steady else heading_with_unit(*over))
     label_axis(panel.yaxis, "blade tip displacement", "m")
 
 
@@ -601,7 +601,7 @@ def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[W
         panel.plot(place, sizes, ".-", color=colour, lw=0.8, ms=3.0, label=label)
         low, high = np.maximum(sizes - errors, 0.0), sizes + errors
         panel.fill_between(place, low, high, color=colour, alpha=0.25, lw=0)
-    panel.set_xlabel(with_unit(name, unit))
+    panel.set_xlabel(heading_with_unit(name, unit))
     label_axis(panel.yaxis, "amplitude of the blade tip", "m")
     panel.set_ylim(bottom=0.0)
     return picture.finished()
@@ -642,8 +642,8 @@ def draw_passages(
     for number, fit in enumerate(passages):
         label = "_" * bool(number) + "resonance, with its engine order"
         look: dict[str, Any] = {"color": COLOURS["grey"], "lw": 0.7, "ls": "--", "zorder": 0}
-        upper.axvline(fit.speed / RPM, **look, label=label)
-        place, above = (fit.speed / RPM, 1.0), (0, 2 + 9 * (number % 2))
+        upper.axvline(fit.speed / RAD_PER_S_PER_RPM, **look, label=label)
+        place, above = (fit.speed / RAD_PER_S_PER_RPM, 1.0), (0, 2 + 9 * (number % 2))
         _write_order(upper, fit.order, place, above, ha="center", xycoords=upper_edge)
     if passages:
         _draw_passage(lower, passages[0], arrivals)
@@ -659,10 +659,12 @@ def _draw_passage(axes: Axes, fit: PassageFit, arrivals: ArrivalTimes) -> None:
     for (speed, seen, motion), colour in zip(runs, cycle(COLOURS.values()), strict=False):
         way = "up" if speed[-1] > speed[0] else "down"
         look: dict[str, Any] = {"color": colour, "ms": 3.0, "mew": 0, "alpha": 0.6}
-        axes.plot(speed / RPM, seen[:, probe], "o", **look, label=f"arrivals, {way}")
-        axes.plot(speed / RPM, motion[:, probe], color=colour, lw=1.2, label=f"fit, {way}")
+        axes.plot(speed / RAD_PER_S_PER_RPM, seen[:, probe], "o", **look, label=f"arrivals, {way}")
+        axes.plot(
+            speed / RAD_PER_S_PER_RPM, motion[:, probe], color=colour, lw=1.2, label=f"fit, {way}"
+        )
     axes.set_xlabel("rotor speed [rpm]")
     label_axis(axes.yaxis, "blade tip displacement", "m")
     angle = np.degrees(arrivals.probes[probe])
-    where = f"order {fit.order:g}, {fit.omega / TURN:.5g} Hz, probe at {angle:.4g}°"
+    where = f"order {fit.order:g}, {fit.omega / RAD_PER_TURN:.5g} Hz, probe at {angle:.4g}°"
     axes.set_title(where, fontsize="medium")

@@ -23,9 +23,13 @@ from vtkmodules.vtkCommonDataModel import VTK_LINE
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import check_inner, write_together, write_whole
+from fenics_crack.basics.atomic_files import (
+    check_inner_folder,
+    write_file_whole,
+    write_files_together,
+)
 from fenics_crack.basics.errors import InputError, check_count, check_number
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.draw.figure import tenth
 from fenics_crack.fem.nodal_mesh import NodalMesh
@@ -280,7 +284,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
             moved, name = in_space(factor * shape), f"mode {number}: {omega:.1f} rad/s"
             grid.point_data[name] = moved
             grid.field_data[f"magnification of mode {number}"] = [factor]
-        write_whole(path, _vtu(grid))
+        write_file_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)
 
@@ -320,7 +324,7 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
         for name, values in {**found.numbers, "K_I while closed": found.closed}.items():
             grid.point_data[name] = values
         grid.point_data["ahead"] = found.ahead
-        write_whole(path, _vtu(grid))
+        write_file_whole(path, _vtu(grid))
 
     on_root(found.comm, write)
 
@@ -364,7 +368,7 @@ class PeriodFields:
     ) -> None:
         check_count("frames", frames, 1)
         if magnification is not None:
-            check_number("magnification", magnification, 0.0, above=True)
+            check_number("magnification", magnification, 0.0, excludes_bound=True)
         if material is not None and not isinstance(material, Material):
             raise InputError("material", material, "that of a scene (scene.material), or None")
         structure = solution.structure.whole
@@ -498,12 +502,12 @@ def write_period(
     --------
     >>> magnification = fc.write_period(solution, "crack.pvd", frames=4)
     """
-    begin(Path(path).name)
+    begin_stage(Path(path).name)
     fields = PeriodFields(solution, frames, magnification, material)
     target = Path(path)
 
     def write() -> None:
-        check_inner(target.with_name(target.stem))
+        check_inner_folder(target.with_name(target.stem))
         names = [f"{target.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))]
         lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
         for instant, name in zip(fields.time, names, strict=True):
@@ -520,7 +524,7 @@ def write_period(
         state = packaged("draw/paraview_state.txt")
         about = [(target, series), (script, state.format(**words, **colours))]
         frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))
-        write_together(itertools.chain(about, frames))
+        write_files_together(itertools.chain(about, frames))
 
     on_root(fields.mesh.structure.comm, write)
     return fields.magnification

@@ -29,7 +29,7 @@ from fenics_crack.balance.harmonic_balance import (
 )
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.basics.causes import OTHER_RUNS
+from fenics_crack.basics.causes import RUN_WORDS_BY_CAUSE
 from fenics_crack.basics.errors import InputError
 from fenics_crack.errors.convergence import GridConvergence, Varied
 from fenics_crack.errors.numbers import (
@@ -232,7 +232,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
         try:
             errors = errors.with_part(cause, find_part())
         except REFUSALS as error:
-            other_run = OTHER_RUNS.get(cause, f"a run with more {cause}")
+            other_run = RUN_WORDS_BY_CAUSE.get(cause, f"a run with more {cause}")
             errors = errors.with_unknown(cause, reason_of_failure(other_run, error))
             if cause == "mesh":
                 errors = replace(errors, failed_causes=(cause,))

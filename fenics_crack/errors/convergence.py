@@ -143,7 +143,7 @@ def grid_convergence(
     >>> found = fc.grid_convergence([0.5, 0.25, 0.125], [1.25, 1.0625, 1.015625])
     >>> order, value = found.order, found.extrapolated
     """
-    check_number("formal", formal, 0.0, above=True)
+    check_number("formal", formal, 0.0, excludes_bound=True)
     h, f = numbers(sizes), numbers(values)
     if h.shape not in ((2,), (3,)) or not np.all((h > 0.0) & (h < np.inf)):
         raise InputError("sizes", sizes, "two or three finite numbers > 0")

@@ -27,8 +27,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import MOST_HARMONICS
-from fenics_crack.basics.observables import QUANTITIES, STATED, Place, names_of
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    STATED_WITH_ERROR,
+    Place,
+    observable_names,
+)
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.errors.convergence import ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
@@ -78,7 +83,7 @@ def numbers_of(
     The frequencies are the lowest ones, and those of a mode. By default it is the mode with the
     nearest resonance.
     """
-    quantities = study.scene.quantities or names_of(where=STATED)
+    quantities = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values: dict[str, float] = {}
     units: dict[str, str] = {}
     displacements = motion.measure([point.dof for point in study.watched])
@@ -87,7 +92,7 @@ def numbers_of(
     )
     requested_numbers = (number for number in observe(study, motion) if number.name in quantities)
     for number in sorted(requested_numbers, key=lambda number: quantities.index(number.name)):
-        place, value = QUANTITIES[number.name].of, float(number.value)
+        place, value = OBSERVABLES_BY_NAME[number.name].place, float(number.value)
         min_size = {"1": ROUNDING_SPREAD, "m": rounding * (place is Place.FACES)}.get(
             number.unit, 0.0
         )
@@ -168,7 +173,7 @@ def many_harmonics(solution: PeriodicSolution) -> int:
 
     It is 100, or four times a solution's.
     """
-    return max(4 * solution.harmonics, MOST_HARMONICS)
+    return max(4 * solution.harmonics, MAX_HARMONIC_ORDER)
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,9 @@ from fenics_crack.balance.error_report import (
 )
 from fenics_crack.balance.more_modes import reference_structure_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.causes import REDUCTION_CAUSES
+from fenics_crack.basics.causes import REDUCED_STRUCTURE_CAUSES
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import Place, names_of
+from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import frequency_axis
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.case import (
@@ -104,7 +104,7 @@ from fenics_crack.study.observer import errors_along_fronts, rows_requested
 from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced
 from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
 
-STATED_CAUSES = (*REDUCTION_CAUSES, "friction")
+STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
 """Causes of stated errors."""
 HARMONIC_FACTORS = 2, 4
 """Factors of the harmonics of other runs; the second is used if the report's error is large."""
@@ -251,7 +251,7 @@ def stated_errors(
     numbers = numbers_of(study, answer)
     errors = Verification(study.scene, numbers.values, numbers.units)
     if not is_small(study.structure):  # three more solutions take three times as long
-        reasons = dict.fromkeys(REDUCTION_CAUSES, "the structure is not reduced")
+        reasons = dict.fromkeys(REDUCED_STRUCTURE_CAUSES, "the structure is not reduced")
         return replace(errors, unknown=reasons)
     if answer.report.unknown:  # other runs may agree by chance
         return errors.with_unknown("harmonics", not_estimated(answer.report))
@@ -439,7 +439,7 @@ class StatedCase(Case):
         factors = np.linspace(*ends, self._n_extrapolated(shift_range, mode))
         numbers_by_shift = self._values_at_shifts(factors * (1.0 - frequency_ratio))
         numbers_with_clearance_shift = self._values_with_shifted_clearance()
-        dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
+        dents = dict.fromkeys(observable_names(Place.POINT), self._relative_dent)
         closed_errors, front_changes = errors_along_fronts(study, wave, coarse_study, coarse_wave)
         for name, part in parts.items():
             value, coarse_mesh_number = part.values
@@ -533,7 +533,7 @@ def _with_known_numbers(study: Study) -> Study:
     try:
         rows_requested(study)
     except InputError:
-        refused_names = names_of(Place.TIPS, Place.ELLIPSE)
+        refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
         names = [name for name in study.scene.quantities or () if name not in refused_names]
         return replace(study, scene=study.scene.replace({"output.quantities": names or None}))
     return study

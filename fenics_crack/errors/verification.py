@@ -12,26 +12,26 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 from fenics_crack.basics.causes import (
-    MESH_CAUSES,
-    MISSING_PART_REASONS,
+    MESH_ERROR_CAUSES,
+    MISSING_PART_REASON_BY_CAUSE,
     OPTIONAL_CAUSES,
     REQUIRED_CAUSES,
 )
-from fenics_crack.basics.errors import TOLERANCE, check_choice
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.tables import (
-    Said,
+    Conclusion,
     Table,
-    error_in_words,
-    percent,
-    quantity,
-    with_unit,
-    without_causes,
+    describe_omitted_causes,
+    format_error,
+    format_percent,
+    format_quantity,
+    heading_with_unit,
 )
 from fenics_crack.errors.convergence import GridConvergence, Varied
-from fenics_crack.files.codec import Parts, from_text, text_of
-from fenics_crack.files.saved import Saved
-from fenics_crack.files.store import Stored
+from fenics_crack.files.codec import Datasets, dataclass_from_json, to_json_text
+from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 
 DOUBTS = {
@@ -46,7 +46,7 @@ DOUBTS = {
 
 
 @dataclass(frozen=True, repr=False)
-class Verification(Saved):
+class Verification(SavedResult):
     """Contributions to the error of a scene's result.
 
     Attributes
@@ -114,14 +114,14 @@ class Verification(Saved):
 
     def text(self) -> str:
         """Return everything but the scene as text, a dataset of a file."""
-        return text_of(self, "", {})
+        return to_json_text(self, "", {})
 
-    def _packed(self) -> Parts:
+    def _packed(self) -> Datasets:
         return {"verification": self.text()}
 
     @classmethod
-    def _unpacked(cls, parts: Parts, scene: Scene | None) -> Verification:
-        return from_text(cls, parts["verification"], scene)
+    def _unpacked(cls, parts: Datasets, scene: Scene | None) -> Verification:
+        return dataclass_from_json(cls, parts["verification"], scene)
 
     # --- numbers ----------------------------------------------------------------------------------
 
@@ -152,7 +152,7 @@ class Verification(Saved):
     def missing_causes(self, quantity: str) -> dict[str, str]:
         """Return varied causes that have no part for a quantity, with reasons."""
         return {
-            cause: MISSING_PART_REASONS.get(cause, "the other run has no such number")
+            cause: MISSING_PART_REASON_BY_CAUSE.get(cause, "the other run has no such number")
             for cause, parts in self.parts.items()
             if quantity not in parts
         }
@@ -169,7 +169,7 @@ class Verification(Saved):
     def _parts(self, quantity: str) -> dict[str, float]:
         """Return contributions with both causes of the mesh added up as "mesh"."""
         parts = self.contributions(quantity)
-        mesh = [parts.pop(cause) for cause in MESH_CAUSES if cause in parts]
+        mesh = [parts.pop(cause) for cause in MESH_ERROR_CAUSES if cause in parts]
         return ({"mesh": sum(mesh)} if mesh else {}) | parts
 
     def extrapolated(self, quantity: str) -> float:
@@ -232,7 +232,7 @@ class Verification(Saved):
     @property
     def without(self) -> str:
         """Missing causes in words: "error due to the mesh not included"; else empty."""
-        return without_causes(self.unknown)
+        return describe_omitted_causes(self.unknown)
 
     @property
     def left_out(self) -> str:
@@ -256,7 +256,7 @@ class Verification(Saved):
             shares = [float(f"{100.0 * self.relative(name, error):.3g}") for error in errors]
             mesh = self.parts.get("mesh", {})
             order = mesh[name].order if name in mesh else math.nan
-            quantity = with_unit(name, self.units[name])
+            quantity = heading_with_unit(name, self.units[name])
             rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
         columns = [f"{label} [%]" for label in (*self.causes, "total", "sum")]
         return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
@@ -291,19 +291,19 @@ class Verification(Saved):
     def _title(self) -> str:
         return self.statement[0]
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """Return the parts of the last sentence on the study."""
         name = next(iter(self.values))
-        words = getattr(QUANTITIES.get(name.rpartition(".")[2]), "words", name)
+        words = getattr(OBSERVABLES_BY_NAME.get(name.rpartition(".")[2]), "words", name)
         error, cause = self.stated(name)
-        value = f"{words} {quantity(self.values[name], self.units[name])}"
-        answer = f"{value} within {error_in_words(error)}, factors of safety included, mostly due "
+        value = f"{words} {format_quantity(self.values[name], self.units[name])}"
+        answer = f"{value} within {format_error(error)}, factors of safety included, mostly due "
         answer += f"to the {cause}"
         if math.isnan(error):
             answer = f"{value}; nothing that was varied changes the numbers"
         doubt = self.doubt(name)
         verdicts = (f"{run}: {verdict}" for run, verdict in self.verdicts.items())
-        return Said("verified", value if doubt else answer, doubt, [self.without, *verdicts])
+        return Conclusion("verified", value if doubt else answer, doubt, [self.without, *verdicts])
 
     # --- words ------------------------------------------------------------------------------------
 
@@ -365,12 +365,12 @@ class Verification(Saved):
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
         dent = dent_by_force(scene)
-        if scene.points or not dent > TOLERANCE * amplitude > 0.0:
+        if scene.points or not dent > DEFAULT_ERROR_TOLERANCE * amplitude > 0.0:
             return ()
         growth, side = ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         return (
             "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth}, by about {percent(dent / amplitude)} with elements half as long; "
+            f"{growth}, by about {format_percent(dent / amplitude)} with elements half as long; "
             f"watch another place (output.points), or load {side} (loads)",
         )
 
@@ -379,7 +379,7 @@ class Verification(Saved):
 
         It must be at least a tenth of the total, and of the value times TOLERANCE.
         """
-        size = max(self.total(name), TOLERANCE * abs(self.values[name]))
+        size = max(self.total(name), DEFAULT_ERROR_TOLERANCE * abs(self.values[name]))
         return self.contributions(name)[cause] >= 0.1 * size
 
     def _in_words(self, name: str) -> str:
@@ -392,7 +392,7 @@ class Verification(Saved):
             self.relative(name, self.total(name, independent=is_independent))
             for is_independent in (True, False)
         )
-        share, bound = map(percent, shares)
+        share, bound = map(format_percent, shares)
         cause = max(parts, key=lambda part_cause: parts[part_cause])
         largest_part = self.parts[cause][name]
         order_words = (
@@ -404,7 +404,7 @@ class Verification(Saved):
         return f"{text}; extrapolated {self.extrapolated(name):.5g}"
 
 
-def verification_of(result_file: Stored) -> Verification | None:
+def verification_of(result_file: StoredFile) -> Verification | None:
     """Return the verification in the file of a result; None: none.
 
     Raises
@@ -412,10 +412,10 @@ def verification_of(result_file: Stored) -> Verification | None:
     InputError
         It does not fit.
     """
-    with result_file.taken() as parts:
+    with result_file.checked_datasets() as parts:
         if "verification" not in parts:
             return None
-        verification = from_text(Verification, parts["verification"], result_file.scene())
+        verification = dataclass_from_json(Verification, parts["verification"], result_file.scene())
         verification.to_dict()  # whose rows have every part
         return verification
 

@@ -25,8 +25,8 @@ from typing import Any
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.basics.errors import MAX_SAMPLES, ConvergenceError
-from fenics_crack.basics.progress import within
+from fenics_crack.basics.errors import MAX_SAMPLES_PER_PERIOD, ConvergenceError
+from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.errors.case import CAUSE_WITHOUT_CONTACT, Case, solve_again, vary
 from fenics_crack.errors.convergence import CLAMP_ORDER, TIP_ORDER, Level, Varied, part_of
 from fenics_crack.errors.numbers import accepted_orbit, add_changes, bilinear_of, numbers_of
@@ -81,7 +81,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     >>> found = fc.verify(scene)
     >>> percent = found.total("amplitude")
     """
-    with within(SCENE_CHOICE):
+    with prefix_stages(SCENE_CHOICE):
         whole_study = prepare(scene, comm, whole=True)
         run = solve_prepared(whole_study)
         if scene.harmonic_balance.tolerance is not None and run.result.converged:
@@ -187,7 +187,7 @@ class _VerifiedCase(Case):
         """
         levels: list[Level] = [(count, self.numbers.values)]
         for name, finer_count, scene in reversed(finer_scenes):  # few modes are among many
-            with within(name):
+            with prefix_stages(name):
                 try:
                     run = self._run(scene, shared_study)
                 except REFUSALS as error:
@@ -338,7 +338,7 @@ class _VerifiedCase(Case):
             return self.distance_to_orbit(self.orbit_values)
         key = "harmonic_balance.harmonics"
         return self._judge_by_more(
-            "harmonics", self.study, scene, key, table.harmonics, MAX_SAMPLES, TIP_ORDER
+            "harmonics", self.study, scene, key, table.harmonics, MAX_SAMPLES_PER_PERIOD, TIP_ORDER
         )
 
     def samples(self) -> Varied:
@@ -351,5 +351,5 @@ class _VerifiedCase(Case):
             return "contact is integrated exactly"
         count = table.samples or default_samples(table.harmonics)
         return self._judge_by_more(
-            "samples", self.study, scene, key, count, MAX_SAMPLES, SAMPLES_ORDER
+            "samples", self.study, scene, key, count, MAX_SAMPLES_PER_PERIOD, SAMPLES_ORDER
         )

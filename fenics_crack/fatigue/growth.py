@@ -27,23 +27,23 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
-from fenics_crack.basics.observables import Place, Where, names_of
+from fenics_crack.basics.observables import ObservableFlag, Place, observable_names
 from fenics_crack.basics.ranks import StopRequest, on_root
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
-    FEW_ROWS,
-    TURN,
-    Said,
+    N_SELECTED_ROWS,
+    RAD_PER_TURN,
+    Conclusion,
     Table,
-    counted,
-    hertz_of,
-    quantity,
-    with_frequency,
+    add_frequency_entries,
+    format_count,
+    format_quantity,
+    hertz_property,
 )
 from fenics_crack.errors.stated import STATED_CAUSES, stated_errors
 from fenics_crack.fatigue.ellipse import DRIVING, EllipsePath, EllipseTable, End, grown
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.saved import Saved
+from fenics_crack.files.saved import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
@@ -69,7 +69,7 @@ ENDS: dict[End, str] = {
 
 
 @dataclass(frozen=True, repr=False)
-class Growth(Saved):
+class Growth(SavedResult):
     """A crack's length over the cycles, and what the vibration does meanwhile.
 
     Attributes
@@ -125,8 +125,8 @@ class Growth(Saved):
     depth: np.ndarray | None = None
 
     KIND: ClassVar[str] = "crack growth"
-    frequency, frequency_open = hertz_of(), hertz_of("omega_open")
-    frequency_bilinear = hertz_of("omega_bilinear")
+    frequency, frequency_open = hertz_property(), hertz_property("omega_open")
+    frequency_bilinear = hertz_property("omega_bilinear")
 
     @property
     def life(self) -> float:
@@ -173,13 +173,13 @@ class Growth(Saved):
         }
         if self.repeats is not None:
             found = {"repeats": self.repeats} | found
-        return with_frequency({name: values.tolist() for name, values in found.items()})
+        return add_frequency_entries({name: values.tolist() for name, values in found.items()})
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """What the last sentence on the growth says."""
         first, last = (self._size(end) for end in (0, -1))
         if len(self.length) == 1:
-            return Said(f"the crack stays at {first}: {ENDS[self.end]}")
+            return Conclusion(f"the crack stays at {first}: {ENDS[self.end]}")
         way = f"from {first} to {last} in {self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
         if self.repeats is not None:
             way += f", {self.repeats[-1]:.4g} repeats of the spectrum"
@@ -187,30 +187,32 @@ class Growth(Saved):
         known = f"the cycles are uncertain by a factor of {self.factor:.3g}"
         known += f", standard deviations of their logarithm: {', '.join(causes)}" if causes else ""
         drop = f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
-        return Said(f"the crack grows {way}: {ENDS[self.end]}", known, others=[drop])
+        return Conclusion(f"the crack grows {way}: {ENDS[self.end]}", known, further_clauses=[drop])
 
     def _size(self, row: int) -> str:
-        length = quantity(float(self.length[row]), "m")
+        length = format_quantity(float(self.length[row]), "m")
         if self.depth is None:
             return length
-        return f"{length} x {quantity(float(self.depth[row]), 'm')} deep"
+        return f"{length} x {format_quantity(float(self.depth[row]), 'm')} deep"
 
     def _title(self) -> str:
         ends = f"{self._size(0)} to {self._size(-1)}"
         drop = f"frequency falls by {self.frequency_drop[-1]:.2%}"
         known = f"{self.life:.4g} cycles within a factor of {self.factor:.3g}"
-        return f"{ends}, {known}, {self.end}, {drop}, {counted(len(self.solved), 'size')} solved"
+        return (
+            f"{ends}, {known}, {self.end}, {drop}, {format_count(len(self.solved), 'size')} solved"
+        )
 
 
 def report_of_growth(found: Growth) -> Report:
     """The table, the life and how sure it is."""
     table, count = found.table(), len(found.length)
-    places = sorted({*np.linspace(0, count - 1, FEW_ROWS).round().astype(int).tolist()})
+    places = sorted({*np.linspace(0, count - 1, N_SELECTED_ROWS).round().astype(int).tolist()})
     return Report(
         table,
         found.said(),
         found.scene,
-        shown=Table(table.columns, [table.rows[place] for place in places]),
+        printed_table=Table(table.columns, [table.rows[place] for place in places]),
         warnings=found.remarks,
         remarks=remarks_on_scene(found.scene),
     )
@@ -310,7 +312,7 @@ def grow(
     for name in LOGARITHMIC_COLUMNS:
         seen[name][seen[name] <= SMALLEST_NORMAL] = 0.0
     rate[-1] *= end != "arrested"
-    time = _summed(TURN / seen["omega"], cycles)
+    time = _summed(RAD_PER_TURN / seen["omega"], cycles)
     return Growth(
         scene, length, cycles, time, seen["omega"], seen["omega_open"], seen["omega_bilinear"],
         seen["response"], seen["K_max"], seen["K_min"], seen["delta_K_effective"],
@@ -393,10 +395,10 @@ def _grow_ellipse(
     missed = missed_by(table, path, law, ends)
     errors = _errors(law, path.rates.sum(axis=1), path.cycles, vibration, missed)
     seen = {name: table.at(name, path.depth, path.length) for name in table.columns}
-    time = _summed(TURN / seen["omega"], path.cycles)
+    time = _summed(RAD_PER_TURN / seen["omega"], path.cycles)
     unsure = int((swept.not_stable & swept.converged).sum())
     said = _not_solved(swept, table, path)
-    said += [f"at {counted(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
+    said += [f"at {format_count(unsure, 'shape')} {NOT_STABLE}"] if unsure else []
     said += _turning(seen["K_max"], seen["K_II_max"], path.length)
     said += [] if math.isfinite(vibration) else [UNKNOWN_VIBRATION]
     above = seen["omega"] > seen["omega_bilinear"]
@@ -446,7 +448,7 @@ def _of_shapes(swept: SweepResult) -> EllipseTable:
     bilinear = [swept[f"omega_bilinear_{number}"][0, 0] for number in MODE_NUMBERS]
     mode = MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear - swept["omega"][0, 0])))]
     numbered = {f"omega_{kind}": f"omega_{kind}_{mode}" for kind in ("open", "bilinear")}
-    names = (*SWEEP_COLUMNS, *names_of(Place.ELLIPSE))
+    names = (*SWEEP_COLUMNS, *observable_names(Place.ELLIPSE))
     columns = {name: swept[numbered.get(name, name)].copy() for name in names}
     columns["response"] = np.nan_to_num(columns["response"])  # nan where nothing moves
     places = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
@@ -475,7 +477,7 @@ def _not_solved(swept: SweepResult, table: EllipseTable, path: EllipsePath) -> l
     if not swept.failed:
         return []
     at, why = swept.failed[0]
-    count = counted(len(swept.failed), "shape")
+    count = format_count(len(swept.failed), "shape")
     return [f"{count} away from the growth not solved, as {_shape(swept, at)}: {why}"]
 
 
@@ -518,7 +520,10 @@ def _at_size(scene: Scene, omega: float, length: float, depth: float | None = No
     frequency [rad/s], which replaces an engine order, with the ranges that drive growth as
     quantities."""
     place = {"crack.length": length, "excitation.omega": omega}
-    asked = names_of(Place.TIPS if depth is None else Place.ELLIPSE, where=Where.GROWING)
+    asked = observable_names(
+        Place.TIPS if depth is None else Place.ELLIPSE,
+        required_flags=ObservableFlag.REQUIRES_GROWTH_LAW,
+    )
     deep = {} if depth is None else {"crack.depth": depth}
     return scene.replace(place | deep | {"output.quantities": asked})
 
@@ -574,7 +579,7 @@ def _remarks(
     passed = (path.not_stable, jumps)
     unsure, jumps = ([at for at in places if at <= length[-1]] for places in passed)
     if unsure:
-        count = counted(len(unsure), "length")
+        count = format_count(len(unsure), "length")
         remarks.append(f"at {count} {NOT_STABLE}")
     if jumps:
         remarks.append(
@@ -763,7 +768,7 @@ def _levels(law: Law) -> tuple[np.ndarray, np.ndarray]:
     """Load frequencies [rad/s] of a spectrum, none without one, and the cycles of each."""
     if law.frequencies is None:
         return np.zeros(0), np.ones(1)
-    return TURN * np.array(law.frequencies), np.array(law.cycles)
+    return RAD_PER_TURN * np.array(law.frequencies), np.array(law.cycles)
 
 
 def _swept(
@@ -779,13 +784,13 @@ def _swept(
     swept = {key: values.tolist() for key, values in over.items()}
     table = {"sweep.over": swept, "sweep.at_resonance": resonant}
     places = (Place.TIPS, Place.ELLIPSE) if "crack.depth" in over else (Place.TIPS,)
-    asked = names_of(*places, without=Where.SOLID)
+    asked = observable_names(*places, excluded_flags=ObservableFlag.REQUIRES_SOLID)
     with StopRequest() as stop:
         found = run_sweep(
             scene.replace({**table, "output.quantities": asked}),
             file, comm, progress=progress, judged=False,
         )  # fmt: skip
-    if stop.asked(comm):
+    if stop.is_requested(comm):
         raise StoppedError("growth was stopped; the same command goes on with it")
     return found
 

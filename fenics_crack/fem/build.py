@@ -45,8 +45,8 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each, on_root
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.ranks import call_on_each_rank, collect_garbage, gather_rows, on_root
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.cracks import (
@@ -474,11 +474,11 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
     if scene.disk is not None:  # every rank has the sector
         from fenics_crack.disk.sector import assemble_wheel
 
-        structure, dofs = on_each(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
+        structure, dofs = call_on_each_rank(comm, lambda: _assemble_at_rest(scene, MPI.COMM_SELF))
         return assemble_wheel(scene, dofs, structure, comm)
     structure, dofs = _assemble_at_rest(scene, comm)
     if scene.speed > 0.0:
-        begin("rotation")
+        begin_stage("rotation")
         structure = assemble_rotation(scene, dofs, structure).at(scene.speed)
     return structure
 
@@ -510,9 +510,9 @@ def _assemble_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
 
     Of a bladed disk it is one sector, whose sides are free.
     """
-    begin("mesh")
+    begin_stage("mesh")
     plate = build_mesh(scene, comm)
-    begin("matrices")
+    begin_stage("matrices")
     if not plate.has_cracks and scene.mesh.layout == "file" and (scene.contact or scene.all_cracks):
         group_kind_words = "curves" if scene.dimension == 2 else "surfaces"
         requirement = (

@@ -20,13 +20,13 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.caches import settle_caches
-from fenics_crack.basics.errors import reading
+from fenics_crack.basics.caches import replace_unusable_caches
+from fenics_crack.basics.errors import report_read_errors
 from fenics_crack.basics.form_cache import load_form
 from fenics_crack.basics.gmsh_process import gmsh
-from fenics_crack.basics.installation import loading
-from fenics_crack.basics.threads import addresses_left
-from fenics_crack.basics.untrusted_files import away
+from fenics_crack.basics.installation import report_missing_libraries
+from fenics_crack.basics.threads import remaining_address_space
+from fenics_crack.basics.untrusted_files import leave_working_folder
 
 
 @contextmanager
@@ -45,8 +45,8 @@ def _replace_pkg_resources() -> Iterator[None]:
             del sys.modules["pkg_resources"]
 
 
-settle_caches()
-with _replace_pkg_resources(), away(), loading():
+replace_unusable_caches()
+with _replace_pkg_resources(), leave_working_folder(), report_missing_libraries():
     import basix
     import dolfinx
     import dolfinx.fem.petsc
@@ -90,7 +90,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
         from dolfinx.io import gmsh as gmshio
     # A thread of SCOTCH takes 8 MiB of stack, 128 MiB of heap and some more. Without this memory
     # SCOTCH aborts the program, or DOLFINx loops for ever.
-    if comm.allreduce(addresses_left() < 150 * 2**20, MPI.LOR):
+    if comm.allreduce(remaining_address_space() < 150 * 2**20, MPI.LOR):
         raise MemoryError("no room for a thread")
     # DOLFINx 0.5 tries a call that fails, and formats all arrays for an error that is discarded.
     with np.printoptions(threshold=0, edgeitems=1):
@@ -246,7 +246,9 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
     cpp_space = space._cpp_object
     n_dofs = space.dofmap.index_map.size_local * space.mesh.geometry.dim
     zero_start, one_start = start_values = np.array([[0.0], [1.0]]).repeat(n_dofs, axis=1)
-    with reading("bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"):
+    with report_read_errors(
+        "bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"
+    ):
         conditions = list(conditions)
         if not all(
             cpp_space.contains(_cpp_object(condition.function_space)) for condition in conditions

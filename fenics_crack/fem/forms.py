@@ -16,8 +16,8 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import InputError, check_number, reading
-from fenics_crack.basics.ranks import collect_garbage, gather_rows, on_each
+from fenics_crack.basics.errors import InputError, check_number, report_read_errors
+from fenics_crack.basics.ranks import call_on_each_rank, collect_garbage, gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.build import pair_crack_faces
 from fenics_crack.fem.compat import dolfinx
@@ -116,8 +116,10 @@ def _assemble_parts_and_places(
     pair_places : Pairs
     """
     _check_space(space)
-    check_number("thickness", thickness, 0.0, above=True)
-    with reading("loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"):
+    check_number("thickness", thickness, 0.0, excludes_bound=True)
+    with report_read_errors(
+        "loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"
+    ):
         load_key_form_pairs = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
         forms_by_key = bilinear_forms | {
             key: form for key, form in load_key_form_pairs if form is not None
@@ -135,7 +137,7 @@ def _assemble_parts_and_places(
         comm,
     )
     collect_garbage(comm)  # free the matrices of earlier structures
-    is_constrained = on_each(comm, lambda: compat.constrained_dof_mask(space, bcs))
+    is_constrained = call_on_each_rank(comm, lambda: compat.constrained_dof_mask(space, bcs))
     try:
         dofs = Dofs(_mesh_with_cracks(space.mesh, crack, comm), space, comm, is_constrained)
         gap_matrix, tangential_matrix, pair_places = pair_crack_faces(
@@ -150,7 +152,7 @@ def _assemble_parts_and_places(
         for matrix_name, rank_rows in (("gap", gap_matrix), ("tangential", tangential_matrix))
     }
     for key, form in forms_by_key.items():
-        with reading(key, "a form", "one that DOLFINx can assemble"):
+        with report_read_errors(key, "a form", "one that DOLFINx can assemble"):
             if key in bilinear_forms:
                 parts_by_name[key] = dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
             else:
@@ -162,7 +164,7 @@ def _assemble_parts_and_places(
 def _check_space(space: Any) -> None:
     """Raise InputError unless a structure can have displacements in a space."""
     requirement = "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2"
-    with reading("space", type(space).__name__, f"{requirement}, whole"):
+    with report_read_errors("space", type(space).__name__, f"{requirement}, whole"):
         mesh, element = space.mesh, space.ufl_element()
         is_usable = (
             mesh.topology.cell_type.name in CELL_TYPE_NAMES
@@ -180,7 +182,9 @@ def _check_form(space: Any, key: str, form: Any, rank: int) -> None:
 
     A linear form has the rank 1, a bilinear form 2.
     """
-    with reading(key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"):
+    with report_read_errors(
+        key, type(form).__name__, f"a {'bi' * (rank - 1)}linear form of UFL on the space"
+    ):
         is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
         if len(is_on_space) != rank or not all(is_on_space):
             raise ValueError(
@@ -196,7 +200,7 @@ def _mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PlateMesh:
     if crack is None:
         return PlateMesh(mesh, None, {}, {}, ())
     requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
-    with reading("crack", type(crack).__name__, requirement):
+    with report_read_errors("crack", type(crack).__name__, requirement):
         facet_tags, *lower_and_upper_tags = crack
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):

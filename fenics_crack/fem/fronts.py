@@ -51,7 +51,7 @@ from scipy.special import roots_jacobi
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import quantity
+from fenics_crack.basics.tables import format_quantity
 from fenics_crack.fem.cracks import POSITION_TOLERANCE, CrackSurface, upward_sign
 from fenics_crack.model.nodes import Nodes
 from fenics_crack.model.receptance import check_matrices
@@ -610,7 +610,7 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
     directions = front.frame_and_curvature(front.station_parameters)[0][:, 0]
     return [
         Station(
-            f"{front.name} at {quantity(float(station_arc_length), 'm')}",
+            f"{front.name} at {format_quantity(float(station_arc_length), 'm')}",
             front.crack,
             point,
             direction,

@@ -33,8 +33,8 @@ from mpi4py import MPI
 from scipy.linalg import eigh
 
 from fenics_crack.basics.atomic_files import replace_files
-from fenics_crack.basics.errors import InputError, reading
-from fenics_crack.basics.ranks import on_each, on_root
+from fenics_crack.basics.errors import InputError, report_read_errors
+from fenics_crack.basics.ranks import call_on_each_rank, on_root
 from fenics_crack.fem.cracks import (
     FACETS,
     POSITION_TOLERANCE,
@@ -99,7 +99,9 @@ def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
     """Make the structure of a table ``[structure]`` from the table's files."""
-    labelled_matrices, gaps_and_forces_by_name, model = on_each(comm, lambda: _read_files(table))
+    labelled_matrices, gaps_and_forces_by_name, model = call_on_each_rank(
+        comm, lambda: _read_files(table)
+    )
     stiffness = labelled_matrices["stiffness"].matrix
     structure_fields: dict[str, Any] = {"gap": None, "damping": damping_rule}
     structure_fields |= {
@@ -168,14 +170,16 @@ def _read_files(
     n_rows, model = None, None
     for name, letter in MATRIX_LETTERS.items():
         if (path := getattr(table, name)) is not None:
-            with reading(name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"):
+            with report_read_errors(
+                name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"
+            ):
                 labelled_matrices[name] = read_matrix(Path(path), letter, label_file, n_rows)
             n_rows = labelled_matrices[name].matrix.shape[0]
     labelled_stiffness = labelled_matrices["stiffness"]
     for name, labelled_matrix in (
         labelled_matrices.items() if labelled_stiffness.labels is not None else ()
     ):
-        with reading(name, getattr(table, name), "one of the dofs of the stiffness"):
+        with report_read_errors(name, getattr(table, name), "one of the dofs of the stiffness"):
             labelled_matrices[name] = LabelledMatrix(
                 labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
@@ -190,7 +194,7 @@ def _read_files(
         requirement = "positive definite: rows without mass have to be condensed beforehand"
         raise InputError("mass", f"no mass at {place_text}", requirement)
     if table.model is not None:
-        with reading("model", table.model, "the input file of the matrices' program"):
+        with report_read_errors("model", table.model, "the input file of the matrices' program"):
             model = read_model(Path(table.model))
     path_by_name = {
         name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
@@ -297,7 +301,7 @@ def table_pair_upper_bound(table: StructureTable) -> int:
     if path is None:
         return 0
     try:
-        with reading("structure.gap", path, "a file that can be read"):
+        with report_read_errors("structure.gap", path, "a file that can be read"):
             if table.gap is not None:
                 return read_matrix_market_shape(Path(table.gap))[1]
             return len(find_coincident_nodes(read_model(Path(path)).points))

@@ -30,9 +30,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.gmsh_process import gmsh
-from fenics_crack.basics.untrusted_files import beginning_of, copied, run_reader
+from fenics_crack.basics.untrusted_files import (
+    copy_to_temporary_folder,
+    read_first_bytes,
+    run_reader,
+)
 from fenics_crack.fem.cracks import (
     CRACK_FACE_NAMES,
     FACETS,
@@ -189,8 +193,11 @@ def _read_raw_mesh(path: Path) -> RawMesh:
         origin.
     """
     check_file_exists("mesh.file", path)
-    with reading("mesh.file", path, "readable by gmsh"), copied(path, "mesh.msh") as file_copy:
-        if not _MESH_HEADER_PATTERN.match(beginning_of(file_copy, 100)):
+    with (
+        report_read_errors("mesh.file", path, "readable by gmsh"),
+        copy_to_temporary_folder(path, "mesh.msh") as file_copy,
+    ):
+        if not _MESH_HEADER_PATTERN.match(read_first_bytes(file_copy, 100)):
             raise ValueError("it does not begin with $MeshFormat and version 2.2 or 4.1")
         contents = run_reader(Path(__file__).with_name("solid_mesher.py"), file_copy, 300)
         if isinstance(contents, str):

@@ -21,10 +21,10 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.atomic_files import whole_file
-from fenics_crack.basics.gmsh_process import gmsh, kept_interrupts
+from fenics_crack.basics.atomic_files import partial_file
+from fenics_crack.basics.gmsh_process import gmsh, keep_interrupt_handler
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.untrusted_files import content_of
+from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import mesh_plate
 from fenics_crack.fem.compat import dolfinx, ufl
@@ -111,9 +111,9 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     """
     with _gmsh_on_root(MPI.COMM_SELF):
         _mesh_scene(scene)
-        with whole_file(path) as partial_path:
+        with partial_file(path) as partial_path:
             gmsh.write(str(partial_path))
-            if not content_of(partial_path, None).endswith(
+            if not read_regular_file(partial_path, None).endswith(
                 b"$EndElements\n"
             ):  # gmsh ignores a full disk
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -125,7 +125,7 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
     if comm.rank != 0:
         yield
         return
-    with kept_interrupts():
+    with keep_interrupt_handler():
         must_start_gmsh = not compat.gmsh_is_running()
         if must_start_gmsh:
             gmsh.initialize(readConfigFiles=False)

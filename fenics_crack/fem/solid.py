@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, reading
+from fenics_crack.basics.errors import InputError, report_read_errors
 from fenics_crack.basics.gmsh_process import gmsh
-from fenics_crack.basics.tables import quantity
-from fenics_crack.basics.untrusted_files import beginning_of, run_reader
+from fenics_crack.basics.tables import format_quantity
+from fenics_crack.basics.untrusted_files import read_first_bytes, run_reader
 from fenics_crack.fem import compat, solid_mesher
 from fenics_crack.fem.blocks import (
     RIM_SIDES,
@@ -136,7 +136,9 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
     surface_facets = nodal_mesh.boundary[~rows_in(nodal_mesh.boundary, nodal_mesh.crack_face_sides)]
     surface_triangles = nodal_mesh.points[surface_facets]
     text_by_name |= {
-        f"{crack_key}.point": f"{quantity(point_distances.min().round(12), 'm')} from the surface"
+        f"{crack_key}.point": (
+            f"{format_quantity(point_distances.min().round(12), 'm')} from the surface"
+        )
         for crack_key, crack in scene.all_cracks.items()
         for point_distances in solid_mesher.pairwise_triangle_distances(
             np.reshape(crack.point or (), (-1, 3)), surface_triangles
@@ -174,10 +176,10 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         ]
         mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
         depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
-        depth_text = f"{quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
+        depth_text = f"{format_quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
         text_by_name[crack_front.name] = (
-            f"{quantity(float(arc_lengths[-1]), 'm')} long, {depth_text}"
-            f"{quantity(ligament, 'm')} from the surface straight ahead at least"
+            f"{format_quantity(float(arc_lengths[-1]), 'm')} long, {depth_text}"
+            f"{format_quantity(ligament, 'm')} from the surface straight ahead at least"
         )
     return text_by_name
 
@@ -236,9 +238,9 @@ def _run_mesher(
 
     ``request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
     """
-    with reading("geometry.file", path, "a part that gmsh reads and meshes"):
+    with report_read_errors("geometry.file", path, "a part that gmsh reads and meshes"):
         file_mark = FILE_MARKS.get(Path(path).suffix.lower(), b"ISO-10303-21")
-        if file_mark not in beginning_of(path, 4096):
+        if file_mark not in read_first_bytes(path, 4096):
             raise ValueError("it does not begin as such a file")
         contents = run_reader(
             Path(solid_mesher.__file__),

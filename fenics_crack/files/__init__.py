@@ -1,3 +1,3 @@
-"""Results on disk."""
+"""Store results on disk."""
 
 import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

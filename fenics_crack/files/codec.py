@@ -1,9 +1,10 @@
-"""Dataclasses as the datasets of a file, and back.
+"""Convert dataclasses to datasets in a file, and back.
 
-A field is a dataset of its name: an array, a number or a text as it is; all else, tuples, dicts and
-dataclasses within each other, as JSON text, in which an array is the name of a dataset of its own
-("fits.1.candidates.orders"). None, functions and the scene, which the file has, are left out. What
-is read has the types that the fields declare, and is nothing else: no class is named in a file.
+Each field is a dataset with the field's name. An array, a number and a text are stored unchanged.
+Tuples, dicts and dataclasses within each other become JSON text. An array in the text is the name
+of a separate dataset ("fits.1.candidates.orders"). None, functions and the scene, which the file
+has, are left out. When a file is read, each value must have its field's declared type: no class is
+named in a file.
 """
 
 from __future__ import annotations
@@ -22,149 +23,205 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
 
-T = TypeVar("T")
-Parts = dict[str, Any]
-WRONG = (
+DataclassType = TypeVar("DataclassType")
+Datasets = dict[str, Any]
+DATASET_ERRORS = (
     LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError,
     StopIteration,
 )  # fmt: skip
-"""Errors of a dataset that is not what its field is."""
-_ARRAYS = {
+"""Errors if a dataset does not fit its field."""
+_ARRAY_KINDS_BY_FIELD = {
     **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces"), "bifuc"),
     **dict.fromkeys(("indices", "indptr", "dofs", "cells", "cracks"), "iu"),
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
 }
-"""Kinds of the types of arrays by their fields, where not every real one is valid."""
+"""NumPy kinds by field name, for arrays that may not hold every real number."""
 
 
-def packed(result: Any, *apart: str) -> Parts:
-    """Return the datasets of a dataclass, but for the fields ``apart``."""
-    found: Parts = {}
-    for name in (item.name for item in fields(result) if item.name not in apart):
-        value = getattr(result, name)
-        if np.isscalar(value) or _is_array(value):
-            found[name] = value
-        elif value is not None and not isinstance(value, Scene) and not callable(value):
-            found[name] = text_of(value, name, found)
-    return found
+def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
+    """Return a dataclass' datasets by name, without the omitted fields."""
+    datasets: Datasets = {}
+    for field_name in (field.name for field in fields(instance) if field.name not in omitted_names):
+        field_value = getattr(instance, field_name)
+        if np.isscalar(field_value) or _is_array(field_value):
+            datasets[field_name] = field_value
+        elif (
+            field_value is not None
+            and not isinstance(field_value, Scene)
+            and not callable(field_value)
+        ):
+            datasets[field_name] = to_json_text(field_value, field_name, datasets)
+    return datasets
 
 
-def text_of(value: Any, name: str, arrays: Parts) -> str:
-    """Return a value as JSON text, without a scene in it; its arrays join some datasets, by names
-    that begin with its own."""
+def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
+    """Return a value as JSON text, without scenes.
 
-    def plain(value: Any, name: str) -> Any:
+    Arrays are added to ``array_by_name``; their names begin with ``path`` and stand in the text.
+    """
+
+    def to_json_value(value: Any, dataset_name: str) -> Any:
         if is_dataclass(value):
-            value = {item.name: getattr(value, item.name) for item in fields(value)}
+            value = {field.name: getattr(value, field.name) for field in fields(value)}
         if isinstance(value, Mapping):
-            items = ((key, one) for key, one in value.items() if not isinstance(one, Scene))
-            return {str(key): plain(one, f"{name}.{key}") for key, one in items}
+            key_entry_pairs = (
+                (key, entry) for key, entry in value.items() if not isinstance(entry, Scene)
+            )
+            return {
+                str(key): to_json_value(entry, f"{dataset_name}.{key}")
+                for key, entry in key_entry_pairs
+            }
         if isinstance(value, tuple):
-            return [plain(one, f"{name}.{place}") for place, one in enumerate(value)]
+            return [
+                to_json_value(entry, f"{dataset_name}.{index}") for index, entry in enumerate(value)
+            ]
         if _is_array(value):
-            arrays[name] = value
-            return name
+            array_by_name[dataset_name] = value
+            return dataset_name
         return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
-    return json.dumps(plain(value, name))
+    return json.dumps(to_json_value(value, dataset_name))
 
 
 def _is_array(value: Any) -> bool:
-    """Return True if a value is an array of numbers; one of words may have more dimensions than a
-    dataset of words."""
+    """Return True for an array unless it holds words.
+
+    An array with words may have more dimensions than a dataset can.
+    """
     return isinstance(value, np.ndarray) and value.dtype.kind != "U"
 
 
-def unpacked(
-    kind: type[T], parts: Mapping[str, Any], scene: Scene | None = None, **known: Any
-) -> T:
-    """Return a dataclass from the datasets of its fields; those of others are left alone.
+def unpack_dataclass(
+    dataclass_type: type[DataclassType],
+    datasets: Mapping[str, Any],
+    scene: Scene | None = None,
+    **other_fields: Any,
+) -> DataclassType:
+    """Return a dataclass from its fields' datasets; further datasets are ignored.
 
     Parameters
     ----------
-    kind : type
-        Its class.
-    parts : mapping
-        Datasets by their names.
+    dataclass_type : type
+        The class.
+    datasets : mapping
+        Datasets by name.
     scene : Scene, optional
-        That of the file.
-    **known
+        The file's scene.
+    **other_fields
         Fields that are not in the file.
 
     Raises
     ------
-    ValueError, LookupError and others of :data:`WRONG`
-        A dataset is missing, or is not what its field is.
+    ValueError, LookupError and others of :data:`DATASET_ERRORS`
+        A dataset is missing, or does not fit its field.
     """
-    found: T = _Reader(parts, scene).made(kind, parts, known)
-    return found
+    instance: DataclassType = _DatasetReader(datasets, scene).build_dataclass(
+        dataclass_type, datasets, other_fields
+    )
+    return instance
 
 
-def from_text(kind: type[T], text: str, scene: Scene | None) -> T:
-    """Return a dataclass from the JSON text of :func:`text_of`; raises as :func:`unpacked`."""
-    found: T = _Reader({}, scene).value(kind, text, "text")
-    return found
+def dataclass_from_json(
+    dataclass_type: type[DataclassType], text: str, scene: Scene | None
+) -> DataclassType:
+    """Return a dataclass from JSON text; raises as :func:`unpack_dataclass`."""
+    instance: DataclassType = _DatasetReader({}, scene).convert_value(dataclass_type, text, "text")
+    return instance
 
 
-_types = cache(get_type_hints)
+_get_field_types = cache(get_type_hints)
 
 
-class _Reader(NamedTuple):
-    """Values of declared types from the datasets and the scene of a file."""
+class _DatasetReader(NamedTuple):
+    """Converter to declared types, with a file's datasets and scene."""
 
-    parts: Mapping[str, Any]
+    datasets: Mapping[str, Any]
     scene: Scene | None
 
-    def made(self, kind: Any, stored: Mapping[str, Any], known: Mapping[str, Any]) -> Any:
-        """Return a dataclass from the values of its fields and those that are known."""
-        found = dict(known)
-        for item in fields(kind):
-            needed = item.default is MISSING and item.default_factory is MISSING
-            if item.name not in known and (needed or item.name in stored):
-                value = stored.get(item.name)
-                found[item.name] = self.value(_types(kind)[item.name], value, item.name)
+    def build_dataclass(
+        self,
+        dataclass_type: Any,
+        stored_content_by_field: Mapping[str, Any],
+        known_value_by_field: Mapping[str, Any],
+    ) -> Any:
+        """Return a dataclass from stored and known field values."""
+        field_value_by_name = dict(known_value_by_field)
+        for field in fields(dataclass_type):
+            is_required = field.default is MISSING and field.default_factory is MISSING
+            if field.name not in known_value_by_field and (
+                is_required or field.name in stored_content_by_field
+            ):
+                stored_content = stored_content_by_field.get(field.name)
+                field_value_by_name[field.name] = self.convert_value(
+                    _get_field_types(dataclass_type)[field.name], stored_content, field.name
+                )
         try:
-            return kind(**found)
+            return dataclass_type(**field_value_by_name)
         except InputError as error:
             raise ValueError(str(error)) from None  # of the file, whose key is none of the scene's
 
-    def value(self, kind: Any, stored: Any, name: str) -> Any:
-        """Return the value of a field, or a part of it, from a dataset or what a text holds."""
-        origin, inside = get_origin(kind), get_args(kind)
-        composed = is_dataclass(kind) or origin in (dict, Mapping, tuple) or kind is np.ndarray
-        if composed and isinstance(stored, str):
-            stored = self.parts[stored] if stored in self.parts else json.loads(stored)
-        if origin in (Union, UnionType):
-            for one in inside:
-                with suppress(*WRONG):
-                    return self.value(one, stored, name)
-        elif origin in (dict, Mapping) and isinstance(stored, dict):
-            key, item = inside
-            return {key(one): self.value(item, value, name) for one, value in stored.items()}
-        elif origin is tuple and isinstance(stored, list):
-            every = inside[:1] * len(stored) if inside[1:] == (...,) else inside
-            pairs = zip(every, stored, strict=True)
-            return tuple(self.value(one, value, name) for one, value in pairs)
-        elif is_dataclass(kind) and isinstance(stored, dict):
-            return self.made(kind, stored, {})
-        elif kind is np.ndarray and isinstance(stored, list):
-            return np.array(stored, dtype=str)
-        elif origin is Literal and stored in inside:
-            return stored
-        elif kind is Scene:
-            stored = self.scene
-        elif kind is float and type(stored) is int:
-            stored = float(stored)
-        if kind is not Any and not (isinstance(kind, type) and isinstance(stored, kind)):
-            raise ValueError(f"its {name} does not fit")
-        return stored
+    def convert_value(self, declared_type: Any, stored_content: Any, field_name: str) -> Any:
+        """Return a field's value, or an entry, in the declared type.
+
+        ``stored_value`` is a dataset, or a part of a JSON text.
+        """
+        generic_type, inner_types = get_origin(declared_type), get_args(declared_type)
+        is_composed = (
+            is_dataclass(declared_type)
+            or generic_type in (dict, Mapping, tuple)
+            or declared_type is np.ndarray
+        )
+        if is_composed and isinstance(stored_content, str):
+            stored_content = (
+                self.datasets[stored_content]
+                if stored_content in self.datasets
+                else json.loads(stored_content)
+            )
+        if generic_type in (Union, UnionType):
+            for inner_type in inner_types:
+                with suppress(*DATASET_ERRORS):
+                    return self.convert_value(inner_type, stored_content, field_name)
+        elif generic_type in (dict, Mapping) and isinstance(stored_content, dict):
+            key_type, entry_type = inner_types
+            return {
+                key_type(key): self.convert_value(entry_type, entry, field_name)
+                for key, entry in stored_content.items()
+            }
+        elif generic_type is tuple and isinstance(stored_content, list):
+            entry_types = (
+                inner_types[:1] * len(stored_content) if inner_types[1:] == (...,) else inner_types
+            )
+            types_and_entries = zip(entry_types, stored_content, strict=True)
+            return tuple(
+                self.convert_value(inner_type, entry, field_name)
+                for inner_type, entry in types_and_entries
+            )
+        elif is_dataclass(declared_type) and isinstance(stored_content, dict):
+            return self.build_dataclass(declared_type, stored_content, {})
+        elif declared_type is np.ndarray and isinstance(stored_content, list):
+            return np.array(stored_content, dtype=str)
+        elif generic_type is Literal and stored_content in inner_types:
+            return stored_content
+        elif declared_type is Scene:
+            stored_content = self.scene
+        elif declared_type is float and type(stored_content) is int:
+            stored_content = float(stored_content)
+        if declared_type is not Any and not (
+            isinstance(declared_type, type) and isinstance(stored_content, declared_type)
+        ):
+            raise ValueError(f"its {field_name} does not fit")
+        return stored_content
 
 
-def check_arrays(parts: Mapping[str, Any]) -> None:
-    """Raise ValueError unless the numbers of all datasets are nan or can be computed with, of the
-    kind of their field."""
-    for name, array in parts.items():
+def check_arrays(datasets: Mapping[str, Any]) -> None:
+    """Raise ValueError unless all numbers in datasets are usable or nan.
+
+    Numbers are usable up to ``LARGEST``; an array's kind must fit its field.
+    """
+    for name, array in datasets.items():
         if isinstance(array, np.ndarray):
-            kinds = _ARRAYS.get(name.rpartition(".")[2], "bifu")
-            if array.dtype.kind not in kinds or np.any(np.abs(array) > MAX_ALLOWED_MAGNITUDE):
+            allowed_kinds = _ARRAY_KINDS_BY_FIELD.get(name.rpartition(".")[2], "bifu")
+            if array.dtype.kind not in allowed_kinds or np.any(
+                np.abs(array) > MAX_ALLOWED_MAGNITUDE
+            ):
                 raise ValueError(f"its {name} does not fit")

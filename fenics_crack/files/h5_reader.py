@@ -1,9 +1,8 @@
-"""Reader of HDF5 files by h5py, in a program of its own
-(:mod:`fenics_crack.basics.untrusted_files`).
+"""Read HDF5 files by h5py, in a separate program (:mod:`fenics_crack.basics.untrusted_files`).
 
-A damaged file may crash HDF5, and a made one may point to other files or announce any size. Read
-are texts as attributes, and words and numbers that are in the file itself. Of a sweep, which is
-filled in while it is read, only types, shapes and places of its datasets are read.
+A damaged file may crash HDF5, and a malicious file may point to other files or announce any size.
+Only text attributes, words and numbers in the file itself are read. A sweep is filled in while it
+is read: only types, shapes and offsets are read for its datasets.
 """
 
 import json
@@ -14,95 +13,136 @@ from typing import Any
 import h5py
 import numpy as np
 
-MOST_ITEMS = 10_000
-"""Maximum datasets, attributes, and words of a list."""
-SWEEP = "sweep"
-"""Kind of file that is filled in while it is read."""
-FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
+MAX_ENTRIES = 10_000
+"""Maximum number of datasets, attributes, and words in a list."""
+SWEEP_KIND = "sweep"
+"""Kind in a sweep's file, which is filled in while it is read."""
+ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+"""HDF5's own filters for packed datasets."""
+ALLOWED_LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
+"""Layouts with the data in the file itself."""
 
 
-def read(path: str, most: int) -> dict[str, np.ndarray]:
-    """The content as JSON, but for its arrays, which are those without a name of their own."""
+def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
+    """Return a file's contents as arrays by name.
+
+    "head" is a JSON text with attributes, words, columns and array names; "arr_0", "arr_1", ... are
+    these arrays.
+    """
     with h5py.File(path, "r", locking=False) as file:
-        head, arrays = content(file, os.path.getsize(path), most)
-    numbered = {f"arr_{number}": array for number, array in enumerate(arrays)}
-    return {"head": np.array(json.dumps(head)), **numbered}
+        contents, arrays = read_content(file, os.path.getsize(path), max_bytes)
+    array_by_numbered_name = {f"arr_{number}": array for number, array in enumerate(arrays)}
+    return {"head": np.array(json.dumps(contents)), **array_by_numbered_name}
 
 
-def content(file: h5py.File, size: int, most: int) -> tuple[dict, list[np.ndarray]]:
-    """Attributes, words, names of arrays and places of columns; and the arrays."""
-    if max(len(file), len(file.attrs)) > MOST_ITEMS:
-        raise ValueError(f"it has more than {MOST_ITEMS} parts")
-    attributes = texts(file)
-    items = {name: dataset(file, name, size, most) for name in file}
-    for name, item in items.items():
-        attributes |= {f"{name}/{key}": text for key, text in texts(item).items()}
-    head: dict[str, Any] = {"attributes": attributes, "words": {}, "arrays": [], "columns": {}}
-    if attributes.get("kind") == SWEEP:
-        for name, item in items.items():
-            place = item.id.get_offset()
-            if place is None or place + stated_bytes(item) > size:
+def read_content(file: h5py.File, file_size: int, max_bytes: int) -> tuple[dict, list[np.ndarray]]:
+    """Read the contents from an open file.
+
+    Returns
+    -------
+    contents : dict
+        Attributes, words, array names, and each column's type, shape and offset.
+    arrays : list of array
+        The arrays with numbers; empty for a sweep.
+    """
+    if max(len(file), len(file.attrs)) > MAX_ENTRIES:
+        raise ValueError(f"it has more than {MAX_ENTRIES} parts")
+    text_by_attribute = read_text_attributes(file)
+    dataset_by_name = {
+        name: open_checked_dataset(file, name, file_size, max_bytes) for name in file
+    }
+    for name, dataset in dataset_by_name.items():
+        text_by_attribute |= {
+            f"{name}/{attribute_name}": text
+            for attribute_name, text in read_text_attributes(dataset).items()
+        }
+    contents: dict[str, Any] = {
+        "attributes": text_by_attribute,
+        "words": {},
+        "arrays": [],
+        "columns": {},
+    }
+    if text_by_attribute.get("kind") == SWEEP_KIND:
+        for name, dataset in dataset_by_name.items():
+            offset = dataset.id.get_offset()
+            if offset is None or offset + stated_bytes(dataset) > file_size:
                 raise ValueError(f"{name!r} is not in one piece in the file")
-            head["columns"][name] = (item.dtype.str, item.shape, place)
-        return head, []
-    if sum(map(stated_bytes, items.values())) > most:
-        raise ValueError(f"its numbers would take more than {most} bytes")
+            contents["columns"][name] = (dataset.dtype.str, dataset.shape, offset)
+        return contents, []
+    if sum(map(stated_bytes, dataset_by_name.values())) > max_bytes:
+        raise ValueError(f"its numbers would take more than {max_bytes} bytes")
     arrays = []
-    for name, item in items.items():
-        if h5py.check_string_dtype(item.dtype) is None:
-            head["arrays"].append(name)
-            arrays.append(item[()])
+    for name, dataset in dataset_by_name.items():
+        if h5py.check_string_dtype(dataset.dtype) is None:
+            contents["arrays"].append(name)
+            arrays.append(dataset[()])
         else:
-            head["words"][name] = words(item, most)
-    return head, arrays
+            contents["words"][name] = read_words(dataset, max_bytes)
+    return contents, arrays
 
 
-def texts(item: h5py.File | h5py.Dataset) -> dict[str, str]:
-    """Its attributes."""
-    found = {}
-    for name, value in item.attrs.items():
-        if not isinstance(value, str):
+def read_text_attributes(file_or_dataset: h5py.File | h5py.Dataset) -> dict[str, str]:
+    """Return the attributes by name; ValueError unless all are texts."""
+    text_by_name = {}
+    for name, attribute in file_or_dataset.attrs.items():
+        if not isinstance(attribute, str):
             raise ValueError(f"its attribute {name!r} is no text")
-        value.encode()  # what is no UTF-8 cannot be handed over
-        found[name] = value
-    return found
+        attribute.encode()  # what is no UTF-8 cannot be handed over
+        text_by_name[name] = attribute
+    return text_by_name
 
 
-def dataset(file: h5py.File, name: str, size: int, most: int) -> h5py.Dataset:
-    """A dataset whose numbers are in the file itself."""
+def open_checked_dataset(
+    file: h5py.File, name: str, file_size: int, max_bytes: int
+) -> h5py.Dataset:
+    """Return a dataset with numbers or words in the file itself.
+
+    ValueError if the dataset lies in another file, is packed in an unknown way, or is too large.
+    """
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name!r} is a link")
-    item = file[name]
-    if not isinstance(item, h5py.Dataset):
+    dataset = file[name]
+    if not isinstance(dataset, h5py.Dataset):
         raise ValueError(f"{name!r} is no dataset")
-    plan = item.id.get_create_plist()
-    if plan.get_layout() not in LAYOUTS or plan.get_external_count():
+    creation_properties = dataset.id.get_create_plist()
+    if (
+        creation_properties.get_layout() not in ALLOWED_LAYOUTS
+        or creation_properties.get_external_count()
+    ):
         raise ValueError(f"{name!r} lies in another file")
-    if {plan.get_filter(number)[0] for number in range(plan.get_nfilters())} - FILTERS:
+    if {
+        creation_properties.get_filter(filter_index)[0]
+        for filter_index in range(creation_properties.get_nfilters())
+    } - ALLOWED_FILTERS:
         raise ValueError(f"{name!r} is packed in an unknown way")
-    words = h5py.check_string_dtype(item.dtype)
-    if item.shape is None or item.ndim > 8 or (words is None and item.dtype.kind not in "biufcS"):
+    string_type = h5py.check_string_dtype(dataset.dtype)
+    if (
+        dataset.shape is None
+        or dataset.ndim > 8
+        or (string_type is None and dataset.dtype.kind not in "biufcS")
+    ):
         raise ValueError(f"{name!r} holds neither numbers nor words")
-    if plan.get_layout() != h5py.h5d.CHUNKED:
-        if stated_bytes(item) > size:
+    if creation_properties.get_layout() != h5py.h5d.CHUNKED:
+        if stated_bytes(dataset) > file_size:
             raise ValueError(f"{name!r} is larger than the file")
-    elif math.prod(item.chunks) * item.dtype.itemsize > most:
-        raise ValueError(f"the pieces of {name!r} would take more than {most} bytes")
-    return item
+    elif math.prod(dataset.chunks) * dataset.dtype.itemsize > max_bytes:
+        raise ValueError(f"the pieces of {name!r} would take more than {max_bytes} bytes")
+    return dataset
 
 
-def stated_bytes(item: h5py.Dataset) -> int:
-    """Bytes that its shape and type announce."""
-    return math.prod(item.shape) * item.dtype.itemsize
+def stated_bytes(dataset: h5py.Dataset) -> int:
+    """Return a dataset's bytes according to shape and type."""
+    return math.prod(dataset.shape) * dataset.dtype.itemsize
 
 
-def words(item: h5py.Dataset, most: int) -> str | list[str]:
-    """A word, or a list of words, of at most so many bytes."""
-    if item.ndim > 1 or item.size > MOST_ITEMS:
-        raise ValueError(f"{item.name!r} is no list of words")
-    found = item.asstr()[()]
-    many = [found] if isinstance(found, str) else [str(word) for word in found]
-    if sum(map(len, many)) > most:
-        raise ValueError(f"{item.name!r} is too long")
-    return found if isinstance(found, str) else many
+def read_words(dataset: h5py.Dataset, max_characters: int) -> str | list[str]:
+    """Return a word, or a list of words; ValueError above ``max_characters``."""
+    if dataset.ndim > 1 or dataset.size > MAX_ENTRIES:
+        raise ValueError(f"{dataset.name!r} is no list of words")
+    word_or_words = dataset.asstr()[()]
+    word_list = (
+        [word_or_words] if isinstance(word_or_words, str) else [str(word) for word in word_or_words]
+    )
+    if sum(map(len, word_list)) > max_characters:
+        raise ValueError(f"{dataset.name!r} is too long")
+    return word_or_words if isinstance(word_or_words, str) else word_list

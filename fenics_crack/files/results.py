@@ -1,4 +1,4 @@
-"""Write and read every kind of result (HDF5): one :func:`save`, one :func:`load`."""
+"""Write and read every kind of result (HDF5): :func:`save` and :func:`load`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.curves.balance_equations import BALANCE_EQUATIONS
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.files.codec import Parts, packed, unpacked
-from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.files.codec import Datasets, pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
 from fenics_crack.model.contact import (
     ContactLaw,
     UnilateralConstraint,
@@ -37,8 +37,8 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
 Result = Modes | PeriodicSolution | ResponseCurve | TimeHistory
-Law = ContactLaw | None
-Shapes = dict[str, tuple[int, ...]]
+OptionalLaw = ContactLaw | None
+ShapeByName = dict[str, tuple[int, ...]]
 
 
 def save(
@@ -51,23 +51,23 @@ def save(
 ) -> None:
     """Write a result to an HDF5 file, with its scene if there is one (collective).
 
-    A solution's file holds gap and contact force, from which the displacement follows, and modes
-    are written node by node: neither depends on the number of ranks.
+    The file of a solution holds gap and contact force, which determine the displacement. Modes are
+    written node by node. So neither file depends on the number of ranks.
 
     Parameters
     ----------
     result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result to write.
     path : path
-        The file; an older one is replaced once the new one is complete.
+        The file; an older file is replaced once the new file is complete.
     scene : Scene, optional
-        Its scene.
+        Scene of the result.
     watched : mapping of str to array, optional
-        Motion of some dofs, for programs without the structure, by what they are called:
-        coefficients of a solution (2H+1,) and of a curve (n, 2H+1), or displacements in time (n,)
-        [m]. ``load`` leaves it alone.
+        Motion of watched dofs by name, for programs without the structure: coefficients of a
+        solution (2H+1,) and of a curve (n, 2H+1), or displacements in time (n,) [m]. ``load``
+        ignores it.
     errors : str, optional
-        Of its numbers, as ``Verification.text`` has them, for :func:`fenics_crack.load_run`.
+        Errors of the numbers, the text of ``Verification.text``, for :func:`fenics_crack.load_run`.
 
     Raises
     ------
@@ -79,18 +79,21 @@ def save(
     --------
     >>> fc.save(solution, "solution.h5", scene)
     """
-    if type(result) not in _FORMS:
-        names = ", ".join(kind.__name__ for kind in _FORMS)
-        raise InputError("result", type(result).__name__, f"one of {names}")
-    parts = _FORMS[type(result)][0](result) | {"verification": errors}
+    if type(result) not in _FUNCTIONS_BY_CLASS:
+        class_names_text = ", ".join(result_type.__name__ for result_type in _FUNCTIONS_BY_CLASS)
+        raise InputError("result", type(result).__name__, f"one of {class_names_text}")
+    datasets = _FUNCTIONS_BY_CLASS[type(result)][0](result) | {"verification": errors}
     if watched:
-        kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
-        parts |= {"watched": [*watched], f"watched_{kind}": np.stack([*watched.values()], axis=-1)}
-    write(parts, path, result.KIND, scene, result.structure.comm)
+        motion_kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
+        datasets |= {
+            "watched": [*watched],
+            f"watched_{motion_kind}": np.stack([*watched.values()], axis=-1),
+        }
+    write_result_file(datasets, path, result.KIND, scene, result.structure.comm)
 
 
-def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
-    """Read a result written by :func:`save`; nothing is solved again (collective).
+def load(path: str | Path, structure: Structure, contact: OptionalLaw = None) -> Result:
+    """Read a result written by :func:`save`, without solving again (collective).
 
     :func:`fenics_crack.load_run` reads a file with a scene without a structure at hand;
     ``SweepResult.load`` reads a sweep.
@@ -100,8 +103,8 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     path : path
         The file.
     structure, contact : Structure, ContactLaw or None
-        Those with which it was found; for a curve, a structure with many dofs is reduced to crack
-        faces without mass, as it was then. Modes and time histories need no law.
+        Structure and law of the result. For a curve, a structure with many dofs is reduced to
+        massless crack faces, as for the result. Modes and time histories need no law.
 
     Returns
     -------
@@ -111,328 +114,494 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     Raises
     ------
     InputError
-        The file is not one of :func:`save`, or the structure or the law is another.
+        The file does not come from :func:`save`, or belongs to another structure or law.
 
     Examples
     --------
     >>> fc.save(solution, "solution.h5")
     >>> again = fc.load("solution.h5", structure, contact)
     """
-    return unpack(read(path, structure.comm), structure, contact)
+    return unpack_result(read_result_file(path, structure.comm), structure, contact)
 
 
-def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
-    """The same of a file that is read (collective)."""
-    kind = type_of(stored)
-    with stored.taken() as parts:
-        if (friction := friction_of(contact)) is not None and "law_direction" in parts:
-            known = {name: parts[f"law_{name}"] for name in ("direction", "turning")}
-            contact = replace(friction, **known)
-        return _FORMS[kind][1](parts, structure, contact)
+def unpack_result(
+    stored_file: StoredFile, structure: Structure, contact: OptionalLaw = None
+) -> Result:
+    """Return the result in an open result file (collective).
+
+    Raises as :func:`load`.
+    """
+    result_type = result_class(stored_file)
+    with stored_file.checked_datasets() as datasets:
+        if (friction := friction_of(contact)) is not None and "law_direction" in datasets:
+            line_field_by_name = {
+                name: datasets[f"law_{name}"] for name in ("direction", "turning")
+            }
+            contact = replace(friction, **line_field_by_name)
+        return _FUNCTIONS_BY_CLASS[result_type][1](datasets, structure, contact)
 
 
-def type_of(stored: Stored) -> type[Result]:
-    """Class of the result in a file written by :func:`save`.
+def result_class(stored_file: StoredFile) -> type[Result]:
+    """Return the class of the result in a file written by :func:`save`.
 
     Raises
     ------
     InputError
         The file holds something else.
     """
-    for kind in _FORMS:
-        if kind.KIND == stored.kind:
-            return kind
-    if stored.kind == "backbone":
-        raise stored.refused("of another kind; follow_resonance takes the place of backbones")
-    allowed = f"of another kind; a {stored.kind} is read by its class, as by SweepResult.load"
-    raise stored.refused(allowed)
+    for result_type in _FUNCTIONS_BY_CLASS:
+        if result_type.KIND == stored_file.kind:
+            return result_type
+    if stored_file.kind == "backbone":
+        raise stored_file.refusal("of another kind; follow_resonance takes the place of backbones")
+    requirement = (
+        f"of another kind; a {stored_file.kind} is read by its class, as by SweepResult.load"
+    )
+    raise stored_file.refusal(requirement)
 
 
 # --- modes ----------------------------------------------------------------------------------------
 
 
-def _pack_modes(modes: Modes) -> Parts:
-    """Datasets of the modes; those of a structure without a mesh by its dofs (collective)."""
-    whole = modes.structure.whole
-    if whole.drawable_nodes is None:
-        by_dof = gather_rows(whole.comm, modes.structure.expand(modes.shapes.T).T)
-        return {"omega": modes.omega, "shapes": by_dof.T}
-    mesh = NodalMesh(modes.structure)
-    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
-    return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
+def _pack_modes(modes: Modes) -> Datasets:
+    """Return the datasets of modes, by node or, without a mesh, by dof (collective)."""
+    whole_structure = modes.structure.whole
+    if whole_structure.drawable_nodes is None:
+        shapes_by_dof = gather_rows(whole_structure.comm, modes.structure.expand(modes.shapes.T).T)
+        return {"omega": modes.omega, "shapes": shapes_by_dof.T}
+    nodal_mesh = NodalMesh(modes.structure)
+    shapes = nodal_mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
+    return {
+        "omega": modes.omega,
+        "nodes": _node_positions_and_midpoints(nodal_mesh),
+        "shapes": shapes,
+    }
 
 
-def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Modes:
-    """Modes from these datasets, on any number of ranks (collective).
+def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw = None) -> Modes:
+    """Return modes from their datasets, on any number of ranks (collective).
 
     Raises
     ------
     InputError
         The structure has other nodes, or another number of dofs.
     """
-    omega, shapes, whole = parts["omega"], parts["shapes"], structure.whole
-    check_shapes(parts, {"omega": (len(shapes),)})
-    if whole.drawable_nodes is None:
-        if "nodes" in parts or shapes.ndim != 2 or shapes.shape[1] != whole.n_dofs:
-            allowed = f"that of the file, {shapes.shape}"
-            raise InputError("structure", f"{whole.n_dofs} dofs", allowed)
-        own = slice(whole.first_dof, whole.first_dof + whole.n_local)
-        return Modes(omega, shapes[:, own].T, whole)
-    mesh = NodalMesh(structure)
-    assert whole.nodes is not None
+    omega, shapes, whole_structure = datasets["omega"], datasets["shapes"], structure.whole
+    check_shapes(datasets, {"omega": (len(shapes),)})
+    if whole_structure.drawable_nodes is None:
+        if "nodes" in datasets or shapes.ndim != 2 or shapes.shape[1] != whole_structure.n_dofs:
+            requirement = f"that of the file, {shapes.shape}"
+            raise InputError("structure", f"{whole_structure.n_dofs} dofs", requirement)
+        local_dof_slice = slice(
+            whole_structure.first_dof, whole_structure.first_dof + whole_structure.n_local
+        )
+        return Modes(omega, shapes[:, local_dof_slice].T, whole_structure)
+    nodal_mesh = NodalMesh(structure)
+    assert whole_structure.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    marks, then, d = _marks(mesh), parts["nodes"], mesh.dimension
-    check_shapes(parts, {"shapes": (len(omega), len(then), d), "nodes": (-1, 2 * d)})
-    distance, place = cKDTree(then).query(marks)
-    same = len(then) == len(marks) and len(set(place)) == len(place)
-    if not same or distance.max() > 1e-6 * mesh.size:
-        raise InputError("structure", f"{len(marks)} nodes", f"that of the file, {len(then)}")
-    first = whole.comm.exscan(len(whole.nodes.points)) or 0
-    mine = mesh.to_nodal_frames(shapes[:, place])[:, first : first + len(whole.nodes.points)]
-    free = whole.nodes.dofs >= 0
-    rows = np.zeros((len(omega), whole.n_local))
-    rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]
-    return Modes(omega, rows.T, whole)
+    positions, stored_positions = _node_positions_and_midpoints(nodal_mesh), datasets["nodes"]
+    dimension = nodal_mesh.dimension
+    check_shapes(
+        datasets,
+        {"shapes": (len(omega), len(stored_positions), dimension), "nodes": (-1, 2 * dimension)},
+    )
+    distances, node_indices = cKDTree(stored_positions).query(positions)
+    is_one_to_one = len(stored_positions) == len(positions) and len(set(node_indices)) == len(
+        node_indices
+    )
+    if not is_one_to_one or distances.max() > 1e-6 * nodal_mesh.size:
+        raise InputError(
+            "structure", f"{len(positions)} nodes", f"that of the file, {len(stored_positions)}"
+        )
+    first_node = whole_structure.comm.exscan(len(whole_structure.nodes.points)) or 0
+    local_shapes = nodal_mesh.to_nodal_frames(shapes[:, node_indices])[
+        :, first_node : first_node + len(whole_structure.nodes.points)
+    ]
+    is_free_dof = whole_structure.nodes.dofs >= 0
+    mode_shape_rows = np.zeros((len(omega), whole_structure.n_local))
+    mode_shape_rows[:, whole_structure.nodes.dofs[is_free_dof] - whole_structure.first_dof] = (
+        local_shapes[:, is_free_dof]
+    )
+    return Modes(omega, mode_shape_rows.T, whole_structure)
 
 
-def _marks(mesh: NodalMesh) -> np.ndarray:
-    """Position of each node, and mean midpoint of its cells, by its crack face: (n, 2 d)."""
-    sums, counts = np.zeros_like(mesh.points), np.zeros((len(mesh.points), 1))
-    middles = mesh.points[mesh.cells].mean(axis=1)
-    for nodes in mesh.cells.T:
-        np.add.at(sums, nodes, middles)
-        np.add.at(counts, nodes, 1.0)
-    return np.hstack([mesh.points, sums / counts])
+def _node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
+    """Return the position of each node, then the mean midpoint of the cells around: (n, 2 d).
+
+    Nodes at the same place on opposite crack faces differ in the midpoint.
+    """
+    midpoint_sums = np.zeros_like(nodal_mesh.points)
+    cell_counts = np.zeros((len(nodal_mesh.points), 1))
+    cell_midpoints = nodal_mesh.points[nodal_mesh.cells].mean(axis=1)
+    for cell_corner_nodes in nodal_mesh.cells.T:
+        np.add.at(midpoint_sums, cell_corner_nodes, cell_midpoints)
+        np.add.at(cell_counts, cell_corner_nodes, 1.0)
+    return np.hstack([nodal_mesh.points, midpoint_sums / cell_counts])
 
 
 # --- solutions ------------------------------------------------------------------------------------
 
 
-def _pack_solution(solution: PeriodicSolution) -> Parts:
-    of_report = {f"error_{name}": value for name, value in packed(solution.report).items()}
-    parts = packed(solution, *_GIVEN, "displacement_coefficients", "stability")
+def _pack_solution(solution: PeriodicSolution) -> Datasets:
+    report_datasets = {
+        f"error_{field_name}": report_value
+        for field_name, report_value in pack_dataclass(solution.report).items()
+    }
+    datasets = pack_dataclass(
+        solution, *_FIELDS_NOT_STORED, "displacement_coefficients", "stability"
+    )
     if is_rigid(solution.contact) and friction_of(solution.contact) is None:
-        parts["weight"] = solution.contact.weight
+        datasets["weight"] = solution.contact.weight
     if solution.stability is not None:
-        parts |= packed(solution.stability)
-    return parts | of_report | _law_parts(solution.contact, solution.structure)
+        datasets |= pack_dataclass(solution.stability)
+    return datasets | report_datasets | _law_datasets(solution.contact, solution.structure)
 
 
-def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
-    gap = parts["gap_coefficients"]
-    shape = len(gap) | 1, gap.shape[-1]
-    waves = "gap_coefficients", "force_coefficients"
-    check_shapes(parts, dict.fromkeys([*waves, *(f"tangential_{name}" for name in waves)], shape))
-    check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
-    _check_pairs(structure, gap)
-    _check_law(parts, contact, structure)
-    return solution_from(parts, structure, contact)
+def _unpack_solution(
+    datasets: Datasets, structure: Structure, contact: OptionalLaw
+) -> PeriodicSolution:
+    gap_coefficients = datasets["gap_coefficients"]
+    coefficient_shape = len(gap_coefficients) | 1, gap_coefficients.shape[-1]
+    wave_names = "gap_coefficients", "force_coefficients"
+    check_shapes(
+        datasets,
+        dict.fromkeys(
+            [*wave_names, *(f"tangential_{name}" for name in wave_names)], coefficient_shape
+        ),
+    )
+    check_shapes(datasets, {"multipliers": (max(np.size(datasets.get("multipliers")), 1),)})
+    _check_n_pairs(structure.n_pairs, gap_coefficients)
+    _check_law(datasets, contact, structure)
+    return rebuild_solution(datasets, structure, contact)
 
 
-def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
-    """A solution from its waves, its errors and what else belongs to it (collective).
+def rebuild_solution(
+    datasets: Datasets, structure: Structure, contact: OptionalLaw
+) -> PeriodicSolution:
+    """Return a solution from its waves, its errors and further fields (collective).
 
     Parameters
     ----------
-    parts : dict
-        The fields of the solution but for its displacement, which follows from the force; those of
-        its stability; of its report as ``error_truncation``; and the ``weight`` of a constraint.
+    datasets : dict
+        Fields of the solution, without the displacement, which follows from the force; fields of
+        its stability; fields of its report, such as ``error_truncation``; ``weight`` of a
+        constraint.
     structure, contact : Structure, ContactLaw or None
-        Those with which it was found.
+        Structure and law of the solution.
 
     Raises
     ------
     InputError
-        The structure is another one.
+        The solution belongs to another structure.
     """
-    gap, force = parts["gap_coefficients"], parts["force_coefficients"]
-    _check_pairs(structure, gap)
+    gap_coefficients, force = datasets["gap_coefficients"], datasets["force_coefficients"]
+    _check_n_pairs(structure.n_pairs, gap_coefficients)
     if is_rigid(contact) and friction_of(contact) is None:
-        contact = UnilateralConstraint(parts.get("weight"))
-    parts.setdefault("error_confirmed", True)  # of earlier versions
-    errors = {f.name: parts[f"error_{f.name}"] for f in fields(ErrorReport)}
-    omega, subharmonic = parts["omega"], parts["subharmonic"]
+        contact = UnilateralConstraint(datasets.get("weight"))
+    datasets.setdefault("error_confirmed", True)  # of earlier versions
+    report_field_by_name = {
+        field.name: datasets[f"error_{field.name}"] for field in fields(ErrorReport)
+    }
+    omega, subharmonic = datasets["omega"], datasets["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
         raise ValueError("its frequency does not fit")
-    tangential = parts.get("tangential_force_coefficients")
-    rows = force if tangential is None else np.hstack([force, tangential])
-    seen = add_friction_pairs(contact, structure)
-    compliance = dynamic_compliance(seen, omega / subharmonic, len(gap) // 2, subharmonic)
-    displacement = compliance.displacement(rows)
+    tangential_force = datasets.get("tangential_force_coefficients")
+    force_rows = force if tangential_force is None else np.hstack([force, tangential_force])
+    structure_with_friction = add_friction_pairs(contact, structure)
+    compliance = dynamic_compliance(
+        structure_with_friction, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
+    )
+    displacement_coefficients = compliance.displacement(force_rows)
     compliance.destroy()
-    solution = unpacked(
+    solution = unpack_dataclass(
         PeriodicSolution,
-        parts,
+        datasets,
         structure=structure,
         contact=contact,
-        displacement_coefficients=displacement,
-        stability=unpacked(Stability, parts) if "multipliers" in parts else None,
-    ).reported(unpacked(ErrorReport, errors))
+        displacement_coefficients=displacement_coefficients,
+        stability=unpack_dataclass(Stability, datasets) if "multipliers" in datasets else None,
+    ).reported(unpack_dataclass(ErrorReport, report_field_by_name))
     if solution.converged:
-        _check_gap(structure, displacement, gap, max(1e-6, 10.0 * solution.report.residual))
+        _check_gap_coefficients(
+            structure,
+            displacement_coefficients,
+            gap_coefficients,
+            max(1e-6, 10.0 * solution.report.residual),
+        )
     return solution
 
 
-def _check_pairs(structure: Structure, gaps: np.ndarray) -> None:
+def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
-    if gaps.shape[-1] != structure.n_pairs:
-        allowed = f"one with {gaps.shape[-1]} pairs"
-        raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
+    if pair_gaps.shape[-1] != n_pairs:
+        requirement = f"one with {pair_gaps.shape[-1]} pairs"
+        raise InputError("structure", f"{n_pairs} pairs", requirement)
 
 
-def _check_gap(
-    structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
+def _check_gap_coefficients(
+    structure: Structure,
+    displacement_coefficients: np.ndarray,
+    gap_coefficients: np.ndarray,
+    tolerance: float,
 ) -> None:
-    """Raise InputError unless displacement and gap coefficients agree, to rounding of the common
-    motion of crack faces that the load presses together (collective)."""
-    closing = structure.apply_bt(displacement)
-    carried = structure.sum_over_ranks(np.abs(displacement) @ abs(structure.gap))
-    size = tolerance * np.linalg.norm(closing) + NEGLIGIBLE * np.linalg.norm(carried)
-    closing[0] -= structure.clearance
-    if not np.linalg.norm(closing - gap) <= size:  # nan neither
+    """Raise InputError unless displacement and gap coefficients agree (collective).
+
+    The tolerance includes rounding of the common motion of crack faces that the load presses
+    together.
+    """
+    closing_coefficients = structure.apply_bt(displacement_coefficients)
+    displacement_sizes = structure.sum_over_ranks(
+        np.abs(displacement_coefficients) @ abs(structure.gap)
+    )
+    difference_tolerance = tolerance * np.linalg.norm(closing_coefficients)
+    difference_tolerance += NEGLIGIBLE * np.linalg.norm(displacement_sizes)
+    closing_coefficients[0] -= structure.clearance
+    difference = np.linalg.norm(closing_coefficients - gap_coefficients)
+    if not difference <= difference_tolerance:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
 
 
 # --- curves ---------------------------------------------------------------------------------------
 
 
-def _pack_curve(curve: ResponseCurve) -> Parts:
-    """Return the parts of a curve, and its special points; of exact orbits the verdicts follow."""
-    special = curve.at_bifurcations.part(slice(1, -1))
-    parts = packed(curve, *_GIVEN, "points")
-    parts["kinds"] = [b.kind for b in curve.bifurcations]
-    points = {"values": special.values, "omega": special.omega}
+def _pack_curve(curve: ResponseCurve) -> Datasets:
+    """Return the datasets of a curve with its special points.
+
+    Verdicts on special points of exact orbits follow from their multipliers.
+    """
+    special_points = curve.at_bifurcations.part(slice(1, -1))
+    datasets = pack_dataclass(curve, *_FIELDS_NOT_STORED, "points")
+    datasets["kinds"] = [bifurcation.kind for bifurcation in curve.bifurcations]
+    point_datasets = {"values": special_points.values, "omega": special_points.omega}
     if curve.exact:
-        parts |= _of_dofs(curve) | {"couplings": _couplings(curve.structure)}
-        points |= _of_dofs(special) | {"multipliers": special.multipliers}
+        datasets |= _states_by_dof(curve) | {"couplings": _gap_and_load_rows(curve.structure)}
+        point_datasets |= _states_by_dof(special_points) | {
+            "multipliers": special_points.multipliers
+        }
     else:
-        parts |= {"unknowns": curve.points, "undecided": curve.undecided}
-        points |= {str(number): point for number, point in enumerate(special.points)}
-    parts |= {f"bifurcation_{name}": value for name, value in points.items()}
-    return parts | _law_parts(curve.contact, curve.structure)
+        datasets |= {"unknowns": curve.points, "undecided": curve.undecided}
+        point_datasets |= {str(index): point for index, point in enumerate(special_points.points)}
+    datasets |= {
+        f"bifurcation_{name}": point_dataset for name, point_dataset in point_datasets.items()
+    }
+    return datasets | _law_datasets(curve.contact, curve.structure)
 
 
-def _of_dofs(curve: ResponseCurve) -> Parts:
-    """States of exact orbits: displacements [m] and velocities [m/s] of the modes that move, by
-    dof, whose signs are known: (n, 2, n_dofs); and with friction the places where pairs stick:
-    (n, n_pairs) [m]."""
-    moved, places = [], []
-    for value, state in zip(curve.values.tolist(), curve.points, strict=True):
-        shapes = all_modes(curve.problem_at(value).structure).shapes
-        moves, sticks = np.split(state, [2 * shapes.shape[1]])
-        moved.append(moves.reshape(2, -1) @ shapes.T)
-        places.append(sticks)
-    structure, count = curve.structure, len(curve)
-    found = {"states": np.reshape(moved, (count, 2, structure.n_dofs))}
+def _states_by_dof(curve: ResponseCurve) -> Datasets:
+    """Return the states of exact orbits by dof, whose signs are known.
+
+    Returns
+    -------
+    states : (n, 2, n_dofs)
+        Displacements [m] and velocities [m/s] of the moving modes.
+    places : (n, n_pairs)
+        With friction, the gaps [m] at which pairs stick.
+    """
+    dof_states, sticking_gaps = [], []
+    for parameter_value, state in zip(curve.values.tolist(), curve.points, strict=True):
+        mode_shapes = all_modes(curve.problem_at(parameter_value).structure).shapes
+        modal_state, sticking_gap = np.split(state, [2 * mode_shapes.shape[1]])
+        dof_states.append(modal_state.reshape(2, -1) @ mode_shapes.T)
+        sticking_gaps.append(sticking_gap)
+    structure, n_points = curve.structure, len(curve)
+    state_datasets = {"states": np.reshape(dof_states, (n_points, 2, structure.n_dofs))}
     if friction_of(curve.contact) is not None:
-        found["places"] = np.reshape(places, (count, structure.n_pairs))
-    return found
+        state_datasets["places"] = np.reshape(sticking_gaps, (n_points, structure.n_pairs))
+    return state_datasets
 
 
-def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
+def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw) -> ResponseCurve:
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
-    _check_law(parts, contact, structure)
-    exact = "states" in parts
-    counts = {"": parts["values"].size, "bifurcation_": len(parts["kinds"])}
-    missing = exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= parts.keys()
-    if missing or parts["parameter"] not in BALANCE_EQUATIONS or parts["subharmonic"] < 1:
+    _check_law(datasets, contact, structure)
+    is_exact = "states" in datasets
+    count_by_prefix = {"": datasets["values"].size, "bifurcation_": len(datasets["kinds"])}
+    lacks_datasets = (
+        is_exact and not {"multipliers", "tolerance", "bifurcation_multipliers"} <= datasets.keys()
+    )
+    if (
+        lacks_datasets
+        or datasets["parameter"] not in BALANCE_EQUATIONS
+        or datasets["subharmonic"] < 1
+    ):
         raise ValueError("its parts do not fit")
-    numbers = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
-    shapes: Shapes = {f"{at}{name}": (n,) for at, n in counts.items() for name in numbers}
-    given: Parts = {"structure": structure, "contact": contact, "bifurcations": ()}
-    special: Sequence[np.ndarray]
-    if exact:
-        signs = _signs(structure, parts["couplings"])
-        for at, count in counts.items():
-            shapes[f"{at}states"] = count, 2, structure.n_dofs
-            shapes[f"{at}places"] = count, structure.n_pairs
-        check_shapes(parts, shapes)
-        curve = unpacked(ResponseCurve, parts, **given, points=parts["states"])
-        points, special = (_read_states(parts, at, curve, signs) for at in counts)
-        curve = replace(curve, points=points)
-        if not curve.orbit(0).residual <= 1e-4:  # nan neither
-            raise InputError("structure", "another load, mesh or material", "that of the file")
-    else:
-        names = [f"bifurcation_{number}" for number in range(len(parts["kinds"]))]
-        unknowns = parts["unknowns"]
-        seen = add_friction_pairs(contact, structure)
-        _check_pairs(seen, unknowns)
-        shapes["unknowns"] = counts[""], unknowns.shape[1] | 1, seen.n_pairs
-        shapes |= {name: (len(parts[name]) | 1, seen.n_pairs) for name in names}
-        check_shapes(parts, shapes)
-        special = [resize_harmonics(parts[name], unknowns.shape[1] // 2) for name in names]
-        if "undecided" in parts:  # of earlier versions, whose multiplier decides nothing there
-            parts["multipliers"] = np.where(parts["undecided"], np.nan, parts["multipliers"])
-        curve = unpacked(ResponseCurve, parts, **given, points=unknowns, tolerance=None)
-        first = curve.solution(0)
-        _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
-    values = parts["bifurcation_values"].tolist()
-    frequencies = parts.get("bifurcation_omega", [curve.problem_at(v).omega for v in values])
-    multipliers = parts["bifurcation_multipliers"][:, None] if exact else [None] * len(values)
-    columns = zip(parts["kinds"], values, frequencies, special, multipliers, strict=True)
-    return replace(curve, bifurcations=tuple(curve.bifurcation(*point) for point in columns))
+    vector_dataset_names = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
+    shape_by_name: ShapeByName = {
+        f"{prefix}{name}": (count,)
+        for prefix, count in count_by_prefix.items()
+        for name in vector_dataset_names
+    }
+    unpack_points = _unpack_exact_points if is_exact else _unpack_balance_points
+    curve, special_unknowns = unpack_points(
+        datasets, structure, contact, count_by_prefix, shape_by_name
+    )
+    parameter_values = datasets["bifurcation_values"].tolist()
+    frequencies = datasets.get(
+        "bifurcation_omega",
+        [curve.problem_at(parameter_value).omega for parameter_value in parameter_values],
+    )
+    multipliers = (
+        datasets["bifurcation_multipliers"][:, None] if is_exact else [None] * len(parameter_values)
+    )
+    special_point_rows = zip(
+        datasets["kinds"], parameter_values, frequencies, special_unknowns, multipliers, strict=True
+    )
+    return replace(
+        curve,
+        bifurcations=tuple(
+            curve.bifurcation(*special_point_row) for special_point_row in special_point_rows
+        ),
+    )
 
 
-def _read_states(parts: Parts, at: str, curve: ResponseCurve, signs: np.ndarray) -> np.ndarray:
-    """States in modes of those by dofs, of all points or of the special ones."""
-    values, of_dofs = parts[f"{at}values"], signs * parts[f"{at}states"]
-    places = parts.get(f"{at}places", np.zeros((len(values), 0)))
-    inverses = (all_modes(curve.problem_at(value).structure).inverse for value in values.tolist())
-    each = zip(inverses, of_dofs, places, strict=True)
-    return np.array([np.append((moved @ inverse.T).ravel(), held) for inverse, moved, held in each])
+def _unpack_exact_points(
+    datasets: Datasets,
+    structure: Structure,
+    contact: OptionalLaw,
+    count_by_prefix: Mapping[str, int],
+    shape_by_name: ShapeByName,
+) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
+    """Return a curve of exact orbits without special points, and the states there.
+
+    Parameters
+    ----------
+    count_by_prefix : dict
+        Numbers of points, "", and of special points, "bifurcation\\_".
+    shape_by_name : dict
+        Shapes of the datasets checked so far.
+    """
+    dof_signs = _find_dof_signs(structure, datasets["couplings"])
+    for prefix, count in count_by_prefix.items():
+        shape_by_name[f"{prefix}states"] = count, 2, structure.n_dofs
+        shape_by_name[f"{prefix}places"] = count, structure.n_pairs
+    check_shapes(datasets, shape_by_name)
+    known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = unpack_dataclass(ResponseCurve, datasets, **known_fields, points=datasets["states"])
+    states, special_states = (
+        _states_by_mode(datasets, prefix, curve, dof_signs) for prefix in count_by_prefix
+    )
+    curve = replace(curve, points=states)
+    if not curve.orbit(0).residual <= 1e-4:  # nan neither
+        raise InputError("structure", "another load, mesh or material", "that of the file")
+    return curve, special_states
+
+
+def _unpack_balance_points(
+    datasets: Datasets,
+    structure: Structure,
+    contact: OptionalLaw,
+    count_by_prefix: Mapping[str, int],
+    shape_by_name: ShapeByName,
+) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
+    """Return a curve of harmonic balance without special points, and the unknowns there.
+
+    For the parameters see :func:`_unpack_exact_points`.
+    """
+    special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
+    unknowns = datasets["unknowns"]
+    n_pairs = add_friction_pairs(contact, structure).n_pairs
+    _check_n_pairs(n_pairs, unknowns)
+    shape_by_name["unknowns"] = count_by_prefix[""], unknowns.shape[1] | 1, n_pairs
+    shape_by_name |= {name: (len(datasets[name]) | 1, n_pairs) for name in special_dataset_names}
+    check_shapes(datasets, shape_by_name)
+    special_unknowns = [
+        resize_harmonics(datasets[name], unknowns.shape[1] // 2) for name in special_dataset_names
+    ]
+    if "undecided" in datasets:  # of earlier versions, whose multiplier decides nothing there
+        datasets["multipliers"] = np.where(datasets["undecided"], np.nan, datasets["multipliers"])
+    known_fields: Datasets = {"structure": structure, "contact": contact, "bifurcations": ()}
+    curve = unpack_dataclass(
+        ResponseCurve, datasets, **known_fields, points=unknowns, tolerance=None
+    )
+    solution = curve.solution(0)
+    _check_gap_coefficients(
+        solution.structure, solution.displacement_coefficients, solution.gap_coefficients, 1e-4
+    )
+    return curve, special_unknowns
+
+
+def _states_by_mode(
+    datasets: Datasets, prefix: str, curve: ResponseCurve, dof_signs: np.ndarray
+) -> np.ndarray:
+    """Return states in modal coordinates from the states by dof.
+
+    ``prefix`` is "" for all points, "bifurcation\\_" for the special points.
+    """
+    parameter_values = datasets[f"{prefix}values"]
+    dof_states = dof_signs * datasets[f"{prefix}states"]
+    sticking_gaps = datasets.get(f"{prefix}places", np.zeros((len(parameter_values), 0)))
+    inverse_shape_matrices = (
+        all_modes(curve.problem_at(parameter_value).structure).inverse
+        for parameter_value in parameter_values.tolist()
+    )
+    state_rows = zip(inverse_shape_matrices, dof_states, sticking_gaps, strict=True)
+    return np.array(
+        [
+            np.append((dof_state @ inverse_shapes.T).ravel(), sticking_gap)
+            for inverse_shapes, dof_state, sticking_gap in state_rows
+        ]
+    )
 
 
 # --- motion in time -------------------------------------------------------------------------------
 
 
-def _pack_history(history: TimeHistory) -> Parts:
+def _pack_history(history: TimeHistory) -> Datasets:
     if history.structure.comm.size > 1:
         raise InputError("result", "spread over several ranks", "a time history of one rank")
-    parts = packed(history, *_GIVEN, "final_state")
-    parts["couplings"] = _couplings(history.structure)
-    parts["final_state"] = history.final_state[:2]
+    datasets = pack_dataclass(history, *_FIELDS_NOT_STORED, "final_state")
+    datasets["couplings"] = _gap_and_load_rows(history.structure)
+    datasets["final_state"] = history.final_state[:2]
     if history.friction is not None:
-        parts["final_places"] = history.final_state[2]
-    return parts
+        datasets["final_places"] = history.final_state[2]
+    return datasets
 
 
-def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
-    signs = _signs(structure, parts["couplings"])
-    count, dofs = parts["time"].size, parts["recorded_dofs"]
-    shapes: Shapes = {"time": (count,), "recorded_dofs": (dofs.size,)}
-    of_pairs = "gap", "contact_force", "tangential_gap", "tangential_force"
-    shapes |= {name: (count, structure.n_pairs) for name in of_pairs}
-    shapes |= {"recorded": (count, dofs.size), "final_state": (2, structure.n_local)}
-    shapes |= {"final_places": (structure.n_pairs,)}
-    check_shapes(parts, shapes)
-    if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
+def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalLaw) -> TimeHistory:
+    dof_signs = _find_dof_signs(structure, datasets["couplings"])
+    n_instants, recorded_dofs = datasets["time"].size, datasets["recorded_dofs"]
+    shape_by_name: ShapeByName = {"time": (n_instants,), "recorded_dofs": (recorded_dofs.size,)}
+    pair_dataset_names = "gap", "contact_force", "tangential_gap", "tangential_force"
+    shape_by_name |= {name: (n_instants, structure.n_pairs) for name in pair_dataset_names}
+    shape_by_name |= {
+        "recorded": (n_instants, recorded_dofs.size),
+        "final_state": (2, structure.n_local),
+    }
+    shape_by_name |= {"final_places": (structure.n_pairs,)}
+    check_shapes(datasets, shape_by_name)
+    if datasets["steps_per_period"] < 1 or n_instants % datasets["steps_per_period"]:
         raise ValueError("it does not hold whole periods")
-    places = (parts["final_places"],) if "final_places" in parts else ()
-    state = (*(signs * parts["final_state"]), *places)
-    parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
-    return unpacked(TimeHistory, parts, structure=structure, final_state=state)
+    sticking_gaps = (datasets["final_places"],) if "final_places" in datasets else ()
+    final_state = (*(dof_signs * datasets["final_state"]), *sticking_gaps)
+    datasets["recorded"] = (
+        dof_signs[datasets["recorded_dofs"] - structure.first_dof] * datasets["recorded"]
+    )
+    return unpack_dataclass(TimeHistory, datasets, structure=structure, final_state=final_state)
 
 
 # --- dofs and laws --------------------------------------------------------------------------------
 
 
-def _couplings(structure: Structure) -> np.ndarray:
-    """B^T and the load, by which a file identifies the dofs: (n_pairs + 2K+1, n_local)."""
+def _gap_and_load_rows(structure: Structure) -> np.ndarray:
+    """Return B^T and the load, which identify a file's dofs: (n_pairs + 2K+1, n_local)."""
     return np.vstack([structure.gap.toarray().T, structure.force])
 
 
-def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
-    """Signs (n_local,) of the dofs since a file: those of modes found again may differ."""
-    now = _couplings(structure)
-    if then.shape != now.shape:
-        found = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
-        allowed = f"one with {then.shape[1]} dofs and {len(then) - len(structure.force)} pairs"
-        raise InputError("structure", found, allowed)
-    signs = np.where((then * now).sum(axis=0) < 0.0, -1.0, 1.0)
-    largest = np.abs(then).max(axis=1, initial=0.0, keepdims=True)
-    if np.any(np.abs(then - now * signs) > 1e-6 * largest):
+def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray:
+    """Return the signs (n_local,) of the dofs relative to a file.
+
+    Modes computed anew may have other signs. A changed load, or changed pairs, is an InputError.
+    """
+    rows = _gap_and_load_rows(structure)
+    if stored_rows.shape != rows.shape:
+        sizes_text = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
+        n_pairs = len(stored_rows) - len(structure.force)
+        requirement = f"one with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
+        raise InputError("structure", sizes_text, requirement)
+    signs = np.where((stored_rows * rows).sum(axis=0) < 0.0, -1.0, 1.0)
+    row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
+    if np.any(np.abs(stored_rows - rows * signs) > 1e-6 * row_maxima):
         raise InputError("structure", "other load or pairs", "that of the file")
     return signs
 
@@ -441,43 +610,65 @@ LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0
 """Gaps at which the forces of a user's law are evaluated [m]."""
 
 
-def _law_parts(contact: Law, structure: Structure) -> Parts:
-    """Name, stiffness and sharpness of a law, or forces of one's own, by which a file identifies
-    it."""
-    names = (
+def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
+    """Return datasets to identify a law: name and parameters.
+
+    For a user's law, the forces at :data:`LAW_GAPS` take the place of parameters.
+    """
+    attribute_names = (
         "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
     )  # fmt: skip
-    values = {f"law_{name}": getattr(contact, name, None) for name in names}
-    known = {name: value for name, value in values.items() if value is not None}
-    if contact is not None and "law_sharpness" not in known and not is_unilateral(contact):
+    value_by_name = {
+        f"law_{attribute_name}": getattr(contact, attribute_name, None)
+        for attribute_name in attribute_names
+    }
+    datasets = {
+        attribute_name: attribute_value
+        for attribute_name, attribute_value in value_by_name.items()
+        if attribute_value is not None
+    }
+    if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
-            force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
-        known["law_force"] = np.nan_to_num(force, posinf=MAX_ALLOWED_MAGNITUDE).clip(
+            summed_force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
+        datasets["law_force"] = np.nan_to_num(summed_force, posinf=MAX_ALLOWED_MAGNITUDE).clip(
             -MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE
         )
-    return {"law": type(contact).__name__, **known}
+    return {"law": type(contact).__name__, **datasets}
 
 
-def _check_law(parts: Parts, contact: Law, structure: Structure) -> None:
-    """Raise InputError unless the law of the datasets is the one given."""
-    now = _law_parts(contact, structure)
-    names = {"law", "law_stiffness", "law_sharpness", "law_force"} | now.keys()
-    then = {name: parts[name] for name in names if name in parts}
-    force, forces = now.pop("law_force", None), then.pop("law_force", None)
-    same = now.keys() == then.keys() and now["law"] == then["law"]
-    if not same or not all(np.allclose(now[n], then[n], rtol=1e-9) for n in now if n != "law"):
-        raise InputError("contact", now, f"the law of the file: {then}")
-    if forces is not None and not np.allclose(force, forces, rtol=1e-9, atol=0.0):
+def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -> None:
+    """Raise InputError unless the law of the datasets is the given law."""
+    law_datasets = _law_datasets(contact, structure)
+    dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()
+    stored_datasets = {
+        dataset_name: datasets[dataset_name]
+        for dataset_name in dataset_names
+        if dataset_name in datasets
+    }
+    law_force = law_datasets.pop("law_force", None)
+    stored_force = stored_datasets.pop("law_force", None)
+    has_same_names = (
+        law_datasets.keys() == stored_datasets.keys()
+        and law_datasets["law"] == stored_datasets["law"]
+    )
+    if not has_same_names or not all(
+        np.allclose(law_datasets[dataset_name], stored_datasets[dataset_name], rtol=1e-9)
+        for dataset_name in law_datasets
+        if dataset_name != "law"
+    ):
+        raise InputError("contact", law_datasets, f"the law of the file: {stored_datasets}")
+    if stored_force is not None and not np.allclose(law_force, stored_force, rtol=1e-9, atol=0.0):
         raise InputError("contact", contact, "the law of the file: its forces are others")
 
 
-_GIVEN = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
-"""Fields that are not in a file, or by other datasets."""
-Pack = Callable[[Any], Parts]
-Unpack = Callable[[Parts, Structure, Law], Result]
-_FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
+_FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
+"""Fields left out of a file, or stored in other datasets."""
+PackFunction = Callable[[Any], Datasets]
+UnpackFunction = Callable[[Datasets, Structure, OptionalLaw], Result]
+_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
     Modes: (_pack_modes, _unpack_modes),
     PeriodicSolution: (_pack_solution, _unpack_solution),
     ResponseCurve: (_pack_curve, _unpack_curve),
     TimeHistory: (_pack_history, _unpack_history),
 }
+"""Functions to pack and unpack a result, by class; a file of these classes has no structure."""

@@ -1,4 +1,4 @@
-"""Results that their files hold by themselves, without a structure."""
+"""Save and load results whose files need no structure."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import ClassVar, Self
 
 from mpi4py import MPI
 
-from fenics_crack.basics.suggestions import checked_call
+from fenics_crack.basics.suggestions import check_calls
 from fenics_crack.basics.tables import Tabular
-from fenics_crack.files.codec import Parts, packed, unpacked
-from fenics_crack.files.store import Stored, read, write
+from fenics_crack.files.codec import Datasets, pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import StoredFile, read_result_file, write_result_file
 from fenics_crack.scene.scene import Scene
 
 
-class Saved(Tabular):
-    """A frozen dataclass with a scene whose fields a file has (:mod:`fenics_crack.files.codec`)."""
+class SavedResult(Tabular):
+    """A frozen dataclass with a scene; :mod:`fenics_crack.files.codec` stores its fields."""
 
     KIND: ClassVar[str]
     scene: Scene | None
 
-    @checked_call
+    @check_calls
     def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
         """Write a file that ``load``, ``fenics-crack plot`` and ``report`` read (collective).
 
@@ -29,32 +29,34 @@ class Saved(Tabular):
         InputError
             The file cannot be written.
         """
-        write(self._packed(), path, self.KIND, self.scene, comm)
+        write_result_file(self._pack_fields(), path, self.KIND, self.scene, comm)
 
     @classmethod
-    @checked_call
+    @check_calls
     def load(cls, path: str | Path) -> Self:
         """Read a file of ``save``; nothing is computed.
 
         Raises
         ------
         InputError
-            The file cannot be read, is damaged, or is of something else.
+            The file cannot be read, is damaged, or holds something else.
         """
-        return cls.of(read(path))
+        return cls.of(read_result_file(path))
 
     @classmethod
-    def of(cls, stored: Stored) -> Self:
-        """The same of a file that has been read."""
-        stored.fitting_argument(cls.KIND)
-        with stored.taken() as parts:
-            found = cls._unpacked(parts, stored.scene())
-            repr(found), found.table()  # whose columns are of one length
-            return found
+    def of(cls, stored_file: StoredFile) -> Self:
+        """Return the result in an open result file; raises as :meth:`load`."""
+        stored_file.check_kind(cls.KIND)
+        with stored_file.checked_datasets() as datasets:
+            result = cls._unpack_fields(datasets, stored_file.scene())
+            repr(result), result.table()  # whose columns are of one length
+            return result
 
-    def _packed(self) -> Parts:
-        return packed(self)
+    def _pack_fields(self) -> Datasets:
+        """Return the datasets of the fields."""
+        return pack_dataclass(self)
 
     @classmethod
-    def _unpacked(cls, parts: Parts, scene: Scene | None) -> Self:
-        return unpacked(cls, parts, scene)
+    def _unpack_fields(cls, datasets: Datasets, scene: Scene | None) -> Self:
+        """Return the result from its datasets and the file's scene."""
+        return unpack_dataclass(cls, datasets, scene)

@@ -1,10 +1,10 @@
-"""Results on disk: HDF5 files that describe themselves.
+"""Store results in HDF5 files that describe themselves.
 
-A file has the attributes ``kind`` (what is in it), ``program`` and ``version``, ``versions`` of
-what it was computed with, and, where there is one, the ``scene`` as TOML text; its datasets are
-numbers and words, with the attributes ``unit`` and ``about``. Nothing in it is pickled, and nothing
-of it is ever executed. The attribute ``digest`` is verified when it is read, ``meshes`` holds those
-of the files of the scene.
+A file has the attributes ``kind`` (of the contents), ``program``, ``version``, ``versions`` of
+the libraries, and ``scene`` as TOML text if there is a scene. The datasets are numbers and words,
+with the attributes ``unit`` and ``about``. Nothing in a file is pickled, and nothing in it is ever
+executed. The attribute ``digest`` is verified when the file is read; ``meshes`` holds digests of
+the scene's files.
 """
 
 from __future__ import annotations
@@ -27,13 +27,18 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import UNITS
-from fenics_crack.basics.untrusted_files import beginning_of, bytes_of, run_reader, sha256
+from fenics_crack.basics.tables import UNIT_BY_NAME
+from fenics_crack.basics.untrusted_files import (
+    file_sha256,
+    read_first_bytes,
+    regular_file_size,
+    run_reader,
+)
 from fenics_crack.fem.model_files import list_included_files
-from fenics_crack.files.codec import WRONG, check_arrays
+from fenics_crack.files.codec import DATASET_ERRORS, check_arrays
 from fenics_crack.scene.scene import Scene, file_keys_and_paths, with_file_paths
 from fenics_crack.version import VERSION
 
@@ -41,16 +46,18 @@ if TYPE_CHECKING:
     import h5py
 
 
-IDENTIFICATION = "identification"
-"""Kind of the file of ``identify``, which draws its picture itself."""
-PROGRAM = "fenics_crack"
-MISSING = "missing"
-"""In place of the digest of a file that cannot be read."""
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
+IDENTIFICATION_KIND = "identification"
+"""Kind in files from ``identify``; the picture comes from ``identify``, too."""
+PROGRAM_NAME = "fenics_crack"
+"""Value for the attribute ``program``."""
+MISSING_FILE_DIGEST = "missing"
+"""Text in place of the digest if a file cannot be read."""
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""First bytes in an HDF5 file."""
 
 
-def write(
-    parts: Mapping[str, Any],
+def write_result_file(
+    datasets: Mapping[str, Any],
     path: str | Path,
     kind: str,
     scene: Scene | None = None,
@@ -62,14 +69,14 @@ def write(
 
     Parameters
     ----------
-    parts : mapping
-        Datasets by their names: arrays, numbers, words, lists of words; None is left out.
+    datasets : mapping
+        Datasets by name: arrays, numbers, words, lists of words; None is left out.
     path : path
-        The file; an older one is replaced once the new one is complete.
+        The file; an older file is replaced once the new file is complete.
     kind : str
-        Kind of its contents, for example "response curve".
+        Kind of the contents, for example "response curve".
     scene : Scene, optional
-        Its scene.
+        Scene of the result.
     is_compressed : bool
         Compress large arrays, which takes 30 times as long.
 
@@ -79,107 +86,121 @@ def write(
         The file cannot be written.
     """
 
-    def work() -> None:
+    def write_on_root() -> None:
         import h5py  # what only reads has its reader
 
         # In memory: HDF5 cannot be trusted with a full disk, and would load an old file.
-        image = io.BytesIO()
-        with h5py.File(image, "w") as file:
+        file_buffer = io.BytesIO()
+        with h5py.File(file_buffer, "w") as file:
             write_header(file, kind, scene)
-            for name, value in parts.items():
-                if value is not None:
-                    packed = (
-                        {"compression": "gzip"} if is_compressed and np.size(value) > 1000 else {}
+            for dataset_name, content in datasets.items():
+                if content is not None:
+                    compression_options = (
+                        {"compression": "gzip"} if is_compressed and np.size(content) > 1000 else {}
                     )
-                    dataset = file.create_dataset(name, data=value, **packed)
-                    dataset.attrs.update(about(name, parts))
-            file.attrs["digest"] = digest(texts(file), parts)
-        write_whole(path, image.getvalue())
+                    file_dataset = file.create_dataset(
+                        dataset_name, data=content, **compression_options
+                    )
+                    file_dataset.attrs.update(describe_dataset(dataset_name, datasets))
+            file.attrs["digest"] = content_digest(attribute_texts(file), datasets)
+        write_file_whole(path, file_buffer.getvalue())
 
-    on_root(comm, work)
+    on_root(comm, write_on_root)
 
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
-    """Write the attributes: what is in the file, what made it, and from which scene."""
-    file.attrs.update(kind=kind, program=PROGRAM, version=VERSION, versions=versions())
+    """Write the attributes: kind of contents, program, versions and scene."""
+    file.attrs.update(kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions())
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(digests_of(scene))
+        file.attrs["meshes"] = "\n".join(scene_file_digests(scene))
 
 
-def versions() -> str:
-    """Versions of what the program uses; of SLEPc, DOLFINx and gmsh where they are loaded."""
-    parts = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
-    found = {name: ".".join(map(str, one.Sys.getVersion())) for name, one in parts.items() if one}
-    for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx"), ("gmsh", "gmsh")):
-        if module in sys.modules:
-            found[name] = sys.modules[module].__version__
-    return ", ".join(f"{name} {version}" for name, version in found.items())
+def library_versions() -> str:
+    """Return library versions as text; SLEPc, DOLFINx and gmsh only if loaded."""
+    module_by_name = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
+    version_by_name = {
+        name: ".".join(map(str, library_module.Sys.getVersion()))
+        for name, library_module in module_by_name.items()
+        if library_module
+    }
+    for name, module_name in (("NumPy", "numpy"), ("DOLFINx", "dolfinx"), ("gmsh", "gmsh")):
+        if module_name in sys.modules:
+            version_by_name[name] = sys.modules[module_name].__version__
+    return ", ".join(f"{name} {version}" for name, version in version_by_name.items())
 
 
 @functools.cache
-def fingerprint() -> str:
-    """What this program is, and what is installed that meshes and assembles: sizes and times of its
-    sources, and of the files that load these."""
-    specs = map(find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh"))
-    files = [str(spec.origin) for spec in specs if spec is not None and spec.has_location]
-    files += sorted(map(str, Path(__file__).parents[1].rglob("*.py")))
-    return repr([(file, os.stat(file).st_size, os.stat(file).st_mtime_ns) for file in files])
+def program_fingerprint() -> str:
+    """Return a text that changes with the program, and with libraries for meshes and assembly.
+
+    The text has sizes and times of the program's sources, and of the libraries' first files.
+    """
+    module_specs = map(
+        find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh")
+    )
+    file_names = [
+        str(spec.origin) for spec in module_specs if spec is not None and spec.has_location
+    ]
+    file_names += sorted(map(str, Path(__file__).parents[1].rglob("*.py")))
+    return repr([(file, os.stat(file).st_size, os.stat(file).st_mtime_ns) for file in file_names])
 
 
 def scene_text(scene: Scene) -> str:
-    """The scene as it stands in a file: TOML, with the full paths of its files."""
-    return with_full_paths(scene).as_toml()
+    """Return a scene as TOML text for a file, with full paths."""
+    return scene_with_full_paths(scene).as_toml()
 
 
-def with_full_paths(scene: Scene) -> Scene:
-    """The scene with the full paths of its files."""
+def scene_with_full_paths(scene: Scene) -> Scene:
+    """Return a scene with the full paths of its files."""
     return with_file_paths(scene, lambda path: str(Path(path).absolute()))
 
 
-def texts(file: h5py.File) -> dict[str, str]:
-    """Attributes of a file, and of its datasets by names like "omega/unit"."""
-    found = {name: str(value) for name, value in file.attrs.items()}
-    for name, item in file.items():
-        found |= {f"{name}/{key}": str(value) for key, value in item.attrs.items()}
-    return found
+def attribute_texts(file: h5py.File) -> dict[str, str]:
+    """Return a file's attributes, and its datasets' attributes by names like "omega/unit"."""
+    text_by_name = {name: str(value) for name, value in file.attrs.items()}
+    for name, dataset in file.items():
+        text_by_name |= {f"{name}/{key}": str(value) for key, value in dataset.attrs.items()}
+    return text_by_name
 
 
-def column_of(dataset: h5py.Dataset) -> Column:
-    """Type, shape and place of a dataset that is filled in later."""
+def locate_column(dataset: h5py.Dataset) -> Column:
+    """Return type, shape and offset for a dataset that is filled in later."""
     return Column(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
 
-def places(columns: Mapping[str, Column]) -> dict[str, str]:
-    """The same in words."""
+def column_texts(columns: Mapping[str, Column]) -> dict[str, str]:
+    """Return each column's type, shape and offset as a text by name."""
     return {name: str(column) for name, column in columns.items()}
 
 
-def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
-    """SHA-256 of attributes, but for the digest, and of datasets: names, types, shapes and bytes.
+def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -> str:
+    """Return the SHA-256 digest for attributes and datasets: names, types, shapes and bytes.
+
+    The attribute ``digest`` does not count.
 
     Parameters
     ----------
     attributes : mapping of str to str
-        As :func:`texts` names them.
-    parts : mapping
-        Datasets by their names: arrays, numbers, words; None is left out. Of a sweep its
-        :func:`places`.
+        From :func:`attribute_texts`.
+    datasets : mapping
+        Datasets by name: arrays, numbers, words; None is left out. For a sweep:
+        :func:`column_texts`.
     """
-    total = hashlib.sha256()
+    hash_object = hashlib.sha256()
     for name, text in sorted(attributes.items()):
         if name != "digest":
-            total.update(json.dumps([name, text]).encode())
-    for name, value in sorted(parts.items()):
-        if value is None:
+            hash_object.update(json.dumps([name, text]).encode())
+    for name, content in sorted(datasets.items()):
+        if content is None:
             continue
-        array = np.asarray(value)
+        array = np.asarray(content)
         if array.dtype.kind in "UO":
-            total.update(json.dumps([name, array.tolist()]).encode())
+            hash_object.update(json.dumps([name, array.tolist()]).encode())
         else:
-            total.update(json.dumps([name, array.dtype.str, array.shape]).encode())
-            total.update(array.tobytes())
-    return total.hexdigest()
+            hash_object.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+            hash_object.update(array.tobytes())
+    return hash_object.hexdigest()
 
 
 # --- reading --------------------------------------------------------------------------------------
@@ -187,7 +208,7 @@ def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """Type, shape and place of a dataset that is filled in while the file is there."""
+    """Type, shape and offset for a dataset that is filled in while the file exists."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -198,38 +219,43 @@ class Column:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size of the dataset in the file [byte]."""
         return math.prod(self.shape) * self.dtype.itemsize
 
-    def of(self, path: Path, first: int = 0, count: int | None = None) -> np.ndarray:
-        """Its numbers, or ``count`` of them from the ``first`` on (count,); OSError, ValueError."""
-        start = self.offset + first * self.dtype.itemsize
-        wanted = math.prod(self.shape) if count is None else count
-        values = np.fromfile(path, self.dtype, wanted, offset=start)
-        if len(values) < wanted:
+    def read_numbers(
+        self, path: Path, first_index: int = 0, count: int | None = None
+    ) -> np.ndarray:
+        """Return all numbers, or ``count`` numbers from ``first_index`` on (count,).
+
+        OSError or ValueError if the file cannot be read, or ends too early.
+        """
+        start_byte = self.offset + first_index * self.dtype.itemsize
+        n_values = math.prod(self.shape) if count is None else count
+        numbers = np.fromfile(path, self.dtype, n_values, offset=start_byte)
+        if len(numbers) < n_values:
             raise ValueError("it ends too early")
-        return values.reshape(self.shape) if count is None else values
+        return numbers.reshape(self.shape) if count is None else numbers
 
 
 @dataclass(frozen=True)
-class Stored:
-    """Contents of a file whose digest has been verified.
+class StoredFile:
+    """Contents of a file with a verified digest.
 
     Attributes
     ----------
     path : Path
         The file.
     attributes : dict of str to str
-        As :func:`texts` names them.
-    parts : dict
-        Datasets by their names: arrays, numbers and words. Of a sweep there are none.
+        From :func:`attribute_texts`.
+    datasets : dict
+        Datasets by name: arrays, numbers and words. Empty for a sweep.
     columns : dict of str to Column
-        Of a sweep: where its datasets are.
+        For a sweep: places of its datasets in the file.
     """
 
     path: Path
     attributes: dict[str, str]
-    parts: dict[str, Any]
+    datasets: dict[str, Any]
     columns: dict[str, Column]
 
     @property
@@ -238,184 +264,231 @@ class Stored:
         return self.attributes["kind"]
 
     def scene(self) -> Scene | None:
-        """Its scene, or None; no file that the scene names is opened.
+        """Return the file's scene, or None; the scene's files are not opened.
 
         Raises
         ------
         InputError
-            The scene cannot be used, or its mesh or matrices have no digests.
+            The scene cannot be used, or has no digests for its mesh or matrices.
         """
         if "scene" not in self.attributes:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
         if len(self._digests) < len(file_keys_and_paths(scene)):
-            raise self._older("digests of its mesh or matrices")
+            raise self._older_version_error("digests of its mesh or matrices")
         return scene
 
-    def check_files(self, scene: Scene, *, needed: bool = True) -> None:
-        """Raise InputError if a file of the scene, of its mesh or matrices, has changed, or has
-        gone where it is needed."""
-        files = _files_of(scene)
-        for (key, path), known in zip(files, self._digests, strict=False):
-            found = _file_digest(path)
-            if found != known and (needed or found != MISSING):
-                allowed = f"the file with which {self.path} was computed; it has changed or gone"
-                raise InputError(key, path, allowed)
-        if needed and len(self._digests) != len(files):
-            raise self._older("digests of all files of its matrices")
+    def check_files(self, scene: Scene, *, is_required: bool = True) -> None:
+        """Raise InputError if a file for the mesh or matrices has changed.
 
-    def refused(self, allowed: str) -> InputError:
-        """The error of a file that is not as allowed."""
-        return InputError("path", str(self.path), allowed)
+        A missing file is an error only if ``is_required``.
+        """
+        key_path_pairs = _list_scene_files(scene)
+        for (key, path), stored_digest in zip(key_path_pairs, self._digests, strict=False):
+            file_digest = _file_digest(path)
+            if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
+                requirement = (
+                    f"the file with which {self.path} was computed; it has changed or gone"
+                )
+                raise InputError(key, path, requirement)
+        if is_required and len(self._digests) != len(key_path_pairs):
+            raise self._older_version_error("digests of all files of its matrices")
 
-    def fitting_argument(self, kind: str) -> None:
-        """Raise InputError if something else is in the file."""
+    def refusal(self, requirement: str) -> InputError:
+        """Return the error for a file that does not meet a requirement."""
+        return InputError("path", str(self.path), requirement)
+
+    def check_kind(self, kind: str) -> None:
+        """Raise InputError if the file holds another kind of result."""
         if self.kind != kind:
-            raise self.refused(f"a file with a {kind}; in this one is a {self.kind}")
+            raise self.refusal(f"a file with a {kind}; in this one is a {self.kind}")
 
     @contextlib.contextmanager
-    def taken(self) -> Iterator[dict[str, Any]]:
-        """Its datasets, to be taken apart; InputError if they are not as expected."""
+    def checked_datasets(self) -> Iterator[dict[str, Any]]:
+        """Yield a dict of the datasets that the block may change.
+
+        InputError if the numbers are unusable, or the block raises any of ``DATASET_ERRORS``.
+        """
         try:
-            check_arrays(self.parts)
-            yield dict(self.parts)
+            check_arrays(self.datasets)
+            yield dict(self.datasets)
         except InputError:
             raise
-        except WRONG as error:
-            raise self.refused(f"a {self.kind} written by save ({error})") from None
+        except DATASET_ERRORS as error:
+            raise self.refusal(f"a {self.kind} written by save ({error})") from None
 
     @property
     def _digests(self) -> list[str]:
+        """Digests of the scene's files."""
         return self.attributes.get("meshes", "").split()
 
     def check_digest(self) -> None:
-        """Raise InputError unless the file is what was written."""
-        known = self.attributes.get("digest")
-        if known is None:
-            raise self._older("a digest")
-        if digest(self.attributes, self.parts or places(self.columns)) != known:
-            raise self.refused("a whole file; this one is damaged")
+        """Raise InputError unless the file is unchanged since writing."""
+        stored_digest = self.attributes.get("digest")
+        if stored_digest is None:
+            raise self._older_version_error("a digest")
+        if (
+            content_digest(self.attributes, self.datasets or column_texts(self.columns))
+            != stored_digest
+        ):
+            raise self.refusal("a whole file; this one is damaged")
 
-    def _older(self, what: str) -> InputError:
+    def _older_version_error(self, content: str) -> InputError:
+        """Return the error for a file from an older version without some content."""
         version = self.attributes.get("version", "unknown")
-        older = f"a file with {what}, which older versions did not write (this one: {version})"
-        remedy = "make it again with the command that wrote it, a sweep in a new folder"
-        return self.refused(f"{older}; {remedy}")
+        requirement = (
+            f"a file with {content}, which older versions did not write (this one: {version})"
+        )
+        remedy_text = "make it again with the command that wrote it, a sweep in a new folder"
+        return self.refusal(f"{requirement}; {remedy_text}")
 
 
-def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:
-    """Read a file and verify its digest (collective); rank 0 lets a program of its own read it.
+def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:
+    """Read a file and verify the digest (collective).
+
+    Rank 0 lets a separate program read the file.
 
     Raises
     ------
     InputError
-        The file cannot be read, is damaged, of an older version, or not one of this program.
+        The file cannot be read, is damaged, has an older version, or comes from another program.
     """
-    return on_root(comm, lambda: _read(Path(path)))
+    return on_root(comm, lambda: _read_and_check(Path(path)))
 
 
-def _read(path: Path) -> Stored:
-    def refusal(why: str) -> InputError:
-        kinds = "one of the .h5 files that solve, curve and the other commands write"
-        return InputError("path", str(path), f"a readable result file, {kinds} ({why})")
+def _read_and_check(path: Path) -> StoredFile:
+    def refusal(reason: str) -> InputError:
+        kinds_text = "one of the .h5 files that solve, curve and the other commands write"
+        return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
 
     try:
-        size = bytes_of(path, None)
-        if beginning_of(path, len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
+        file_size = regular_file_size(path, None)
+        if (
+            read_first_bytes(path, len(HDF5_SIGNATURE)) != HDF5_SIGNATURE
+        ):  # where it may also begin later
             raise refusal("it does not begin as HDF5 files do")
-        seconds = 5 + size // 10**7  # of processor time: any file is read at 10 MB/s and more
-        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, seconds, 2**28 + 2**27)
+        max_seconds = 5 + file_size // 10**7  # processor time: files are read at 10 MB/s and more
+        array_by_name = run_reader(
+            Path(__file__).with_name("h5_reader.py"), path, max_seconds, 2**28 + 2**27
+        )
     except FileNotFoundError:
         raise InputError("path", str(path), "a file that exists") from None
     except OSError as error:
         raise refusal(error.strerror or str(error)) from None
-    if isinstance(found, str):
-        raise refusal(found)
+    if isinstance(array_by_name, str):
+        raise refusal(array_by_name)
     try:
-        stored = _taken_over(path, found)
+        stored_file = _stored_file_from_arrays(path, array_by_name)
     except (KeyError, TypeError, ValueError) as error:  # its reader has been led astray
         raise refusal(str(error)) from None
-    if stored.attributes.get("program") != PROGRAM or "kind" not in stored.attributes:
-        raise InputError("path", str(path), f"a result file of {PROGRAM}")
-    stored.check_digest()
-    if missing := {"version", "versions"} - stored.attributes.keys():
-        raise InputError("path", str(path), f"a file with the attribute {min(missing)}")
-    return stored
+    if (
+        stored_file.attributes.get("program") != PROGRAM_NAME
+        or "kind" not in stored_file.attributes
+    ):
+        raise InputError("path", str(path), f"a result file of {PROGRAM_NAME}")
+    stored_file.check_digest()
+    if missing_attributes := {"version", "versions"} - stored_file.attributes.keys():
+        raise InputError("path", str(path), f"a file with the attribute {min(missing_attributes)}")
+    return stored_file
 
 
-def _taken_over(path: Path, found: Mapping[str, np.ndarray]) -> Stored:
-    """Return the file's contents from the arrays that the reader hands over."""
-    head = json.loads(str(found["head"]))
-    arrays = {name: found[f"arr_{number}"] for number, name in enumerate(head["arrays"])}
-    numbers = {name: one if one.ndim else one.item() for name, one in arrays.items()}
-    columns = {
-        name: Column(np.dtype(kind), tuple(shape), offset)
-        for name, (kind, shape, offset) in head["columns"].items()
+def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]) -> StoredFile:
+    """Return a file's contents from the reader's arrays."""
+    contents = json.loads(str(array_by_name["head"]))
+    array_by_dataset_name = {
+        name: array_by_name[f"arr_{number}"] for number, name in enumerate(contents["arrays"])
     }
-    return Stored(path, head["attributes"], head["words"] | numbers, columns)
+    array_or_number_by_name = {
+        name: array if array.ndim else array.item() for name, array in array_by_dataset_name.items()
+    }
+    column_by_name = {
+        name: Column(np.dtype(dtype_text), tuple(shape), offset)
+        for name, (dtype_text, shape, offset) in contents["columns"].items()
+    }
+    return StoredFile(
+        path, contents["attributes"], contents["words"] | array_or_number_by_name, column_by_name
+    )
 
 
-def check_shapes(parts: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise ValueError unless the datasets that are there have these shapes; -1 is any length."""
-    for name, shape in shapes.items():
-        found = np.shape(parts[name]) if name in parts else shape
-        same = len(found) == len(shape)
-        if not same or any(n not in (-1, m) for n, m in zip(shape, found, strict=True)):
+def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise ValueError unless the present datasets have the given shapes; -1 is any length."""
+    for name, shape in shape_by_name.items():
+        stored_shape = np.shape(datasets[name]) if name in datasets else shape
+        has_same_dimension = len(stored_shape) == len(shape)
+        if not has_same_dimension or any(
+            length not in (-1, stored_length)
+            for length, stored_length in zip(shape, stored_shape, strict=True)
+        ):
             raise ValueError(f"its {name} does not fit")
 
 
-def header(path: str | Path) -> Stored:
-    """A file without its numbers, which are verified too; raises as :func:`read`.
+def read_header(path: str | Path) -> StoredFile:
+    """Return a file without the numbers; the digest is verified with the numbers.
 
-    It is read again when it has changed.
+    Raises as :func:`read_result_file`. A changed file is read again.
     """
     try:
-        now = os.stat(path)
+        file_status = os.stat(path)
     except (OSError, ValueError):
-        return read(path)  # which says why it cannot be
-    return _header(Path(path), (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns))
+        return read_result_file(path)  # which says why it cannot be
+    return _read_header_cached(
+        Path(path),
+        (file_status.st_dev, file_status.st_ino, file_status.st_size, file_status.st_mtime_ns),
+    )
 
 
 @functools.lru_cache(maxsize=32)
-def _header(path: Path, state: tuple[int, ...]) -> Stored:
-    return replace(_read(path), parts={})
+def _read_header_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
+    return replace(_read_and_check(path), datasets={})
 
 
-def _files_of(scene: Scene) -> list[tuple[str, str]]:
-    """The keys that name files of a scene, and these; then those that are read with them."""
-    found = file_keys_and_paths(scene)
-    named = any(key == "structure.dofs" for key, _ in found)  # takes the place of those beside
-    beside = [(key, str(more)) for key, path in found for more in list_included_files(Path(path))]
-    return found + [one for one in beside if not (named and one[1].endswith(".dof"))]
+def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
+    """Return pairs (key, path) for a scene's files, and for the files read with them."""
+    named_key_path_pairs = file_keys_and_paths(scene)
+    # A named file of dofs takes the place of the file beside the matrices.
+    has_named_dofs = any(key == "structure.dofs" for key, _ in named_key_path_pairs)
+    included_key_path_pairs = [
+        (key, str(included_path))
+        for key, path in named_key_path_pairs
+        for included_path in list_included_files(Path(path))
+    ]
+    return named_key_path_pairs + [
+        key_path_pair
+        for key_path_pair in included_key_path_pairs
+        if not (has_named_dofs and key_path_pair[1].endswith(".dof"))
+    ]
 
 
-def digests_of(scene: Scene) -> list[str]:
-    """SHA-256 of the files that a scene names, and of those that are read with them."""
-    return [_file_digest(path) for _, path in _files_of(scene)]
+def scene_file_digests(scene: Scene) -> list[str]:
+    """Return SHA-256 digests for a scene's files, and for the files read with them."""
+    return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
 
 def _file_digest(path: str) -> str:
-    """SHA-256 of a file, or :data:`MISSING`."""
+    """Return a file's SHA-256 digest, or :data:`MISSING_FILE_DIGEST`."""
     try:
-        return sha256(path)
+        return file_sha256(path)
     except OSError:
-        return MISSING
+        return MISSING_FILE_DIGEST
 
 
 # --- units ----------------------------------------------------------------------------------------
 
-ROWS = (
+COEFFICIENT_ROWS_TEXT = (
     "rows a0, a1, b1, ..., aH, bH of a0 + sum_k a_k cos(k w t) + b_k sin(k w t), "
     "w = omega / subharmonic"
 )
-GAPS = f"{ROWS}; a column for each pair; positive: penetration"
-ABOUT: dict[str, tuple[str, str]] = {
+GAP_ROWS_TEXT = f"{COEFFICIENT_ROWS_TEXT}; a column for each pair; positive: penetration"
+UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "omega": ("rad/s", "load frequency, or natural frequency"),
-    "gap_coefficients": ("m", GAPS),
-    "force_coefficients": ("N", f"{ROWS}; a column for each pair"),
-    "tangential_gap_coefficients": ("m", f"{ROWS}; a column for each pair"),
-    "tangential_force_coefficients": ("N", f"{ROWS}; a column for each pair"),
-    "watched_coefficients": ("m", f"{ROWS}; along a curve points before rows; last: 'watched'"),
+    "gap_coefficients": ("m", GAP_ROWS_TEXT),
+    "force_coefficients": ("N", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "tangential_gap_coefficients": ("m", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "tangential_force_coefficients": ("N", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "watched_coefficients": (
+        "m",
+        f"{COEFFICIENT_ROWS_TEXT}; along a curve points before rows; last: 'watched'",
+    ),
     "watched_displacement": ("m", "instants; 'watched'"),
     "multipliers": ("1", "Floquet multipliers, those of a curve the largest of each point"),
     "rest_amplitude": ("m", "half peak-to-peak of the motion from rest at the watched dof"),
@@ -428,7 +501,7 @@ ABOUT: dict[str, tuple[str, str]] = {
     "law_turning": ("1", "sliding across these lines over that along them"),
     "law_tangential_stiffness": ("N/m", "of all pairs, or of each"),
     "law_force": ("N", "of a law of one's own, of all pairs together, at gaps of 1e-12 to 10 m"),
-    "unknowns": ("m", f"points; {GAPS}; gaps, or slow gaps where static_above is there"),
+    "unknowns": ("m", f"points; {GAP_ROWS_TEXT}; gaps, or slow gaps where static_above is there"),
     "states": ("m, m/s", "points; displacement and velocity at phase zero of the load; dofs"),
     "places": ("m", "points; tangential gaps at which pairs stick at phase zero; pairs"),
     "bifurcation_places": ("m", "bifurcations; pairs"),
@@ -470,19 +543,25 @@ ABOUT: dict[str, tuple[str, str]] = {
     "omegas": ("rad/s", "natural frequency of each passage by itself"),
     "omega_errors": ("rad/s", "standard error of these"),
 }
-"""Unit, and what it is, axis by axis."""
+"""Units and meanings by dataset name; a meaning goes axis by axis."""
 
 
-def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
-    """The attributes of a dataset, of those of its file; none where it is a count or a word."""
-    if name in ("values", "bifurcation_values") and "parameter" in parts:
-        parameter = str(parts["parameter"])  # most are factors
-        found = UNITS.get(parameter, "1"), f"of the parameter {parameter}"
+def describe_dataset(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
+    """Return a dataset's attributes ``unit`` and ``about``; counts and words have none."""
+    if name in ("values", "bifurcation_values") and "parameter" in datasets:
+        parameter = str(datasets["parameter"])  # most are factors
+        unit_and_meaning = UNIT_BY_NAME.get(parameter, "1"), f"of the parameter {parameter}"
     elif name.startswith("error_"):
-        found = "1", "estimated, relative to the gap"
+        unit_and_meaning = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():
-        found = ABOUT["unknowns"][0], GAPS
+        unit_and_meaning = UNIT_AND_MEANING_BY_NAME["unknowns"][0], GAP_ROWS_TEXT
     else:  # of a dataclass in others its last part
-        last = name.rpartition(".")[2]
-        found = ABOUT.get(last, (UNITS.get(last, ""), ""))
-    return {key: words for key, words in zip(("unit", "about"), found, strict=True) if words}
+        last_name_part = name.rpartition(".")[2]
+        unit_and_meaning = UNIT_AND_MEANING_BY_NAME.get(
+            last_name_part, (UNIT_BY_NAME.get(last_name_part, ""), "")
+        )
+    return {
+        key: attribute_text
+        for key, attribute_text in zip(("unit", "about"), unit_and_meaning, strict=True)
+        if attribute_text
+    }

@@ -37,10 +37,15 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.errors import MOST_HARMONICS, InputError, check_count, reading
-from fenics_crack.basics.ranks import gather_rows, on_each
-from fenics_crack.basics.tables import counted
-from fenics_crack.basics.untrusted_files import opened_text, rows_in
+from fenics_crack.basics.errors import (
+    MAX_HARMONIC_ORDER,
+    InputError,
+    check_count,
+    report_read_errors,
+)
+from fenics_crack.basics.ranks import call_on_each_rank, gather_rows
+from fenics_crack.basics.tables import format_count
+from fenics_crack.basics.untrusted_files import open_text_lines, parse_number_rows
 from fenics_crack.model.factor import (
     MATRIX_TOLERANCE,
     Factor,
@@ -441,7 +446,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    with opened_text(path) as (text_file, allowed_bytes):
+    with open_text_lines(path) as (text_file, allowed_bytes):
         text_lines = iter(text_file)
         (layout, symmetry), sizes, n_entries = _read_header_and_sizes(text_lines, allowed_bytes)
         shape = sizes[0], sizes[1]
@@ -449,7 +454,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
         if symmetry != "general" and shape[0] != shape[1]:
             raise ValueError(f"{symmetry}, but of shape {shape}")
-        table = rows_in(text_lines, "%", most=n_entries + 1)
+        table = parse_number_rows(text_lines, "%", max_rows=n_entries + 1)
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
         # Reading stops after one too many.
@@ -497,7 +502,7 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     OSError, ValueError
         As :func:`read_matrix_market`.
     """
-    with opened_text(path) as (text_file, allowed_bytes):
+    with open_text_lines(path) as (text_file, allowed_bytes):
         _, sizes, _ = _read_header_and_sizes(iter(text_file), allowed_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
@@ -594,7 +599,7 @@ def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
 
     Empty lines are left out.
     """
-    with opened_text(path, "replace") as (text_file, _):
+    with open_text_lines(path, "replace") as (text_file, _):
         for number, line in enumerate(text_file, 1):
             if text := line.partition(comment)[0].rstrip():
                 yield number, text
@@ -611,8 +616,8 @@ def read_number_rows(
         The file cannot be read, or a line has other than ``n_columns`` finite numbers.
     """
     try:
-        with opened_text(path) as (text_file, _):
-            rows_of_numbers = rows_in(text_file, comment, delimiter)
+        with open_text_lines(path) as (text_file, _):
+            rows_of_numbers = parse_number_rows(text_file, comment, delimiter)
         if (
             rows_of_numbers.shape[1] == n_columns
             and len(rows_of_numbers)
@@ -704,14 +709,14 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
         return distribute_rows(given_matrix[start:stop], comm)
     comm = data.comm.tompi4py()
     own_rows = local_rows(data.convert("aij", PETSc.Mat()))
-    on_each(comm, lambda: _check_entries(name, own_rows.data))
+    call_on_each_rank(comm, lambda: _check_entries(name, own_rows.data))
     return distribute_rows(own_rows, comm)
 
 
 def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
     """Read a Matrix Market file, or check a matrix in memory."""
     if isinstance(data, str | Path):
-        with reading(name, data, "a Matrix Market file"):
+        with report_read_errors(name, data, "a Matrix Market file"):
             data = read_matrix_market(Path(data), n_rows)
     try:
         matrix = data if sparse.issparse(data) else np.asarray(data)
@@ -822,7 +827,7 @@ def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """
     allowed_columns_by_key = {"force_mean": 1}
     rows_of_parts = [
-        _read_load_columns(key, part, n, allowed_columns_by_key.get(key, MOST_HARMONICS))
+        _read_load_columns(key, part, n, allowed_columns_by_key.get(key, MAX_HARMONIC_ORDER))
         for key, part in load_parts.items()
     ]
     load_coefficients = np.zeros((2 * max(map(len, rows_of_parts)) + 1, n))
@@ -865,7 +870,7 @@ def add_harmonics(
     if not isinstance(harmonics, Mapping):
         raise InputError("harmonics", harmonics, "cosine and sine part by the order")
     for order in harmonics:
-        check_count("order in harmonics", order, 1, MOST_HARMONICS)
+        check_count("order in harmonics", order, 1, MAX_HARMONIC_ORDER)
     new_coefficients = resize_harmonics(
         load_coefficients, max([len(load_coefficients) // 2, *harmonics])
     )
@@ -935,7 +940,7 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
         n_negative_pivots = factor.n_negative_pivots
     if n_negative_pivots:
         raise InputError(
-            name, counted(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"
+            name, format_count(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"
         )
 
 

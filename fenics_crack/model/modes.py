@@ -25,10 +25,10 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
-from fenics_crack.basics.errors import FEW_MODES, ConvergenceError, InputError, check_choice
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.ranks import gather_rows, slepc
-from fenics_crack.basics.tables import Tabular, counted, hertz_of, with_frequency
+from fenics_crack.basics.errors import N_LOWEST_MODES, ConvergenceError, InputError, check_choice
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.ranks import gather_rows, import_slepc
+from fenics_crack.basics.tables import Tabular, add_frequency_entries, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import MATRIX_TOLERANCE, MAX_BLOCK_COLUMNS, Factor, factored_sum
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
@@ -81,7 +81,7 @@ class Modes(Tabular):
     structure: Structure
 
     KIND: ClassVar[str] = "set of modes"
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     def function(self, index: int) -> Any:
         """Return the shape of ``omega[index]`` as DOLFINx's Function (collective)."""
@@ -96,12 +96,12 @@ class Modes(Tabular):
         They are the number of the mode, omega [rad/s] and frequency [Hz].
         """
         mode_numbers = list(range(1, len(self.omega) + 1))
-        return with_frequency({"mode": mode_numbers, "omega": self.omega.tolist()})
+        return add_frequency_entries({"mode": mode_numbers, "omega": self.omega.tolist()})
 
     def _title(self) -> str:
         omega_range = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
         n_dofs = self.structure.n_dofs
-        return f"{counted(len(self.omega), 'mode')}, {omega_range} rad/s, of {n_dofs} dofs"
+        return f"{format_count(len(self.omega), 'mode')}, {omega_range} rad/s, of {n_dofs} dofs"
 
 
 def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Modes:
@@ -261,7 +261,7 @@ def solve_modes_with_factor(
     diagonal_quotients = gather_rows(structure.comm, diagonal_quotients)  # [rad^2/s^2]
     square_scale = float(np.min(diagonal_quotients[diagonal_quotients > 0.0], initial=np.inf))
     square_scale = square_scale if np.isfinite(square_scale) else 1.0
-    begin(counted(count, "natural mode"))
+    begin_stage(format_count(count, "natural mode"))
     inverse: Inverse = factor if ties is None else BondedInverse(factor, structure, ties)
     n_requested, available_count = count, _count_modes(structure, ties)
     while True:
@@ -322,7 +322,7 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
 
 def _make_solver(structure: Structure, prefix: str, count: int, krylov_size: int) -> Any:
     """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
-    solver = slepc().EPS().create(structure.comm)
+    solver = import_slepc().EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(solver.ProblemType.GHEP)
@@ -711,8 +711,8 @@ class BilinearFrequencies(Tabular):
     omega_tied: np.ndarray
 
     KIND: ClassVar[str] = "set of bilinear frequencies"
-    frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
-    frequency_bilinear = hertz_of("omega_bilinear")
+    frequency_open, frequency_tied = hertz_property("omega_open"), hertz_property("omega_tied")
+    frequency_bilinear = hertz_property("omega_bilinear")
 
     @property
     def omega_bilinear(self) -> np.ndarray:
@@ -760,7 +760,7 @@ class BilinearFrequencies(Tabular):
         first_mode_text = (
             f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s bonded"
         )
-        return f"{counted(len(self.omega_open), 'mode')}, {first_mode_text}"
+        return f"{format_count(len(self.omega_open), 'mode')}, {first_mode_text}"
 
 
 def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
@@ -795,7 +795,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
-    count = min(FEW_MODES, structure.n_modes)
+    count = min(N_LOWEST_MODES, structure.n_modes)
     open_modes, bonded_modes = solve_modes(structure, count), solve_bonded_modes(structure, count)
     return BilinearFrequencies(
         open_modes.omega, bonded_modes.omega[find_bonded_mode_indices(open_modes, bonded_modes)]

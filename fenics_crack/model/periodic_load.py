@@ -14,8 +14,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.basics.errors import MOST_HARMONICS, InputError, check_count, reading
-from fenics_crack.basics.untrusted_files import table_rows
+from fenics_crack.basics.errors import (
+    MAX_HARMONIC_ORDER,
+    InputError,
+    check_count,
+    report_read_errors,
+)
+from fenics_crack.basics.untrusted_files import read_csv_rows
 from fenics_crack.model.matrices import numbers
 from fenics_crack.numerics.fourier import from_complex
 
@@ -51,7 +56,7 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     >>> sine = square[2::2]
     """
     instants, samples = numbers(time), numbers(values)
-    check_count("harmonics", harmonics, 1, MOST_HARMONICS)
+    check_count("harmonics", harmonics, 1, MAX_HARMONIC_ORDER)
     is_ascending = (
         instants.ndim == 1
         and len(instants) > 1
@@ -116,8 +121,8 @@ def read_wave(key: str, path: str, harmonics: int, dimension: int) -> tuple[np.n
         The file cannot be read, or is no such table.
     """
     requirement = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
-    with reading(key, path, requirement):
-        table = np.array([[float(cell) for cell in cells] for _, cells in table_rows(path)[1:]])
+    with report_read_errors(key, path, requirement):
+        table = np.array([[float(cell) for cell in cells] for _, cells in read_csv_rows(path)[1:]])
     if table.ndim != 2 or table.shape[1] != dimension + 1:
         raise InputError(key, path, requirement)
     try:

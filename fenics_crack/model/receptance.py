@@ -27,7 +27,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sparse
 
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.model.factor import MAX_BLOCK_COLUMNS, Factor
 from fenics_crack.model.matrices import AbsentMatrix
@@ -242,12 +242,12 @@ def _extend_receptance(
     structure: Structure, known_receptance: Receptance | None, n_modes: int
 ) -> Receptance:
     """Make a receptance with ``n_modes`` modes, from one with fewer modes or none (collective)."""
-    begin("factor of the stiffness")
+    begin_stage("factor of the stiffness")
     with Factor(structure.stiffness, definite=True) as factor:
         modes = solve_modes_with_factor(factor, structure, n_modes)
         squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs
         flexibility = ResidualFlexibility(structure, modes.shapes, squares, sources_of(structure))
-        begin("static responses")
+        begin_stage("static responses")
         # Without an elastic mode there may be further rigid-body motions.
         if known_receptance is None or known_receptance.squares[-1] == 0.0:
             sources_shape = flexibility.modal_sources.shape[:1]

@@ -32,7 +32,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import hertz_of
+from fenics_crack.basics.tables import hertz_property
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import distribute_rows
 from fenics_crack.model.modes import NEGLIGIBLE, solve_modes
@@ -108,7 +108,7 @@ class ReducedStructure(Structure):
     basis: np.ndarray = body_property("basis")
     omega: np.ndarray = body_property("omega")
     share: float = body_property("removed_error_share")
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     def __init__(
         self,

@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_choice
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import MAX_DENSE_SIZE
 from fenics_crack.model.modes import (
@@ -128,7 +128,7 @@ def reduce_structure(
 
     if is_modally_damped:  # more modes, which are cached
         damped_modes(structure)
-    begin("reduction")
+    begin_stage("reduction")
     with Factor(structure.stiffness, definite=True) as stiffness_factor:
         computed_modes = solve_modes_with_factor(stiffness_factor, structure, int(modes))
         mode_shapes, squares = computed_modes.shapes[:, :modes], computed_modes.omega[:modes] ** 2

@@ -33,7 +33,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage, gather_rows
-from fenics_crack.basics.tables import RPM
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.model.body import Body
 from fenics_crack.model.contact import solve_complementarity
 from fenics_crack.model.factor import Factor, distribute_rows, weighted_sum
@@ -176,7 +176,7 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     A solid may be stable by the Coriolis force, which is left out. The size is reported because a
     mesh in mm is unstable.
     """
-    subject, problem = "the plate", f"is unstable at {speed / RPM:.6g} rpm"
+    subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
         mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
         problem += (
@@ -444,7 +444,7 @@ class RunUpStructure(QuasiStaticReduction):
         InputError
             The speed is not positive, or so high that the plate is unstable.
         """
-        check_number("speed", speed, 0.0, above=True)
+        check_number("speed", speed, 0.0, excludes_bound=True)
         return RunUpStructure(self.body.ritz, float(speed))._in_setting(self.setting)
 
     def stiffening(self, omega: float) -> float:

@@ -26,10 +26,10 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import InputError, check_count, check_number, check_two_ratios
-from fenics_crack.basics.suggestions import checked_call
-from fenics_crack.basics.tables import counted
-from fenics_crack.basics.threads import alone
+from fenics_crack.basics.errors import InputError, check_count, check_damping_ratios, check_number
+from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.tables import format_count
+from fenics_crack.basics.threads import run_single_threaded
 from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_NAMES, Body, Setting
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
@@ -177,7 +177,7 @@ class RayleighDamping:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
         xi_list = [float(ratio) for ratio in ratio_array]
         omega_list = [float(w) for w in omega_array]
-        check_two_ratios("damping ratios", xi_list, omega_list)
+        check_damping_ratios("damping ratios", xi_list, omega_list)
         (w_1, xi_1), (w_2, xi_2) = sorted(zip(omega_list, xi_list, strict=True))
         ratio_shift = w_1 / (w_2 - w_1) * (xi_2 - xi_1)
         mean_omega = 0.5 * (w_1 + w_2)
@@ -273,7 +273,7 @@ class Structure(Coordinates):
         vars(self).update(body=body, setting=DEFAULT_SETTING)
 
     def __repr__(self) -> str:
-        pairs_text, body_damping = counted(self.n_pairs, "pair"), self.body.damping
+        pairs_text, body_damping = format_count(self.n_pairs, "pair"), self.body.damping
         damping_text = "no damping" if body_damping is None else "damping matrix"
         if isinstance(body_damping, DampingRule):
             damping_text = str(body_damping.scaled(self.damping_factor))
@@ -686,8 +686,8 @@ class Structure(Coordinates):
         return Structure(Body(**({name: getattr(self, name) for name in copied_names} | changes)))
 
     @classmethod
-    @alone()
-    @checked_call
+    @run_single_threaded()
+    @check_calls
     def from_matrices(
         cls,
         mass: Any,

@@ -15,14 +15,14 @@ from fenics_crack.arrivals.harmonics import ORDERS, TipFit
 from fenics_crack.arrivals.passages import Follows, PassageFit, find_passages
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import MPI, gather_rows
-from fenics_crack.basics.tables import TURN, speed_in_words
+from fenics_crack.basics.tables import RAD_PER_TURN, format_speed
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.files.results import Result
-from fenics_crack.files.store import with_full_paths
+from fenics_crack.files.store import scene_with_full_paths
 from fenics_crack.monitoring.simulate import run_up_points, tip_timing
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
@@ -86,7 +86,7 @@ def arrivals_of_blades(
     run, blades = _load_or_solve(scene, source, comm), {}
     n_blades = run.structure.whole.n_sectors
     for blade, probes in probes_of_blades(np.radians(table.probes), n_blades).items():
-        begin(f"arrivals of blade {blade}")
+        begin_stage(f"arrivals of blade {blade}")
         blades[blade] = _compute_arrivals(table, run, source, np.sort(probes), blade)
     return blades, run
 
@@ -137,7 +137,7 @@ def describe_run_up_end(scene: Scene, run: Run[Any]) -> str:
     speeds = curve.omega[[indices[-1], unstable_index]] / engine_order(
         scene.given("tip_timing"), run.scene
     )
-    last_speed, unstable_speed = (speed_in_words(speed, scene.in_rpm) for speed in speeds)
+    last_speed, unstable_speed = (format_speed(speed, scene.in_rpm) for speed in speeds)
     return f"the vibration is unstable at {unstable_speed}: the run-up ends before, at {last_speed}"
 
 
@@ -145,7 +145,7 @@ def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
     """Describe how the scene of a result differs, or return "" (collective)."""
     scenes = with_crack_length(scene, run.structure.comm), run.scene
     compared_scenes = [
-        with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
+        scene_with_full_paths(scene).replace(dict.fromkeys(TABLES_NOT_COMPARED)) for scene in scenes
     ]
     scene_words, result_words = describe_differences(compared_scenes)
     sentence_start = (
@@ -161,7 +161,7 @@ def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
         template = TOO_FAST if tip_speed > MIN_TIP_SPEED else TOO_SLOW
         question = "are speed, or times, and tip_radius in the units of their headings?"
         remarks.append(f"{template.format(tip_speed)}: {question}")
-    if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < TURN:
+    if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < RAD_PER_TURN:
         probe_range = float(np.degrees(np.ptp(arrivals.probes)))
         remarks.append(f"all probes are within {probe_range:.3g} degrees: are angles in rad?")
     return remarks
@@ -256,8 +256,8 @@ def mode_of(fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
     distances = distances_from(fit.omega)
     nearest_modes = np.argsort(distances)
     ranges = [
-        f"mode {mode + 1} has {omega_open[mode] / TURN:.6g} to "
-        f"{omega_tied[mode] / TURN:.6g} Hz there"
+        f"mode {mode + 1} has {omega_open[mode] / RAD_PER_TURN:.6g} to "
+        f"{omega_tied[mode] / RAD_PER_TURN:.6g} Hz there"
         for mode in nearest_modes[:2]
     ]
     if distances[nearest_modes[0]] > MAX_MODE_DISTANCE:
@@ -289,7 +289,7 @@ def _fit_passages(
 
 def _campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
     """Return a scene's Campbell diagram over a record's speeds (collective)."""
-    begin("Campbell diagram")
+    begin_stage("Campbell diagram")
     speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), 5)
     return campbell(scene, speeds, few=10)
 
@@ -411,7 +411,7 @@ def _choose_speed_or_order(table: TipTiming, run: Run, source: Path | None) -> d
     owner = "" if source is None else f" of {str(source)!r}"
     curve = curve_of(run)
     if curve is not None and run.scene.speed > 0.0 and curve.parameter != "speed":
-        speed_text = speed_in_words(run.scene.speed, run.scene.in_rpm)
+        speed_text = format_speed(run.scene.speed, run.scene.in_rpm)
         requirement = (
             f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed_text} all along it"
         )

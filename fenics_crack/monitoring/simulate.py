@@ -109,7 +109,7 @@ def tip_timing(
         raise InputError("tip", tip, "a dof, or dofs with their factors")
     for dof, factor in factors.items():
         check_number(f"tip[{dof!r}]", factor)
-    check_number("tip_radius", tip_radius, 0.0, above=True)
+    check_number("tip_radius", tip_radius, 0.0, excludes_bound=True)
     check_count("revolutions", revolutions, 1)
     if revolutions * len(angles) > MOST_PASSAGES:
         raise InputError("revolutions", revolutions, f"fewer: {MOST_PASSAGES:.0e} passages at most")
@@ -163,7 +163,7 @@ def _build_motion(
     if order is not None:
         check_count("order", order, 1)
     if speed is not None:
-        check_number("speed", speed, 0.0, above=True)
+        check_number("speed", speed, 0.0, excludes_bound=True)
     if isinstance(result, ResponseCurve):
         if speed is not None:
             raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")

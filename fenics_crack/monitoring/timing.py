@@ -14,8 +14,16 @@ from fenics_crack.arrivals.harmonics import TipFit, in_words
 from fenics_crack.arrivals.passages import PassageFit
 from fenics_crack.arrivals.robust import LEVELS
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import RPM, TURN, UNITS, Said, Table, counted, quantity
-from fenics_crack.files.saved import Saved
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    UNIT_BY_NAME,
+    Conclusion,
+    Table,
+    format_count,
+    format_quantity,
+)
+from fenics_crack.files.saved import SavedResult
 from fenics_crack.scene.scene import Scene
 
 NO_RESONANCE: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
@@ -47,7 +55,7 @@ CONSTANT_FREQUENCY = (
 
 
 @dataclass(frozen=True, repr=False)
-class Timing(Saved):
+class Timing(SavedResult):
     """Vibration of blade tips, from their arrival times.
 
     Attributes
@@ -98,12 +106,12 @@ class Timing(Saved):
 
     def _units(self) -> Mapping[str, str]:
         is_single_fit = len(self.fits) == 1 and not self.of_resonances
-        units: Mapping[str, str] = self._first_fit._units() if is_single_fit else UNITS
+        units: Mapping[str, str] = self._first_fit._units() if is_single_fit else UNIT_BY_NAME
         return units
 
     def _title(self) -> str:
-        revolutions = counted(len(next(iter(self.arrivals.values()))), "revolution")
-        return f"{counted(len(self.arrivals), 'blade')}, {revolutions}"
+        revolutions = format_count(len(next(iter(self.arrivals.values()))), "revolution")
+        return f"{format_count(len(self.arrivals), 'blade')}, {revolutions}"
 
 
 def _has_second_harmonic(fit: TipFit) -> bool:
@@ -139,7 +147,7 @@ def report_of_timing(timing: Timing) -> Report:
         timing.table(),
         conclusion,
         timing.scene,
-        shown=table,
+        printed_table=table,
         notes=notes,
         warnings=[*timing.doubts, *warnings],
         remarks=() if timing.scene is None else remarks_on_scene(timing.scene),
@@ -154,7 +162,7 @@ def largest_blade(timing: Timing) -> int | None:
 
 def _report_passages(
     passages: Mapping[int, tuple[PassageFit, ...]],
-) -> tuple[Said, list[str], list[str]]:
+) -> tuple[Conclusion, list[str], list[str]]:
     """Return conclusion, notes and doubts on the resonances of all blades."""
     resonances = [(blade, fit) for blade, fits in passages.items() for fit in fits]
     warnings = ["no resonance stands out"] * (not resonances)
@@ -167,9 +175,9 @@ def _report_passages(
         for blade, angle in blind_probes
     ]
     for blade, fit in resonances:
-        name = f"blade {blade}, {fit.speed / RPM:.5g} rpm"
+        name = f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm"
         if fit.untested:
-            probe_count = counted(fit.probes, "probe")
+            probe_count = format_count(fit.probes, "probe")
             warnings.append(f"{name}: {probe_count} {UNTESTED_ORDER.format(fit.order)}")
         elif fit.ambiguous:
             warnings.append(
@@ -182,11 +190,11 @@ def _report_passages(
     notes = [CONSTANT_FREQUENCY] * any(fit.stiffening == 0.0 for _, fit in resonances[:1])
     lines = [(blade, line) for blade, fit in clearest_fits for line in fit.asynchronous]
     notes += [f"blade {blade}: {_describe_line(line)}" for blade, line in lines]
-    conclusion = Said("no resonance found")
+    conclusion = Conclusion("no resonance found")
     if resonances:
         blade, clearest = resonances[0]
         answer = f"the clearest of blade {blade} at {clearest.in_words}"
-        conclusion = Said(f"{counted(len(resonances), 'resonance')} found", answer)
+        conclusion = Conclusion(f"{format_count(len(resonances), 'resonance')} found", answer)
     return conclusion, notes, warnings
 
 
@@ -198,19 +206,19 @@ def _name_orders(words: str, orders: Iterable[float]) -> str:
 def _describe_line(line: TipFit) -> str:
     """Describe a vibration of constant frequency."""
     size, error = line.amplitudes[0], line.amplitude_errors[0]
-    numbers = f"{line.omega / TURN:.6g} Hz, {_with_error(size, error)}"
+    numbers = f"{line.omega / RAD_PER_TURN:.6g} Hz, {_with_error(size, error)}"
     return f"a vibration that follows no order: {numbers}"
 
 
 def _with_error(size: float, error: float) -> str:
-    return f"{quantity(size, 'm')} ± {quantity(error, 'm')}"
+    return f"{format_quantity(size, 'm')} ± {format_quantity(error, 'm')}"
 
 
-def _report_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]:
+def _report_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
     """Return conclusion, table of peaks, notes and doubts of a run-up."""
     table = track.table()
     kept_columns = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
-    conclusion = Said("run-up tracked", "no vibration is larger than its errors")
+    conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
     rows, notes = [], []
     # Without any vibration, the largest of so many amplitudes is several errors large.
     limit = float(np.sqrt(2.0 * np.log(len(track.speed) / LEVELS.misfit)))
@@ -222,11 +230,13 @@ def _report_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]:
             peak = (float(sizes[row]), float(errors[row]))
             rows.append([float(multiple), *(table.rows[row][n] for n in kept_columns), *peak])
             if len(rows) == 1:
-                peak_place = f"{track.omega[row] / TURN:.6g} Hz, engine order {track.order:g}"
+                peak_place = (
+                    f"{track.omega[row] / RAD_PER_TURN:.6g} Hz, engine order {track.order:g}"
+                )
                 answer = f"harmonic {multiple:g} is largest at {peak_place}: {_with_error(*peak)}"
-                conclusion = Said("run-up tracked", answer)
+                conclusion = Conclusion("run-up tracked", answer)
         elif not np.all(np.isnan(sizes)):
-            upper_bound = quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
+            upper_bound = format_quantity(float(np.nanmax(sizes + LEVELS.deviations * errors)), "m")
             notes.append(f"harmonic {multiple:g}: {UNCLEAR_HARMONIC.format(upper_bound)}")
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept_columns)]
     peak_table = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
@@ -242,7 +252,7 @@ def _report_track(track: TipTrack) -> tuple[Said, Table, list[str], list[str]]:
     return conclusion, peak_table, notes, doubts
 
 
-def _report_fits(timing: Timing) -> tuple[Said, list[str], list[str]]:
+def _report_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
     """Return conclusion, notes and doubts on vibrations at one speed."""
     has_several_blades, notes, warnings = len(timing.fits) > 1, [], []
     for blade, fit in timing.fits.items():
@@ -253,12 +263,18 @@ def _report_fits(timing: Timing) -> tuple[Said, list[str], list[str]]:
         warnings += [f"{prefix}{text}" for text in doubts]
     largest_fit: Any = timing.fits[blade := largest_blade(timing) or 1]
     size = _with_error(largest_fit.amplitudes[0], largest_fit.amplitude_errors[0])
-    frequency_words = f"engine order {largest_fit.order:g}, {largest_fit.omega / TURN:.6g} Hz"
+    frequency_words = (
+        f"engine order {largest_fit.order:g}, {largest_fit.omega / RAD_PER_TURN:.6g} Hz"
+    )
     if has_several_blades:
         notes.append(f"the picture shows blade {blade}, whose amplitude is the largest")
         answer = f"the largest vibration is that of blade {blade}, {size}, {frequency_words}"
-        return Said(f"{counted(len(timing.fits), 'blade')} fitted", answer), notes, warnings
-    return Said("vibration found", f"amplitude {size}, {frequency_words}"), notes, warnings
+        return (
+            Conclusion(f"{format_count(len(timing.fits), 'blade')} fitted", answer),
+            notes,
+            warnings,
+        )
+    return Conclusion("vibration found", f"amplitude {size}, {frequency_words}"), notes, warnings
 
 
 def _judge_fit(fit: TipFit) -> tuple[list[str], list[str]]:

@@ -10,7 +10,7 @@ from itertools import islice
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
@@ -118,7 +118,7 @@ def find_attractor(
     """
     max_periods = SearchOptions.period_budget // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
-    begin(f"the exact motion over up to {max_periods} periods")
+    begin_stage(f"the exact motion over up to {max_periods} periods")
     states_at_periods, state_iterator = (
         start_unknown[None],
         follow_periods(orbits, start_unknown, max_periods),
@@ -196,7 +196,7 @@ def find_irregular_motion(
     -----
     Source: Benettin et al., Meccanica 15 (1980) 9-20.
     """
-    begin("growth of a disturbance of the exact motion")
+    begin_stage("growth of a disturbance of the exact motion")
     period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
     state_change = np.random.default_rng(1).normal(size=flow.size) / weights
     remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]

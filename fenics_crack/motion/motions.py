@@ -30,9 +30,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fenics_crack.basics.errors import RECORDED_PERIODS
-from fenics_crack.basics.observables import FILES, FRICTION, Observables, Place, names_of, read_at
-from fenics_crack.basics.tables import Tabular, hertz_of
+from fenics_crack.basics.errors import N_RECORDED_PERIODS
+from fenics_crack.basics.observables import (
+    IN_FILES_ONLY,
+    REQUIRES_FRICTION,
+    Observables,
+    Place,
+    observable_names,
+    read_observables,
+)
+from fenics_crack.basics.tables import Tabular, hertz_property
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maximum_values
@@ -86,7 +93,7 @@ class Indicators(Observables, Tabular):
         without friction.
     """
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     def to_dict(self) -> dict[str, Any]:
         """Return numbers by name, or columns along a curve.
@@ -100,7 +107,8 @@ class Indicators(Observables, Tabular):
         return {
             name: column_values.tolist()
             for name, column_values in columns_by_name.items()
-            if name not in names_of(where=FRICTION) or not np.all(np.isnan(column_values))
+            if name not in observable_names(required_flags=REQUIRES_FRICTION)
+            or not np.all(np.isnan(column_values))
         }
 
     def _title(self) -> str:
@@ -512,7 +520,7 @@ class ObservedMotion:
             list[dict[str, float]](),
         )
         for record_index, full_record in enumerate(self.records(all_rows)):
-            dof_record = full_record.last_periods(RECORDED_PERIODS)
+            dof_record = full_record.last_periods(N_RECORDED_PERIODS)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
             if record_index < len(self._face_numbers):
                 dof_record = replace(dof_record, gaps=dof_record.gaps[:, :0])
@@ -521,7 +529,7 @@ class ObservedMotion:
             shared_numbers = {"omega": dof_record.omega} | self._face_numbers[record_index]
             point_iterator = (Point(dof_record, row) for row in range(len(rows)))
             number_dicts_of_records.append(
-                [shared_numbers | read_at(Place.POINT, point) for point in point_iterator]
+                [shared_numbers | read_observables(Place.POINT, point) for point in point_iterator]
             )
             coefficients_of_records.append(dof_record.coefficients.T)
             place_number_dicts.append({})
@@ -570,8 +578,10 @@ def _read_face_numbers(record: Record) -> dict[str, float]:
 
     Numbers without pairs, or without friction, are nan.
     """
-    face_numbers = dict.fromkeys(names_of(Place.FACES), math.nan)
+    face_numbers = dict.fromkeys(observable_names(Place.FACES), math.nan)
     if record.n_pairs:
-        missing_requirements = FRICTION if record.friction_coefficient is None else FILES
-        face_numbers |= read_at(Place.FACES, Faces(record), missing_requirements)
+        missing_requirements = (
+            REQUIRES_FRICTION if record.friction_coefficient is None else IN_FILES_ONLY
+        )
+        face_numbers |= read_observables(Place.FACES, Faces(record), missing_requirements)
     return face_numbers | dict(record.exact_numbers)

@@ -42,7 +42,7 @@ import scipy.sparse as sparse
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import Described, counted, hertz_of
+from fenics_crack.basics.tables import Described, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Budget, BudgetError, ContactFlow, Motion, Samples, Track
@@ -139,7 +139,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     state: np.ndarray
     flows: int
 
-    frequency = hertz_of()
+    frequency = hertz_property()
 
     @property
     def period(self) -> float:
@@ -477,7 +477,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         multiplier_words = (
             f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
         )
-        return f"{multiplier_words}, {counted(self.events, 'event')}, residual {self.residual:.2g}"
+        return (
+            f"{multiplier_words}, {format_count(self.events, 'event')}, "
+            f"residual {self.residual:.2g}"
+        )
 
 
 class Work(NamedTuple):

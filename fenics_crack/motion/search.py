@@ -32,8 +32,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.tables import counted, percent
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.tables import format_count, format_percent
 from fenics_crack.motion.flow import Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
@@ -151,7 +151,7 @@ def search_orbit(
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
     task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
     for start in starts or ORBIT_STARTS_BY_NAME.values():
-        begin(start.name)
+        begin_stage(start.name)
         if orbits_from_start := [*start.generate_candidates(task)]:
             return OrbitSearch(orbits_from_start[0], tuple(orbits_from_start[1:]), start.name)
     return OrbitSearch(None, (), "; ".join(task.reasons[-2:]))
@@ -410,9 +410,9 @@ def describe_closest_return(
     if not closest_relative_distances:
         return f"{motion_name} cannot be integrated over a period"
     closest_index = int(np.argmin(closest_relative_distances))
-    followed_periods_text = counted((len(states_at_periods) - 1) * subharmonic, "period")
-    return_periods_text = counted((closest_index + 1) * subharmonic, "period")
-    closeness_text = percent(closest_relative_distances[closest_index])
+    followed_periods_text = format_count((len(states_at_periods) - 1) * subharmonic, "period")
+    return_periods_text = format_count((closest_index + 1) * subharmonic, "period")
+    closeness_text = format_percent(closest_relative_distances[closest_index])
     return (
         f"followed for {followed_periods_text} of the load, {motion_name} comes back to within"
         f" {closeness_text} of where it was at best, after {return_periods_text}"

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import INTERRUPTED
+from fenics_crack.basics.errors import INTERRUPTED_STATUS
 from fenics_crack.basics.tables import (
-    TURN,
-    Said,
-    error_in_words,
+    RAD_PER_TURN,
+    Conclusion,
+    format_error,
+    format_in_unit,
+    format_percent,
+    format_quantity,
     frequency_axis,
-    in_unit,
-    percent,
-    quantity,
 )
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.peak import RISING_AT_END
@@ -96,7 +96,7 @@ def describe_error(run: Answer, name: str = "") -> str:
     if not 0.0 < error < np.inf:  # of a plate at rest, or of what no cause changes; or unknown
         return ""
     cause_words = f", mostly due to the {cause}" if error > 1e-4 else ""
-    return ", ".join(filter(None, (f"{error_in_words(error)}{cause_words}", run.stated.left_out)))
+    return ", ".join(filter(None, (f"{format_error(error)}{cause_words}", run.stated.left_out)))
 
 
 def unknown_error(run: Answer) -> str:
@@ -117,20 +117,22 @@ def unknown_of_solution(run: Answer) -> str:
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
     """Return a load frequency [rad/s] in the scene's unit, in words."""
-    return in_unit(frequency_axis(scene.in_hertz), omega)
+    return format_in_unit(frequency_axis(scene.in_hertz), omega)
 
 
-def conclusion_of(run: Answer) -> Said:
+def conclusion_of(run: Answer) -> Conclusion:
     """Return the parts of the last sentence on a run (collective)."""
     kind: str = run.result.KIND
-    return _CONCLUSIONS[kind](run) if kind in _CONCLUSIONS else Said(kind)
+    return _CONCLUSIONS[kind](run) if kind in _CONCLUSIONS else Conclusion(kind)
 
 
-def _of_modes(run: Answer) -> Said:
+def _of_modes(run: Answer) -> Conclusion:
     first_omega = float(run.result.omega[0])
-    answer = f"the first natural frequency with the crack open is {first_omega / TURN:.5g} Hz "
+    answer = (
+        f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
+    )
     answer += f"({first_omega:.5g} rad/s){_error_clause(run, natural_name(run.scene, 'open', 1))}"
-    return Said("modes found", answer)
+    return Conclusion("modes found", answer)
 
 
 def _error_clause(run: Answer, name: str = "", fallback: str = "") -> str:
@@ -144,13 +146,13 @@ def _error_clause(run: Answer, name: str = "", fallback: str = "") -> str:
     return f"{fallback}, {left_out}" if left_out else fallback
 
 
-def _of_solution(run: Answer) -> Said:
+def _of_solution(run: Answer) -> Conclusion:
     solution: PeriodicSolution = run.result
     doubt = unknown_of_solution(run)
     if not solution.converged:
-        return Said("not converged", unknown=doubt)
-    size, report = quantity(solution.amplitude(run.watched_dof), "m"), solution.report
-    error = f", estimated relative error of the gap {percent(report.total)}"
+        return Conclusion("not converged", unknown_error_reason=doubt)
+    size, report = format_quantity(solution.amplitude(run.watched_dof), "m"), solution.report
+    error = f", estimated relative error of the gap {format_percent(report.total)}"
     if not report.estimated:
         error = ", its error is not estimated (harmonic_balance.error = false)"
     elif not solution.gap_coefficients.size:
@@ -158,7 +160,7 @@ def _of_solution(run: Answer) -> Said:
     error = "" if doubt else _error_clause(run, fallback=error)
     tolerance, faces = run.scene.harmonic_balance.tolerance, word_for_crack_faces(run.scene)
     misses_tolerance = tolerance is not None and report.total > tolerance
-    return Said(
+    return Conclusion(
         "solved, but the tolerance is missed" if misses_tolerance else "solved",
         f"at {frequency_in_words(run.scene, solution.omega)} the {run.watched_name} is {size} half "
         f"peak-to-peak{error}",
@@ -175,10 +177,10 @@ def _describe_crack_and_verdict(run: Answer, solution: PeriodicSolution, faces: 
     if run.structure.n_pairs and solution.contact is not None:
         values, subject = solution.faces, "the crack opens" if faces != "pairs" else "contact opens"
         share = run.stated.stated("opening")[0] if run.stated is not None else 0.0
-        error_words = f", estimated error {error_in_words(share)}," if 0.0 < share < np.inf else ""
+        error_words = f", estimated error {format_error(share)}," if 0.0 < share < np.inf else ""
         sentences.append(
-            f"{subject} by {quantity(values['opening'], 'm')}{error_words} and is closed for "
-            f"{percent(values['closed_share'])} of the period"
+            f"{subject} by {format_quantity(values['opening'], 'm')}{error_words} and is closed "
+            f"for {format_percent(values['closed_share'])} of the period"
             if solution.breathes
             else LINEAR
         )
@@ -186,17 +188,17 @@ def _describe_crack_and_verdict(run: Answer, solution: PeriodicSolution, faces: 
     friction = {} if run.stated is None else run.stated.parts.get("friction", {})
     part = friction.get(run.watched[0].column("amplitude"))
     if part is not None and part.gci > min_change and not run.scene.has_friction:
-        sentences.append(f"friction left out: about {percent(part.gci)}")
+        sentences.append(f"friction left out: about {format_percent(part.gci)}")
     return [
         *sentences,
         *describe_stability(solution.stability, solution.amplitude(run.watched_dof)),
     ]
 
 
-def _of_curve(run: Answer) -> Said:
+def _of_curve(run: Answer) -> Conclusion:
     curve: ResponseCurve = run.result
     top, axis = curve.top(run.watched_dof), parameter_axis(curve.parameter, run.scene.in_hertz)
-    size, place = quantity(top.amplitude, "m"), in_unit(axis, top.value)
+    size, place = format_quantity(top.amplitude, "m"), format_in_unit(axis, top.value)
     doubt = unknown_error(run)
     error = "" if doubt else _error_clause(run, fallback=", its error is not estimated")
     answer = f"the largest response of the {run.watched_name} is {size} half peak-to-peak"
@@ -209,7 +211,7 @@ def _of_curve(run: Answer) -> Said:
         answer += f", {RISING_AT_END}, {place}{error}"
     else:
         share = run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0
-        place_error_words = f" within {error_in_words(share)}" if 0.0 < share < np.inf else ""
+        place_error_words = f" within {format_error(share)}" if 0.0 < share < np.inf else ""
         answer += f" at {place}{place_error_words}{error}"
     remarks = report_linearity(curve.indicators(run.watched_dof).closed_share)
     if curve.multipliers is not None:
@@ -219,27 +221,29 @@ def _of_curve(run: Answer) -> Said:
     else:
         remarks.append("stability not examined")
     outcome = "curve complete" if curve.complete else "the curve ended early"
-    if curve.status == INTERRUPTED:
+    if curve.status == INTERRUPTED_STATUS:
         outcome = "curve interrupted"
-    return Said(outcome, answer, doubt, remarks)
+    return Conclusion(outcome, answer, doubt, remarks)
 
 
-def _of_history(run: Answer) -> Said:
+def _of_history(run: Answer) -> Conclusion:
     history: TimeHistory = run.result
     table, name = run.scene.integration or Integration(), run.watched_name
     if table.free:
         displacement = history.displacement([run.watched_dof])[:, 0]
         sizes = np.ptp(history.by_period(displacement), axis=1) / 2.0
-        start_size, end_size = (quantity(float(size), "m") for size in sizes[[0, -1]])
+        start_size, end_size = (format_quantity(float(size), "m") for size in sizes[[0, -1]])
         answer = f"the {name} falls from {start_size} to {end_size} half peak-to-peak over "
         early_end = [] if history.periods >= table.periods else ["the decay ended early"]
-        return Said(
-            "integrated", f"{answer}{history.periods} periods", others=["free decay", *early_end]
+        return Conclusion(
+            "integrated",
+            f"{answer}{history.periods} periods",
+            further_clauses=["free decay", *early_end],
         )
     has_settled = history.settled <= table.settle
     size = history.indicators(run.watched_dof).amplitude
     place = frequency_in_words(run.scene, run.scene.excitation.omega)
-    answer = f"at {place} the {name} is {quantity(size, 'm')} half peak-to-peak"
+    answer = f"at {place} the {name} is {format_quantity(size, 'm')} half peak-to-peak"
     change = f"{history.periods} of {table.periods} periods: one period shows no change"
     if np.isfinite(history.settled):
         change = (
@@ -248,10 +252,10 @@ def _of_history(run: Answer) -> Said:
     if (distance := history.distance) < 1.0:
         change += f", estimated distance from the settled motion {distance:.2g}"
     outcome = "settled" if has_settled else "the motion has not settled"
-    return Said("integrated", answer, others=[f"{outcome} after {change}"])
+    return Conclusion("integrated", answer, further_clauses=[f"{outcome} after {change}"])
 
 
-_CONCLUSIONS: dict[str, Callable[[Answer], Said]] = {
+_CONCLUSIONS: dict[str, Callable[[Answer], Conclusion]] = {
     Modes.KIND: _of_modes,
     PeriodicSolution.KIND: _of_solution,
     ResponseCurve.KIND: _of_curve,
@@ -275,6 +279,8 @@ def describe_stability(stability: Stability | None, amplitude: float) -> list[st
         size = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
             ratio = stability.rest_amplitude / amplitude
-            size = f", {ratio:.3g} times as large ({quantity(stability.rest_amplitude, 'm')})"
+            size = (
+                f", {ratio:.3g} times as large ({format_quantity(stability.rest_amplitude, 'm')})"
+            )
         sentences.append(f"the motion from rest {stability.from_rest}{size}")
     return sentences

@@ -14,8 +14,8 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_beside
 from fenics_crack.balance.problem import Problem
-from fenics_crack.basics.errors import INTERRUPTED, InputError
-from fenics_crack.basics.tables import percent
+from fenics_crack.basics.errors import INTERRUPTED_STATUS, InputError
+from fenics_crack.basics.tables import format_percent
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.stated import error_by_modes
 from fenics_crack.model.contact import friction_of, is_rigid
@@ -88,7 +88,7 @@ def curve(
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
         response = _follow(study, scene, progress)
-        if response.status == INTERRUPTED:
+        if response.status == INTERRUPTED_STATUS:
             break
         indices = sorted({response.top(study.watched[0].dof).index, 0, len(response) - 1})
         error = max(error_by_modes(study, response.solution(index)) for index in indices)
@@ -202,5 +202,9 @@ def _modes_in_words(study: Study, error: float) -> str:
     tolerance, modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
     if error <= tolerance:
         return f"chosen for an error of {tolerance:g}: {modes} modes"
-    size = f"error by {modes} modes {percent(error)}" if error < math.inf else "error unknown"
-    return f"{size}, {percent(tolerance)} was asked; what helps: {scene.modes_key} {2 * modes}"
+    size = (
+        f"error by {modes} modes {format_percent(error)}" if error < math.inf else "error unknown"
+    )
+    return (
+        f"{size}, {format_percent(tolerance)} was asked; what helps: {scene.modes_key} {2 * modes}"
+    )

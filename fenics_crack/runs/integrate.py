@@ -11,9 +11,9 @@ from mpi4py import MPI
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance
 from fenics_crack.balance.problem import least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import RECORDED_PERIODS, InputError
-from fenics_crack.basics.progress import begin
-from fenics_crack.files.store import Stored, read
+from fenics_crack.basics.errors import N_RECORDED_PERIODS, InputError
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import ContactLaw, friction_of, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import multiply
@@ -84,12 +84,12 @@ def integrate(
     options: dict[str, Any] = {
         "periods": table.periods,
         "settle": 0.0 if table.free else table.settle,
-        "record_periods": None if table.free else min(RECORDED_PERIODS, table.periods),
+        "record_periods": None if table.free else min(N_RECORDED_PERIODS, table.periods),
         "initial": initial,
         "progress": progress,
     }
     march, steps = _march_of(study, method, table.steps_per_period)
-    begin(f"integration, {method}")
+    begin_stage(f"integration, {method}")
     history = march(study.structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 
@@ -115,10 +115,10 @@ def _march_of(
     return integrate_central_difference, steps
 
 
-def _read_initial(path: str, comm: MPI.Comm) -> Stored:
+def _read_initial(path: str, comm: MPI.Comm) -> StoredFile:
     """Read the file of an earlier motion, named by ``integration.initial`` (collective)."""
     try:
-        motion_file = read(path, comm)
+        motion_file = read_result_file(path, comm)
     except InputError as error:
         raise InputError("integration.initial", error.value, error.allowed) from None
     if motion_file.kind not in (PeriodicSolution.KIND, TimeHistory.KIND):

@@ -13,8 +13,8 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.verification import verification_of
-from fenics_crack.files.results import Result, type_of, unpack
-from fenics_crack.files.store import Stored, read
+from fenics_crack.files.results import Result, result_class, unpack_result
+from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
@@ -55,17 +55,17 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     >>> fc.solve(scene).save("solution.h5")
     >>> run = fc.load_run("solution.h5")
     """
-    return run_of(read(path, comm), comm)
+    return run_of(read_result_file(path, comm), comm)
 
 
 def run_of(
-    result_file: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
+    result_file: StoredFile, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
 ) -> Run[Result]:
     """Return the run of a file that has been read (collective).
 
     A reduction has its reference if ``with_reference``. Raises as :func:`load_run`.
     """
-    kind, scene = type_of(result_file), result_file.scene()
+    kind, scene = result_class(result_file), result_file.scene()
     if scene is None:
         raise InputError("path", str(result_file.path), f"a {kind.KIND} saved with its scene")
     on_root(comm, lambda: result_file.check_files(scene))
@@ -76,7 +76,7 @@ def run_of(
     if kind is TimeHistory and scene.integration is not None and scene.integration.free:
         study = free_study(study)
     try:
-        result = unpack(result_file, study.structure, study.contact)
+        result = unpack_result(result_file, study.structure, study.contact)
     except InputError as error:
         if error.key == "path":
             raise
@@ -89,7 +89,7 @@ def run_of(
     return Run(**vars(study), result=result, stated=verification_of(result_file))
 
 
-def read_run(result_file: Stored) -> Run[Result]:
+def read_run(result_file: StoredFile) -> Run[Result]:
     """Return the run of a file that one rank has read.
 
     A solution's structure gets no reference, as the stated errors are in the file.

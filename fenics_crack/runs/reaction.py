@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.observables import Place, read_at
-from fenics_crack.basics.tables import Tabular, quantity
+from fenics_crack.basics.observables import Place, read_observables
+from fenics_crack.basics.tables import Tabular, format_quantity
 from fenics_crack.model.nodes import AXES
 from fenics_crack.runs.run import Run, check_motion
 from fenics_crack.scene.scene import reason_without_clamp_forces, refuse_for_reason
@@ -42,7 +42,7 @@ class Reaction(Tabular):
     @property
     def numbers(self) -> Mapping[str, float]:
         """Largest ``reaction_force`` [N] and ``reaction_moment`` [N m]."""
-        return read_at(Place.CLAMP, self)
+        return read_observables(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return time, forces and moments as columns, a row for every instant."""
@@ -61,7 +61,10 @@ class Reaction(Tabular):
     def _title(self) -> str:
         force, moment = self.numbers.values()
         place = ", ".join(f"{x:.4g}" for x in self.center)
-        return f"up to {quantity(force, 'N')} and {quantity(moment, 'N m')} about ({place}) m"
+        return (
+            f"up to {format_quantity(force, 'N')} and {format_quantity(moment, 'N m')} "
+            f"about ({place}) m"
+        )
 
 
 def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:

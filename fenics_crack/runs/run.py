@@ -63,7 +63,7 @@ class Run(Answer, Generic[ResultType]):
         return self.stated or errors_of(self, self.result)
 
     def __str__(self) -> str:
-        return f"{self.result!r}: {conclusion_of(self).closing()}"
+        return f"{self.result!r}: {conclusion_of(self).sentence()}"
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"

@@ -9,8 +9,8 @@ from dataclasses import replace
 from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.progress import begin
-from fenics_crack.basics.tables import counted
+from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.tables import format_count
 from fenics_crack.curves.stability import from_rest
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
@@ -100,14 +100,14 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     is_decided = stability.verdict != "undecided"
     if is_decided and solution.breathes:
         return run
-    begin("the motion from rest")
+    begin_stage("the motion from rest")
     motion = None
     with suppress(KeyboardInterrupt):  # the solution stays what it is
         motion = from_rest(solution)
     if motion is None or not motion.periods:
         return run
     rest_amplitude = math.nan
-    outcome = f"has not settled after {counted(motion.periods, 'period')} of the load"
+    outcome = f"has not settled after {format_count(motion.periods, 'period')} of the load"
     if motion.orbit is not None:
         outcome, rest_amplitude = motion.description, motion.orbit.amplitude(dof)
         amplitude = solution.amplitude(dof)

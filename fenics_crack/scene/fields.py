@@ -18,9 +18,14 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.basics.errors import MAX_CASES, MOST_HARMONICS, InputError, one_of
-from fenics_crack.basics.suggestions import candidates, meant, near, written
-from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.errors import MAX_CASES, MAX_HARMONIC_ORDER, InputError, describe_choices
+from fenics_crack.basics.suggestions import (
+    did_you_mean_text,
+    find_similar_names,
+    format_scene_value,
+    yield_candidate_values,
+)
+from fenics_crack.basics.tables import RAD_PER_TURN
 
 Pair = tuple[float, float]
 Vector = tuple[float, ...]
@@ -207,7 +212,7 @@ def _read_harmonic(harmonic_table: object) -> Harmonic:
     if not isinstance(harmonic_table, Mapping) or "order" not in harmonic_table:
         raise TypeError
     order, component_keys = _read_int(harmonic_table["order"]), harmonic_table.keys() - {"order"}
-    if not 1 <= order <= MOST_HARMONICS or not component_keys:
+    if not 1 <= order <= MAX_HARMONIC_ORDER or not component_keys:
         raise TypeError
     if component_keys <= {"cos", "sin"}:
         components_by_key = {
@@ -421,7 +426,9 @@ def _list_component_names(letter: str, dimension: int) -> str:
 
 def harmonics_field() -> Any:
     """Return a field for the harmonics of a load."""
-    requirement = f"a list of tables with an order, a whole number from 1 to {MOST_HARMONICS} and"
+    requirement = (
+        f"a list of tables with an order, a whole number from 1 to {MAX_HARMONIC_ORDER} and"
+    )
     requirement += (
         " another in each, and cos or sin, or amplitude and phase [degrees] by which it lags"
     )
@@ -430,8 +437,8 @@ def harmonics_field() -> Any:
 
 def load_order_field(default: int) -> Any:
     """Return a field for the order of a load's harmonic."""
-    requirement = f"a whole number from 1 to {MOST_HARMONICS}"
-    return value_field(requirement, lambda value: 1 <= value <= MOST_HARMONICS, default)
+    requirement = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
+    return value_field(requirement, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
 
 
 def positive_int_field(default: Any = MISSING) -> Any:
@@ -441,7 +448,7 @@ def positive_int_field(default: Any = MISSING) -> Any:
 
 def choice_field(*words: str, default: Any = MISSING) -> Any:
     """Return a field for one of the given words."""
-    return value_field(one_of(words), lambda value: value in words, default, words=words)
+    return value_field(describe_choices(words), lambda value: value in words, default, words=words)
 
 
 def hertz_field(
@@ -450,7 +457,7 @@ def hertz_field(
     is_allowed: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
     """Return a field for frequencies [Hz], the twin of a key in rad/s."""
-    return twin_field(omega_key, TURN, requirement, is_allowed, "Hz")
+    return twin_field(omega_key, RAD_PER_TURN, requirement, is_allowed, "Hz")
 
 
 def twin_field(
@@ -573,14 +580,15 @@ class Table:
         if isinstance(value, str):
             if advice_text := cls._ADVICE_TEXT_BY_MISTAKE.get(f"{key} = {value}"):
                 return f"; {advice_text}"
-            suggestions = near(value, key_field.metadata.get("words", ()))
-        for candidate in candidates(value, key_field.metadata["unit"]):
+            suggestions = find_similar_names(value, key_field.metadata.get("words", ()))
+        for candidate in yield_candidate_values(value, key_field.metadata["unit"]):
             with suppress(InputError, TypeError, OverflowError):
                 if not suggestions and key_field.metadata["accepts"](
                     _find_reader(key_field)(candidate)
                 ):
                     suggestions.append(candidate)
-        return f"; {meant([written(suggestion) for suggestion in suggestions])}".rstrip("; ")
+        suggestion_texts = [format_scene_value(suggestion) for suggestion in suggestions]
+        return f"; {did_you_mean_text(suggestion_texts)}".rstrip("; ")
 
     @classmethod
     def field_by_key(cls) -> dict[str, Field[Any]]:
@@ -705,7 +713,8 @@ class Table:
             *(table_class for table_class in Table.__subclasses__() if table_class is not cls),
         ]
         own_suggestions = [
-            cls.suggested_key(known_key) for known_key in near(key, cls.field_by_key())
+            cls.suggested_key(known_key)
+            for known_key in find_similar_names(key, cls.field_by_key())
         ]
         if suggestions := own_suggestions or find_full_keys(key, table_classes):
             return suggestions
@@ -716,13 +725,15 @@ class Table:
         }
         return [
             table_class_by_key[known_key].suggested_key(known_key)
-            for known_key in near(key, table_class_by_key, 0.8)
+            for known_key in find_similar_names(key, table_class_by_key, 0.8)
         ]
 
     @classmethod
     def unknown_key_text(cls, key: str) -> str:
         """Return the error text for an unknown key: suggested keys and all known keys."""
-        advice_text = cls._ADVICE_TEXT_BY_MISTAKE.get(key) or meant(cls.suggest_keys(key)).strip()
+        advice_text = (
+            cls._ADVICE_TEXT_BY_MISTAKE.get(key) or did_you_mean_text(cls.suggest_keys(key)).strip()
+        )
         return f"left out; {advice_text} known keys: {', '.join(cls.field_by_key())}".replace(
             ";  ", "; "
         )

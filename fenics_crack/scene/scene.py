@@ -20,18 +20,18 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fenics_crack.basics.errors import InputError, reading
-from fenics_crack.basics.observables import QUANTITIES, Observable, Place, Where
+from fenics_crack.basics.errors import InputError, report_read_errors
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, Observable, ObservableFlag, Place
 from fenics_crack.basics.suggestions import (
-    checked_call,
-    converted,
-    meant,
-    near,
-    near_or_longer,
-    written,
+    check_calls,
+    convert_number,
+    did_you_mean_text,
+    find_similar_names,
+    find_similar_or_longer_names,
+    format_scene_value,
 )
-from fenics_crack.basics.tables import RPM, TURN, frequency_axis
-from fenics_crack.basics.untrusted_files import text_of
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, frequency_axis
+from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene import tables as kinds
 from fenics_crack.scene.fields import (
     Axis,
@@ -149,7 +149,7 @@ class Scene:
             if self.disk is not None:
                 _check_disk(self, self.disk)
         for quantity_name in self.quantities or ():
-            reason = _reason_without_observable(self, QUANTITIES[quantity_name])
+            reason = _reason_without_observable(self, OBSERVABLES_BY_NAME[quantity_name])
             refuse_for_reason(reason, "output.quantities", quantity_name)
         for table_name, axes_key in _AXES_TABLE_KEY_PAIRS:
             if (axes_table := getattr(self, table_name)) is not None:
@@ -176,7 +176,7 @@ class Scene:
         }
 
     @classmethod
-    @checked_call
+    @check_calls
     def from_mapping(
         cls,
         tables: Mapping[str, object],
@@ -207,7 +207,7 @@ class Scene:
         )
 
     @classmethod
-    @checked_call
+    @check_calls
     def load(cls, path: str | Path, changes: Mapping[str, object] | None = None) -> Scene:
         """Read a scene from a TOML file.
 
@@ -219,8 +219,8 @@ class Scene:
         InputError
             The file cannot be read, is not TOML, or holds a value that cannot be used.
         """
-        with reading("scene", path, "a TOML file"):
-            return cls.from_text(text_of(path), str(path), Path(path).parent, changes)
+        with report_read_errors("scene", path, "a TOML file"):
+            return cls.from_text(read_utf8_text(path), str(path), Path(path).parent, changes)
 
     @classmethod
     def from_text(
@@ -231,7 +231,7 @@ class Scene:
         changes: Mapping[str, object] | None = None,
     ) -> Scene:
         """Make a scene from TOML text, which errors call ``name``."""
-        with reading("scene", name, "a TOML file"):
+        with report_read_errors("scene", name, "a TOML file"):
             try:
                 table_by_name = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:
@@ -378,14 +378,15 @@ class Scene:
         swept_values_by_key = self.swept
         if "excitation.frequency" in swept_values_by_key:
             return tuple(
-                TURN * frequency for frequency in swept_values_by_key["excitation.frequency"]
+                RAD_PER_TURN * frequency
+                for frequency in swept_values_by_key["excitation.frequency"]
             )
         orders = swept_values_by_key.get("excitation.order", (self.excitation.order,))
         if None in orders or "excitation.omega" in swept_values_by_key:  # this in place of an order
             return swept_values_by_key.get("excitation.omega", (self.excitation.omega,))
-        speeds = tuple(RPM * rpm for rpm in swept_values_by_key.get("rotation.rpm", ())) or (
-            self.speed,
-        )
+        speeds = tuple(
+            RAD_PER_S_PER_RPM * rpm for rpm in swept_values_by_key.get("rotation.rpm", ())
+        ) or (self.speed,)
         speeds = swept_values_by_key.get("rotation.speed", speeds)
         return tuple(order * speed for order in orders for speed in speeds)
 
@@ -423,7 +424,7 @@ class Scene:
         """``damping.modes``; "all" if the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
 
-    @partial(checked_call, keys=lambda misspelt_name: suggest_full_keys(misspelt_name))
+    @partial(check_calls, find_scene_keys=lambda misspelt_name: suggest_full_keys(misspelt_name))
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
@@ -509,15 +510,17 @@ def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
 
 def _reason_without_observable(scene: Scene, observable: Observable) -> str:
     """Return why a scene lacks an observable; empty if it has the observable."""
-    if Where.FRICTION in observable.where and not scene.has_friction:
+    if ObservableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
         return "without contact.friction"
-    if Where.GROWING in observable.where and scene.growth is None:
+    if ObservableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
         return "without a table [growth], which has its exponent"
-    if Where.SOLID in observable.where and (scene.structure is not None or scene.dimension == 2):
+    if ObservableFlag.REQUIRES_SOLID in observable.flags and (
+        scene.structure is not None or scene.dimension == 2
+    ):
         return "without geometry.kind = 'solid'"
     return (
-        _REASON_FUNCTION_BY_PLACE[observable.of](scene)
-        if observable.of in _REASON_FUNCTION_BY_PLACE
+        _REASON_FUNCTION_BY_PLACE[observable.place](scene)
+        if observable.place in _REASON_FUNCTION_BY_PLACE
         else ""
     )
 
@@ -527,7 +530,7 @@ def quantities_on_request(scene: Scene) -> tuple[str, ...]:
     return tuple(
         quantity_name
         for quantity_name in scene.quantities or ()
-        if QUANTITIES[quantity_name].of.on_request
+        if OBSERVABLES_BY_NAME[quantity_name].place.on_request
     )
 
 
@@ -629,11 +632,13 @@ def _suggest_line_fix(toml_text: str, error_text: str) -> str:
     key, _, value_text = (
         line_part.strip() for line_part in toml_line.partition("#")[0].partition("=")
     )
-    si_value = converted(value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key])))
+    si_value = convert_number(
+        value_text.strip("\"'"), unit_of_key(".".join([*table_headers[-1:], key]))
+    )
     if si_value is None and not value_text.isidentifier():
         return ""
-    corrected_text = f'"{value_text}"' if si_value is None else written(si_value)
-    return f"; {meant([f'{key} = {corrected_text}'])}".rstrip()
+    corrected_text = f'"{value_text}"' if si_value is None else format_scene_value(si_value)
+    return f"; {did_you_mean_text([f'{key} = {corrected_text}'])}".rstrip()
 
 
 def known_keys() -> list[str]:
@@ -1003,7 +1008,9 @@ def _check_axes(scene: Scene, axes_key: str, axes: tuple[Axis, ...]) -> tuple[Ax
         if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
             tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
             requirement = f"a table.key of the scene, given once, with a table of {tables_text}"
-            if (suggestion_text := meant(_suggest_keys(axis.key))) and axis.key not in seen_keys:
+            if (
+                suggestion_text := did_you_mean_text(_suggest_keys(axis.key))
+            ) and axis.key not in seen_keys:
                 requirement += f"; {suggestion_text}".rstrip()
             raise InputError(axes_key, axis.key, requirement)
         seen_keys.add(axis.key)
@@ -1179,26 +1186,26 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
             for table_class in _TABLE_CLASS_BY_NAME.values()
             for key_in_table in table_class.field_by_key()
         }
-        return near(misspelt_name, all_keys, 0.8) or sorted(
+        return find_similar_names(misspelt_name, all_keys, 0.8) or sorted(
             full_key for full_key in all_keys if full_key.endswith(f".{key_in_table}")
         )
-    return list(dict.fromkeys(find_full_keys(table_name, _TABLE_CLASS_BY_NAME.values()))) or near(
-        table_name, _TABLE_CLASS_BY_NAME
-    )
+    return list(
+        dict.fromkeys(find_full_keys(table_name, _TABLE_CLASS_BY_NAME.values()))
+    ) or find_similar_names(table_name, _TABLE_CLASS_BY_NAME)
 
 
 def suggest_full_keys(misspelt_name: str) -> list[str]:
     """Suggest full keys for a misspelt name, or a key without its table."""
     full_key_by_key = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
     suggestions = _suggest_keys(misspelt_name) or [
-        full_key_by_key[key] for key in near_or_longer(misspelt_name, full_key_by_key)
+        full_key_by_key[key] for key in find_similar_or_longer_names(misspelt_name, full_key_by_key)
     ]
-    return suggestions or near_or_longer(misspelt_name, known_keys())
+    return suggestions or find_similar_or_longer_names(misspelt_name, known_keys())
 
 
 def _unknown_table_text(table_name: str) -> str:
     """Return the error text for an unknown table."""
-    suggestion_text = meant(_suggest_keys(table_name))
+    suggestion_text = did_you_mean_text(_suggest_keys(table_name))
     return f"left out; {suggestion_text}known tables: {', '.join(_TABLE_CLASS_BY_NAME)}"
 
 

@@ -13,9 +13,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.basics.errors import MAX_SAMPLES, TOLERANCE, InputError, check_two_ratios
-from fenics_crack.basics.observables import QUANTITIES
-from fenics_crack.basics.tables import RPM, TURN
+from fenics_crack.basics.errors import (
+    DEFAULT_ERROR_TOLERANCE,
+    MAX_SAMPLES_PER_PERIOD,
+    InputError,
+    check_damping_ratios,
+)
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.scene.fields import (
     ZERO_OR_MAGNITUDE_TEXT,
     Axis,
@@ -315,7 +320,7 @@ class Damping(Table):
         if "ratios" in chosen_key_group:
             ratios = self.given("ratios", f"given with omegas = {self.omegas}")
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
-            check_two_ratios(self.full_key("ratios"), ratios, omegas)
+            check_damping_ratios(self.full_key("ratios"), ratios, omegas)
 
     @property
     def damps_all_modes(self) -> bool:
@@ -606,7 +611,7 @@ class Rotation(Table):
     """W, angular velocity of the rotor."""
     rpm: float | None = twin_field(
         "speed",
-        RPM,
+        RAD_PER_S_PER_RPM,
         "a finite number >= 0 (0, or 1e-5 to 9e9)",
         lambda w: w == 0 or 1e-5 <= w <= 9e9,
         "rpm",
@@ -794,7 +799,7 @@ class HarmonicBalance(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        default_by_key = {"harmonics": 5, "tolerance": TOLERANCE}
+        default_by_key = {"harmonics": 5, "tolerance": DEFAULT_ERROR_TOLERANCE}
         if self.harmonics is not None or self.samples is not None or not self.error:
             del default_by_key["tolerance"]
         if self.form == "block":
@@ -808,9 +813,12 @@ class HarmonicBalance(Table):
             self.forbid_keys(("samples",), "a tolerance")
             self.require(self.error, "error", "true, or left out, with a tolerance")
         min_samples = 4 * self.harmonics + 1
-        has_allowed_samples = self.samples is None or min_samples <= self.samples <= MAX_SAMPLES
+        has_allowed_samples = (
+            self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD
+        )
         requirement = (
-            f"a whole number from {min_samples} (4 harmonics + 1) to {MAX_SAMPLES}, or left out"
+            f"a whole number from {min_samples} (4 harmonics + 1) to "
+            f"{MAX_SAMPLES_PER_PERIOD}, or left out"
         )
         self.require(has_allowed_samples, "samples", requirement)
 
@@ -1029,9 +1037,9 @@ class Curve(Table):
         resonance the parameter is "resonance".
         """
         if self.parameter == "rpm":
-            return "speed", RPM * self.start, RPM * self.stop
+            return "speed", RAD_PER_S_PER_RPM * self.start, RAD_PER_S_PER_RPM * self.stop
         if self.parameter == "frequency":
-            return "omega", TURN * self.start, TURN * self.stop
+            return "omega", RAD_PER_TURN * self.start, RAD_PER_TURN * self.stop
         return self.at or self.parameter, self.start, self.stop
 
 
@@ -1526,8 +1534,8 @@ class Output(Table):
     """
 
     quantities: tuple[str, ...] | None = value_field(
-        f"a list of some of {', '.join(QUANTITIES)}",
-        lambda names: names and set(names) <= QUANTITIES.keys(),
+        f"a list of some of {', '.join(OBSERVABLES_BY_NAME)}",
+        lambda names: names and set(names) <= OBSERVABLES_BY_NAME.keys(),
         None,
     )
     """Quantities for print and pictures; files have all. Default: a few."""

@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fenics_crack.basics.tables import quantity
+from fenics_crack.basics.tables import format_quantity
 from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, unit_of_key
 
 LABEL_BY_KEY = {
@@ -54,7 +54,7 @@ def value_in_words(key: str, value: Any) -> str:
         return "none" if value is None else str(value)
     if unit in ("", *UNITS_WITHOUT_PREFIX) or value == 0:
         return f"{value:g} {unit}".rstrip()
-    return quantity(float(value), unit)
+    return format_quantity(float(value), unit)
 
 
 def describe_differences(scenes: Sequence[Scene]) -> list[str]:

@@ -23,11 +23,11 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import gather_rows, on_root
 from fenics_crack.fem.setting import clearance_of, damping_of, force_parts
-from fenics_crack.files.codec import packed, unpacked
-from fenics_crack.files.store import Stored, check_shapes, read, write
+from fenics_crack.files.codec import pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import StoredFile, check_shapes, read_result_file, write_result_file
 from fenics_crack.model.body import DEFAULT_SETTING, Body
 from fenics_crack.model.factor import square_matrix
 from fenics_crack.model.matrices import AbsentMatrix
@@ -209,7 +209,7 @@ class PreparedStructure:
     def _check(self) -> int:
         """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
         nodes, places = self.nodes, np.array([*self.pairs.places.values()])
-        arrays = {name: array for name, array in packed(self).items() if np.ndim(array)}
+        arrays = {name: array for name, array in pack_dataclass(self).items() if np.ndim(array)}
         arrays |= {"pairs.places": places} | (
             {"free dofs": np.unique(nodes.dofs[nodes.dofs >= 0])} if nodes else {}
         )
@@ -302,8 +302,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
         raise InputError("structure", repr(structure), allowed)
     twin = coarser(prepared)
     studies = prepared, *([] if isinstance(twin, str) else [twin[0]])
-    parts = packed(PreparedFile(*map(_of_study, studies)))
-    write(parts, path, KIND, scene, structure.whole.comm)
+    parts = pack_dataclass(PreparedFile(*map(_of_study, studies)))
+    write_result_file(parts, path, KIND, scene, structure.whole.comm)
 
 
 def _of_study(study: Study) -> PreparedStructure:
@@ -348,12 +348,12 @@ def load_prepared(
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     >>> fc.solve(fc.load_prepared("plate.h5", {"excitation.frequency": 800.0}))
     """
-    stored = read(path, comm)
+    stored = read_result_file(path, comm)
     scene = on_root(comm, lambda: _scene_of(stored, changes or {}))
     return prepare(scene, comm, whole=True, last=[_made(stored, scene, comm)])
 
 
-def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
+def _scene_of(stored: StoredFile, changes: Mapping[str, object]) -> Scene:
     """The scene of a file that has been read, changed.
 
     Raises
@@ -361,11 +361,11 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
     InputError
         It is of another kind, or a changed key needs a mesh.
     """
-    stored.fitting_argument(KIND)
+    stored.check_kind(KIND)
     known = stored.scene()
     if known is None:
-        raise stored.refused("one with its scene")
-    stored.check_files(known, needed=False)
+        raise stored.refusal("one with its scene")
+    stored.check_files(known, is_required=False)
     scene, before = known.replace(changes), parts_shared(known, MPI.COMM_SELF)
 
     def needs_mesh(changed: Scene) -> bool:
@@ -379,7 +379,7 @@ def _scene_of(stored: Stored, changes: Mapping[str, object]) -> Scene:
                 if needs_mesh(known.replace({key: value})):
                     break
         raise InputError(key, value, f"{VARIED}, for {stored.path}")
-    beyond = [name for name in scene.quantities or () if QUANTITIES[name].of.on_request]
+    beyond = [name for name in scene.quantities or () if OBSERVABLES_BY_NAME[name].place.on_request]
     if beyond:
         allowed = "those of points and crack faces, for a file; else the scene itself is solved"
         raise InputError("output.quantities", beyond, allowed)
@@ -421,7 +421,7 @@ def load_weights(old_rows: np.ndarray, scene: Scene) -> np.ndarray:
     return weights
 
 
-def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
+def _made(stored: StoredFile, scene: Scene, comm: MPI.Comm) -> Made:
     """The structure of a file for a scene, with that of its coarser mesh (collective).
 
     Raises
@@ -432,6 +432,6 @@ def _made(stored: Stored, scene: Scene, comm: MPI.Comm) -> Made:
     known = stored.scene()
     assert known is not None
     weights = _weights(known, scene)
-    with stored.taken() as parts:
-        file: PreparedFile = unpacked(PreparedFile, parts)
+    with stored.checked_datasets() as parts:
+        file: PreparedFile = unpack_dataclass(PreparedFile, parts)
         return file.make_structures(scene, weights, comm)

@@ -27,17 +27,17 @@ from scipy.optimize import brentq
 from fenics_crack.basics.errors import InputError, check_choice, check_count
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
-    RPM,
-    Said,
-    counted,
-    hertz_of,
-    in_unit,
+    RAD_PER_S_PER_RPM,
+    Conclusion,
+    add_frequency_entries,
+    format_count,
+    format_in_unit,
+    hertz_property,
     speed_axis,
-    with_frequency,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.saved import Saved
-from fenics_crack.files.store import Stored
+from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import StoredFile
 from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import (
@@ -75,7 +75,7 @@ Peaks = Callable[[Modes], np.ndarray]
 
 
 @dataclass(frozen=True, repr=False)
-class Campbell(Saved):
+class Campbell(SavedResult):
     """Natural frequencies over the speed.
 
     Attributes
@@ -120,12 +120,12 @@ class Campbell(Saved):
     met: tuple[tuple[int, AtLoad], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
-    frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
-    frequency_partly, frequency_real = hertz_of("omega_partly"), hertz_of("omega_real")
-    frequency_bilinear = hertz_of("omega_bilinear")
+    frequency_open, frequency_tied = hertz_property("omega_open"), hertz_property("omega_tied")
+    frequency_partly, frequency_real = hertz_property("omega_partly"), hertz_property("omega_real")
+    frequency_bilinear = hertz_property("omega_bilinear")
 
     @classmethod
-    def of(cls, stored: Stored) -> Campbell:
+    def of(cls, stored: StoredFile) -> Campbell:
         """A diagram from a file that has been read, whose mesh has not changed."""
         found = super().of(stored)
         stored.check_files(found.scene)
@@ -296,26 +296,26 @@ class Campbell(Saved):
         for kind in self.kinds:
             for name in (f"omega_{kind}", f"frequency_{kind}"):
                 found[name] = getattr(self, name).ravel().tolist()
-        return with_frequency(found)
+        return add_frequency_entries(found)
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """What the last sentence on the diagram says: where the load's engine order meets modes."""
         axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
-        modes = counted(self.omega_open.shape[1], "mode")
-        outcome = f"{modes} found between {in_unit(axis, self.speed[0], self.speed[-1])}"
+        modes = format_count(self.omega_open.shape[1], "mode")
+        outcome = f"{modes} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
         if order is None:
-            return Said(outcome)
+            return Conclusion(outcome)
         met = [
-            f"mode {mode} at {in_unit(axis, speed if found.unknown else found.value)}"
+            f"mode {mode} at {format_in_unit(axis, speed if found.unknown else found.value)}"
             for mode, speed, found in self._at_load(order)
         ]
-        return Said(outcome, f"engine order {order} meets {', '.join(met) or 'none of them'}")
+        return Conclusion(outcome, f"engine order {order} meets {', '.join(met) or 'none of them'}")
 
     def _title(self) -> str:
         span = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
         first = self.omega_bilinear[[0, -1], 0]
         rise = f"first {first[0]:.6g} to {first[1]:.6g} rad/s"
-        return f"{span}, {counted(self.omega_open.shape[1], 'mode')}, {rise}"
+        return f"{span}, {format_count(self.omega_open.shape[1], 'mode')}, {rise}"
 
 
 def campbell(
@@ -430,13 +430,13 @@ def report_of_campbell(found: Campbell) -> Report:
     if not notes and own is None:
         notes = [f"engine orders 1 to {ORDERS} meet none"]
     if text := coriolis_in_words(found.coriolis):
-        notes.append(f"at {in_unit(speed_axis(scene.in_rpm), found.speed[-1])} {text}")
+        notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), found.speed[-1])} {text}")
     columns = ["rpm" if scene.in_rpm else "speed", "mode"]
     columns += [*(f"{unit}_{kind}" for kind in found.kinds), *(["crack"] if found.cracked else [])]
     return Report(
         found.table(),
         found.said(),
-        shown=found.table(*columns),
+        printed_table=found.table(*columns),
         notes=notes,
         remarks=remarks_on_scene(scene),
     )
@@ -467,7 +467,7 @@ def _changes(at: At, low: float, high: float, mode: int) -> Iterator[tuple[float
 
 
 def _in_words(speed: float) -> str:
-    return f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
+    return f"{speed:.5g} rad/s = {speed / RAD_PER_S_PER_RPM:.5g} rpm"
 
 
 def _at_resonance(force: np.ndarray, damped: Structure, modes: Modes) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import within
+from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import extents
@@ -30,7 +30,7 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     if isinstance(coarse, str):
         return coarse
     scene = study.scene
-    with within("a coarser mesh"):
+    with prefix_stages("a coarser mesh"):
         whole = structure.whole is structure
         last = structure.whole.compute_once(kept, from_matrices=True)
         twin = prepare(coarse, structure.comm, whole=whole, judged=False, last=last)

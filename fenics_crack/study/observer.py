@@ -15,13 +15,13 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import (
-    FILES,
-    GROWING,
-    QUANTITIES,
-    SOLID,
+    IN_FILES_ONLY,
+    OBSERVABLES_BY_NAME,
+    REQUIRES_GROWTH_LAW,
+    REQUIRES_SOLID,
     Place,
-    names_of,
-    read_at,
+    observable_names,
+    read_observables,
 )
 from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.receptance import check_matrices
@@ -50,7 +50,7 @@ EXPANDED = 20_000_000
 def rows_requested(study: Study) -> list[ExtraRows]:
     """Places of rows of their own whose quantities a study's scene requests; the rows are made once
     for its structure (collective)."""
-    requested = {QUANTITIES[name].of for name in quantities_on_request(study.scene)}
+    requested = {OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(study.scene)}
     return [make(study) for place, make in _ROWS.items() if place in requested]
 
 
@@ -80,14 +80,14 @@ def observe(study: Study, motion: ObservedMotion) -> list[Quantity]:
     displacements, others = motion.observe(dofs, rows_requested(study))
     quantities = []
     for watched, (indicators, _) in zip(study.watched, displacements, strict=True):
-        for name in names_of(Place.POINT):
-            row = QUANTITIES[name]
+        for name in observable_names(Place.POINT):
+            row = OBSERVABLES_BY_NAME[name]
             of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
             number = row.words + of_point, getattr(indicators, name), row.unit, name
             quantities.append(Quantity(watched.column(name), *number))
     values = motion.faces | {name: others[name] for name in quantities_on_request(study.scene)}
     for name, value in values.items():
-        row = QUANTITIES[name]
+        row = OBSERVABLES_BY_NAME[name]
         quantities.append(Quantity(name, row.words, value, row.unit, name))
     return quantities
 
@@ -181,8 +181,10 @@ class AtTip(NamedTuple):
     def numbers(self) -> dict[str, float]:
         """Quantities of the tip by their names; the equivalent range where there is a law of
         growth."""
-        without = FILES if self.law is not None else GROWING
-        return read_at(Place.TIPS, self, without | (SOLID if self.three is None else FILES))
+        without = IN_FILES_ONLY if self.law is not None else REQUIRES_GROWTH_LAW
+        return read_observables(
+            Place.TIPS, self, without | (REQUIRES_SOLID if self.three is None else IN_FILES_ONLY)
+        )
 
 
 def at_tips(
@@ -221,7 +223,7 @@ def errors_along_fronts(
     the most: at one place it may be none by chance [Pa m^1/2]. Infinite for all numbers where the
     coarser mesh has none, or a front with so few stations that K is its mean (collective)."""
     asked = set(quantities_on_request(study.scene))
-    names = sorted(asked.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
+    names = sorted(asked.intersection(observable_names(Place.TIPS, Place.ELLIPSE)))
     if study.scene.dimension == 2 or not names:
         return {}, {}
     if not asked.intersection(quantities_on_request(coarse.scene)):
@@ -266,7 +268,9 @@ def stations_of_fronts(names: Sequence[str]) -> dict[str, list[int]]:
 
 def leading(tips: list[AtTip]) -> int:
     """The crack tip whose effective range is the largest."""
-    return int(np.argmax([QUANTITIES["delta_K_effective"].read(tip) for tip in tips]))
+    return int(
+        np.argmax([OBSERVABLES_BY_NAME["delta_K_effective"].read_number(tip) for tip in tips])
+    )
 
 
 def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
@@ -369,14 +373,14 @@ def _at_ellipse(study: Study) -> ExtraRows:
     def numbers(record: Record) -> dict[str, float]:
         tips = at_tips(record, places, of_forces, study.scene.growth)
         one = AtEllipse(tips[int(heights.argmin())], [tips[end] for end in ends])
-        return read_at(Place.ELLIPSE, one)
+        return read_observables(Place.ELLIPSE, one)
 
     return ExtraRows(rows, numbers)
 
 
 def _at_clamp(study: Study) -> ExtraRows:
     rows = study.structure.compute_once(inertia_rows)
-    return ExtraRows(rows, lambda record: read_at(Place.CLAMP, held(record)))
+    return ExtraRows(rows, lambda record: read_observables(Place.CLAMP, held(record)))
 
 
 _ROWS: dict[Place, Callable[[Study], ExtraRows]] = {

@@ -27,7 +27,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import RPM, TURN, frequency_axis, in_unit
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    format_in_unit,
+    frequency_axis,
+)
 from fenics_crack.fem.cracks import POSITION_TOLERANCE
 from fenics_crack.fem.setting import read_load_table_harmonics
 from fenics_crack.model.contact import solve_complementarity
@@ -319,8 +324,8 @@ def highest_omega(scene: Scene, command: str = "") -> float:
 
 # --- resonances and curves ------------------------------------------------------------------------
 
-CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (TURN, "Hz"), "speed": (1.0, "rad/s"),
-               "rpm": (RPM, "rpm")}  # fmt: skip
+CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
+               "rpm": (RAD_PER_S_PER_RPM, "rpm")}  # fmt: skip
 """Factor to [rad/s] of a curve's parameter, and its unit."""
 
 
@@ -616,7 +621,7 @@ def _other_unit(factor: float) -> Callable[..., tuple[float, ...] | None]:
         every = np.concatenate([figures.omega_open, figures.omega_tied])
         firsts = every[[0, len(figures.omega_open)]]
         meant = not _is_near(omega, every) and _is_near(factor * omega, firsts)
-        return (omega / first, first / TURN, first) if meant and first > 0.0 else None
+        return (omega / first, first / RAD_PER_TURN, first) if meant and first > 0.0 else None
 
     return number
 
@@ -643,7 +648,9 @@ def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, s
         return None
     proposed, unit = proposed_curve(scene, figures), CURVE_UNITS[curve.parameter][1]
     ends = figures.omega_open[0], figures.omega_tied[0]
-    text = f"{curve.stop:g} {unit}: the first is between {in_unit(frequency_axis(True), *ends)}"
+    text = (
+        f"{curve.stop:g} {unit}: the first is between {format_in_unit(frequency_axis(True), *ends)}"
+    )
     if proposed is not None:
         text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold one"
     return float(ends[0]), text
@@ -695,7 +702,7 @@ OF_SCENE = (
           lambda size, scene: size / _shorter(scene), MM),
     Usual("rotation.hub_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
     Usual("tip_timing.tip_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
-    Usual("tip_timing.probes", TURN, math.inf, "all of them within {:.3g} degrees; in rad?",
+    Usual("tip_timing.probes", RAD_PER_TURN, math.inf, "all of them within {:.3g} degrees; in rad?",
           lambda angles, _: np.ptp(angles) or None),
     Usual("damping.ratio damping.ratios", 0.0, MOST_DAMPED, METALS, units={"%": 1e-2}),
     Usual("growth.rate", 1e-20, 1e-9, "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to "
@@ -712,7 +719,7 @@ OF_STRUCTURE = (
           "is the mesh in mm?", lambda _, __, structure: (max(e := extents(structure)), min(e))),
     Usual("excitation.point", 0.0, POSITION_TOLERANCE, "no node is there: the force acts on the "
           "nearest one, at {1}", _no_node),
-    Usual("rotation.speed", 0.0, FASTEST, TOO_FAST, _tip_speed, {"rpm": RPM}),
+    Usual("rotation.speed", 0.0, FASTEST, TOO_FAST, _tip_speed, {"rpm": RAD_PER_S_PER_RPM}),
     Usual("rotation.rpm", 0.0, FASTEST, TOO_FAST, _tip_speed),
     Usual("rotation.hub_radius", 0.0, 0.01, "counted from a clamp at y = 0; that of the mesh is at "
           "y = {1:.4g} m", _clamp),
@@ -722,9 +729,9 @@ OF_STRUCTURE = (
 )  # fmt: skip
 OF_FIGURES = (
     Usual("excitation.omega", 1.0, 0.0, OF_FIRST + "Hz? then use excitation.frequency",
-          _other_unit(TURN)),
+          _other_unit(RAD_PER_TURN)),
     Usual("excitation.frequency", 1.0, 0.0, OF_FIRST + "rad/s? then use excitation.omega",
-          _other_unit(1.0 / TURN)),
+          _other_unit(1.0 / RAD_PER_TURN)),
     Usual("curve.start", 1.0, 0.0, "no resonance from there to {1}", _no_resonance),
     Usual(LOADS, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
           "rad about the clamp: beyond small displacements; in N?", _turned),

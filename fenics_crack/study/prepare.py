@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.threads import machine_memory, memory_of_process
+from fenics_crack.basics.threads import machine_memory, process_memory
 from fenics_crack.disk.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.model.contact import (
     ContactLaw,
@@ -365,7 +365,7 @@ def give_back_freed() -> None:
 
 def _memory_held(structure: Structure) -> float:
     """Memory that all ranks hold now [byte]."""
-    return float(structure.comm.allreduce(memory_of_process("VmRSS")))
+    return float(structure.comm.allreduce(process_memory("VmRSS")))
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:

@@ -21,7 +21,7 @@ import numpy as np
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.causes import OPTIONAL_CAUSES, REQUIRED_CAUSES
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import error_in_words, quantity, without_causes
+from fenics_crack.basics.tables import describe_omitted_causes, format_error, format_quantity
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
@@ -75,11 +75,11 @@ class AtLoad:
         by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
         errors = dict.fromkeys((*REQUIRED_CAUSES, *OPTIONAL_CAUSES), math.nan) | by_cause
         missing_causes = [cause for cause, error in errors.items() if not math.isfinite(error)]
-        known_parts = [f"the {c} {error_in_words(e)}" for c, e in errors.items() if e > 0.0]
-        size = f"{quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
+        known_parts = [f"the {c} {format_error(e)}" for c, e in errors.items() if e > 0.0]
+        size = f"{format_quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
         parts = (
             f"{size}, error due to {', '.join(known_parts) or 'none'}",
-            without_causes(missing_causes),
+            describe_omitted_causes(missing_causes),
         )
         return self.unknown or "; ".join(filter(None, parts))
 

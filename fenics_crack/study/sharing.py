@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 
 from mpi4py import MPI
 
-from fenics_crack.basics.observables import QUANTITIES
+from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.fem.setting import clearance_of, damping_of
-from fenics_crack.files.store import digests_of
+from fenics_crack.files.store import scene_file_digests
 from fenics_crack.model.body import DEFAULT_SETTING
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -57,7 +57,7 @@ def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structur
     bound = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
     shelves = [] if (  # what is integrated over a mesh of DOLFINx needs one
         bound or last is not LAST or scene.geometry.file is not None
-        or any(QUANTITIES[name].of.on_request for name in scene.quantities or ())
+        or any(OBSERVABLES_BY_NAME[name].place.on_request for name in scene.quantities or ())
     ) else SHELVES  # fmt: skip
     if not comm.allreduce(bool(last) and _fits(last[0], parts, comm, bound), MPI.LAND):
         last.clear()
@@ -101,7 +101,7 @@ def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
     matrices = (
         scene.geometry, scene.material, _without(scene.mesh, "error", "coarser"), contact,
         [_without(crack, "clearance") for crack in cracks], scene.rotation, scene.disk,
-        scene.structure, on_root(comm, lambda: digests_of(scene)),
+        scene.structure, on_root(comm, lambda: scene_file_digests(scene)),
     )  # fmt: skip
     return matrices, loads_of(scene), ([crack.clearance for crack in cracks], scene.damping)
 

@@ -17,8 +17,8 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.setting import force_parts
-from fenics_crack.files.codec import WRONG, packed, unpacked
-from fenics_crack.files.store import fingerprint, read, write
+from fenics_crack.files.codec import DATASET_ERRORS, pack_dataclass, unpack_dataclass
+from fenics_crack.files.store import program_fingerprint, read_result_file, write_result_file
 from fenics_crack.model.factor import local_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.artefact import (
@@ -37,7 +37,7 @@ MAX_BYTES = 500 * 10**6
 
 def key_of(parts: tuple[Any, ...]) -> str:
     """Return the digest of everything a structure depends on, except load amplitudes."""
-    dependencies = parts[0], without_amplitudes(parts[1]), fingerprint()
+    dependencies = parts[0], without_amplitudes(parts[1]), program_fingerprint()
     return hashlib.sha256(repr(dependencies).encode()).hexdigest()
 
 
@@ -63,21 +63,21 @@ class Shelf:
         """Return the structure of a scene if the file has it (collective)."""
         try:
             if not self._files:
-                stored_file = read(self._path, comm)
-                stored_file.fitting_argument(KIND)
-                with stored_file.taken() as parts:
-                    self._files.append(unpacked(PreparedFile, parts))
+                stored_file = read_result_file(self._path, comm)
+                stored_file.check_kind(KIND)
+                with stored_file.checked_datasets() as parts:
+                    self._files.append(unpack_dataclass(PreparedFile, parts))
             file = self._files[0]
             if file is None or file.structure.key != key_of(parts_shared(scene, comm)):
                 return None
             entry = file.make_structures(
                 scene, load_weights(file.structure.excitation, scene), comm
             )
-        except (InputError, *WRONG) as error:
+        except (InputError, *DATASET_ERRORS) as error:
             self._files[:] = [None]
             self._say(f"{self._path}: not used, {error}")
             return None
-        self._made[:], self._n_bytes = [(entry, scene)], _n_bytes(packed(file))
+        self._made[:], self._n_bytes = [(entry, scene)], _n_bytes(pack_dataclass(file))
         words = f"the structure is taken from here ({self._n_bytes / 1e6:.3g} MB)"
         self._say(f"{self._path}: {words}; --fresh computes it anew")
         return entry
@@ -94,7 +94,7 @@ class Shelf:
                 return  # each rank has one for itself
             twins = entry.structure.compute_once(kept, from_matrices=True)
             twins = [twin for twin in twins if twin.parts[1] == entry.parts[1]]  # of this load
-            parts = packed(
+            parts = pack_dataclass(
                 PreparedFile(*(_datasets(kept_entry, scene) for kept_entry in (entry, *twins)))
             )
             if not self._n_bytes < (n_bytes := _n_bytes(parts)):
@@ -102,7 +102,7 @@ class Shelf:
             try:
                 if n_bytes > MAX_BYTES:
                     raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
-                write(parts, self._path, KIND, scene, entry.comm, is_compressed=False)
+                write_result_file(parts, self._path, KIND, scene, entry.comm, is_compressed=False)
             except InputError as error:
                 self._say(f"the structure is not kept: {error}")
 

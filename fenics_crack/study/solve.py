@@ -19,7 +19,7 @@ from fenics_crack.balance.harmonic_balance import (
 from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
@@ -76,7 +76,7 @@ def solve_prepared(
     if is_rigid(law):
         quick = structure.light_lips
     if solution.converged and quick and is_small(structure) and table.error:
-        begin("stability")
+        begin_stage("stability")
         solution = replace(solution, stability=floquet(structure, solution))
     return _solved(study, solution)
 

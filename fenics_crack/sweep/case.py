@@ -21,7 +21,7 @@ from fenics_crack.balance.problem import Problem, check_memory
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.basics.tables import with_frequency
+from fenics_crack.basics.tables import add_frequency_entries
 from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.curves.resonance import resonance_at
 from fenics_crack.curves.stability import floquet
@@ -441,7 +441,7 @@ class CaseSolver:
 
 def _frequency_values(omega: float, natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Return the load frequency and the nearest natural frequencies by column name."""
-    return with_frequency({"omega": omega}) | natural_frequencies.nearest(omega)
+    return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
 def _natural_frequency_values(natural_frequencies: BilinearFrequencies) -> CaseValues:

@@ -31,13 +31,18 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import put, reported, whole_file
-from fenics_crack.basics.errors import FEW_MODES, InputError, WriteError
-from fenics_crack.basics.observables import FRICTION, QUANTITIES, Place, names_of
-from fenics_crack.basics.tables import UNITS
-from fenics_crack.basics.untrusted_files import MOST_BYTES, bytes_of
+from fenics_crack.basics.atomic_files import partial_file, report_write_errors, write_bytes_at
+from fenics_crack.basics.errors import N_LOWEST_MODES, InputError, WriteError
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    REQUIRES_FRICTION,
+    Place,
+    observable_names,
+)
+from fenics_crack.basics.tables import UNIT_BY_NAME
+from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
-from fenics_crack.files.store import about
+from fenics_crack.files.store import describe_dataset
 from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, quantities_on_request
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
@@ -64,7 +69,7 @@ def load_column_name(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
-MODE_NUMBERS = range(1, FEW_MODES + 1)
+MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
 """Numbers of the modes whose natural frequencies each case keeps."""
 FREQUENCY_COLUMN_LABELS_AND_UNITS = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -77,7 +82,7 @@ FREQUENCY_COLUMN_LABELS_AND_UNITS = {
 }
 """Label and unit of natural frequencies, by column name."""
 UNIT_BY_POINT_QUANTITY = {
-    name: UNITS[name] for name in names_of(Place.POINT) if name != "ratio_half_1"
+    name: UNIT_BY_NAME[name] for name in observable_names(Place.POINT) if name != "ratio_half_1"
 }
 """Units of the quantities at each point and direction, by quantity.
 
@@ -97,7 +102,10 @@ UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
         load_column_name(name): (unit, "f8")
         for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     },
-    **{name: (UNITS[name], "f8") for name in names_of(Place.FACES, Place.MODES, without=FRICTION)},
+    **{
+        name: (UNIT_BY_NAME[name], "f8")
+        for name in observable_names(Place.FACES, Place.MODES, excluded_flags=REQUIRES_FRICTION)
+    },
     **{name: (unit, "f8") for name, (_, unit) in FREQUENCY_COLUMN_LABELS_AND_UNITS.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
@@ -137,7 +145,7 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     Named points have columns such as "tip.ux.ratio_2_1".
     """
     requested_quantities = (
-        *(names_of(where=FRICTION) if scene.has_friction else ()),
+        *(observable_names(required_flags=REQUIRES_FRICTION) if scene.has_friction else ()),
         *quantities_on_request(scene),
     )
     unit_and_type_by_point_column = {
@@ -147,7 +155,7 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     }
     return (
         UNIT_AND_TYPE_BY_COLUMN
-        | {column_name: (UNITS[column_name], "f8") for column_name in requested_quantities}
+        | {column_name: (UNIT_BY_NAME[column_name], "f8") for column_name in requested_quantities}
         | unit_and_type_by_point_column
     )
 
@@ -191,7 +199,9 @@ class SweepFile:
         omitted_options: Sequence[str] = (),
     ) -> None:
         self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
-        with reported(path, "path", "a file that can be written, by one sweep at a time"):
+        with report_write_errors(
+            path, "path", "a file that can be written, by one sweep at a time"
+        ):
             new_header = (
                 None
                 if os.path.lexists(path)
@@ -199,7 +209,7 @@ class SweepFile:
                     path, scene, harmonics_upper_bound, gap_rows_upper_bound, omitted_options
                 )
             )
-            bytes_of(path, None, links=False)  # nothing is written elsewhere
+            regular_file_size(path, None, follows_links=False)  # nothing is written elsewhere
             self._file_descriptor = os.open(path, os.O_RDWR)
             try:
                 lock_error = _lock_file(self._file_descriptor)
@@ -267,7 +277,7 @@ class SweepFile:
         column_by_name[CASE_CHECKSUM_COLUMN_NAME] = _compute_case_checksums(
             column_by_name, case_states
         )
-        with reported(self._path, "path"):
+        with report_write_errors(self._path, "path"):
             self._write_column("state", case_numbers, np.full(len(case_states), State.PENDING))
             for wave_name, waves in waves_by_name.items():
                 if wave_name in self.sweep_header.columns:
@@ -284,7 +294,7 @@ class SweepFile:
 
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it too; raise InputError on failure."""
-        with reported(self._path, "path"):
+        with report_write_errors(self._path, "path"):
             if remove and self._is_at_path():
                 self._path.unlink()
             os.close(self._file_descriptor)
@@ -298,7 +308,7 @@ class SweepFile:
         )
         # Bytes of rows: NumPy drops trailing zeros from a single text.
         for case_number, case_bytes in zip(case_numbers, byte_rows, strict=True):
-            put(
+            write_bytes_at(
                 self._file_descriptor,
                 case_bytes.tobytes(),
                 stored_column.offset + int(case_number) * bytes_per_case,
@@ -342,7 +352,7 @@ def _make_file(
     harmonics_upper_bound: int,
     gap_rows_upper_bound: int,
     omitted_options: Sequence[str],
-) -> store.Stored | None:
+) -> store.StoredFile | None:
     """Make a new file and return its header; None if another program made one first."""
     axes_shape = scene.given("sweep").shape
     unit_type_shape_by_dataset = {
@@ -356,7 +366,7 @@ def _make_file(
         }
     with contextlib.suppress(FileExistsError):
         with (
-            whole_file(path, new=True) as hidden_path,
+            partial_file(path, must_be_new=True) as hidden_path,
             open(hidden_path, "wb", buffering=0) as new_file,
             open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
         ):
@@ -380,7 +390,7 @@ def _write_image(
     scene: Scene,
     unit_type_shape_by_dataset: Mapping[str, tuple[str, str, tuple[int, ...]]],
     omitted_options: Sequence[str],
-) -> store.Stored:
+) -> store.StoredFile:
     """Write a new file's datasets to memory, and return the header.
 
     ``unit_type_shape_by_dataset`` holds tuples by name.
@@ -391,7 +401,7 @@ def _write_image(
         store.write_header(hdf5_file, KIND, scene)
         hdf5_file.attrs["omitted"] = " ".join(omitted_options)
         # Kept as written, since reading them takes longer.
-        attribute_by_path, column_by_name = store.texts(hdf5_file), {}
+        attribute_by_path, column_by_name = store.attribute_texts(hdf5_file), {}
         for dataset_name, (unit, type_name, dataset_shape) in unit_type_shape_by_dataset.items():
             creation_properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
             creation_properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
@@ -407,10 +417,12 @@ def _write_image(
             for attribute_name, attribute_text in attribute_text_by_name.items():
                 column.attrs[attribute_name] = attribute_text
                 attribute_by_path[f"{dataset_name}/{attribute_name}"] = attribute_text
-            column_by_name[dataset_name] = store.column_of(column)
-        attribute_by_path["digest"] = store.digest(attribute_by_path, store.places(column_by_name))
+            column_by_name[dataset_name] = store.locate_column(column)
+        attribute_by_path["digest"] = store.content_digest(
+            attribute_by_path, store.column_texts(column_by_name)
+        )
         hdf5_file.attrs["digest"] = attribute_by_path["digest"]
-        return store.Stored(path, attribute_by_path, {}, column_by_name)
+        return store.StoredFile(path, attribute_by_path, {}, column_by_name)
 
 
 def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
@@ -423,7 +435,7 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
         except OSError:  # zeros alone
             return
         part_end = os.lseek(memory_descriptor, part_start, os.SEEK_HOLE)
-        put(
+        write_bytes_at(
             target_descriptor,
             os.pread(memory_descriptor, part_end - part_start, part_start),
             part_start,
@@ -433,10 +445,10 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
 def _describe_column(column_name: str) -> str:
     """Return a description of a column or wave; empty if unknown."""
     if column_name in UNIT_BY_WAVE:
-        return f"axes of the sweep; {about(f'{column_name}_coefficients', {})['about']}"
+        return f"axes of the sweep; {describe_dataset(f'{column_name}_coefficients', {})['about']}"
     quantity = "amplitude" if column_name == "response" else column_name.rpartition(".")[2]
     words_by_quantity = {
-        column_name: observable.words for column_name, observable in QUANTITIES.items()
+        column_name: observable.words for column_name, observable in OBSERVABLES_BY_NAME.items()
     }
     return (
         words_by_quantity.get(quantity) or FREQUENCY_COLUMN_LABELS_AND_UNITS.get(quantity, ("",))[0]
@@ -469,10 +481,10 @@ def _compute_case_checksums(
     return checksums
 
 
-def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
+def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
     """Return a file's header; raise InputError unless it fits the scene and version."""
-    sweep_header = store.header(path)
-    sweep_header.fitting_argument(KIND)
+    sweep_header = store.read_header(path)
+    sweep_header.check_kind(KIND)
     stored_scene = sweep_header.scene()
     requested_scene = Scene.from_text(store.scene_text(scene), str(path))  # both with full paths
     if stored_scene is None or stored_scene.replace(
@@ -487,17 +499,17 @@ def _read_matching_header(path: Path, scene: Scene) -> store.Stored:
         requirement = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", path_text, requirement)
     if (version := sweep_header.attributes["version"]) != VERSION:
-        raise sweep_header.refused(
+        raise sweep_header.refusal(
             f"a new name: it was begun by version {version}, this is {VERSION}"
         )
     sweep_header.check_files(stored_scene)
     if not _unit_and_type_by_dataset(scene).keys() <= sweep_header.columns.keys():
-        raise sweep_header.refused("a whole sweep")
+        raise sweep_header.refusal("a whole sweep")
     scene_of_sweep(sweep_header)
     return sweep_header
 
 
-def _check_omitted(sweep_header: store.Stored, omitted_options: Sequence[str]) -> None:
+def _check_omitted(sweep_header: store.StoredFile, omitted_options: Sequence[str]) -> None:
     """Raise InputError if a file was begun with other omitted options.
 
     Files from earlier versions do not state the options and are accepted.
@@ -524,12 +536,12 @@ def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
     return {"state": ("", "u1")} | unit_and_type_by_column(scene) | checksum_formats
 
 
-def scene_of_sweep(sweep_header: store.Stored) -> Scene:
+def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     """Return the scene in a sweep's file; raise InputError if columns do not fit."""
-    sweep_header.fitting_argument(KIND)
+    sweep_header.check_kind(KIND)
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
-        raise sweep_header.refused("a sweep with its scene")
+        raise sweep_header.refusal("a sweep with its scene")
     n_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
     for column_name in sorted(
         unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
@@ -537,18 +549,18 @@ def scene_of_sweep(sweep_header: store.Stored) -> Scene:
         stored_column = sweep_header.columns.get(column_name)
         if stored_column is None:
             requirement = f"a sweep with a column {column_name!r}: this one is of an older version"
-            raise sweep_header.refused(f"{requirement}; solve it anew in another folder")
+            raise sweep_header.refusal(f"{requirement}; solve it anew in another folder")
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
-            raise sweep_header.refused("a whole sweep")
+            raise sweep_header.refusal("a whole sweep")
         n_bytes += stored_column.size
-    if n_bytes > MOST_BYTES:
-        raise sweep_header.refused(f"a sweep with at most {MOST_BYTES} bytes of columns")
+    if n_bytes > MAX_FILE_BYTES:
+        raise sweep_header.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
     return scene
 
 
 def _read_cases(
-    sweep_header: store.Stored, scene: Scene
+    sweep_header: store.StoredFile, scene: Scene
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Read all cases, as flat columns, and find damaged ones.
 
@@ -568,7 +580,7 @@ def _read_cases(
     return column_by_name, is_damaged
 
 
-def _read_flat_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+def _read_flat_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
     """Read all stored columns, (n_cases,) each, by name."""
     try:  # the state first: what is written later counts as pending
         column_names = [
@@ -577,11 +589,11 @@ def _read_flat_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np
             if column_name in sweep_header.columns
         ]
         return {
-            column_name: sweep_header.columns[column_name].of(sweep_header.path).ravel()
+            column_name: sweep_header.columns[column_name].read_numbers(sweep_header.path).ravel()
             for column_name in column_names
         }
     except (OSError, ValueError):
-        raise sweep_header.refused("a whole sweep") from None
+        raise sweep_header.refusal("a whole sweep") from None
 
 
 def _confirm_states(
@@ -615,7 +627,7 @@ def _confirm_states(
     return {"state": case_states} | column_by_name, is_damaged
 
 
-def _read_intact_states(sweep_header: store.Stored, scene: Scene) -> np.ndarray:
+def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndarray:
     """Return states in the shape of the axes; State.PENDING for damaged cases."""
     case_states: np.ndarray = _read_cases(sweep_header, scene)[0]["state"].reshape(
         scene.given("sweep").shape
@@ -626,7 +638,7 @@ def _read_intact_states(sweep_header: store.Stored, scene: Scene) -> np.ndarray:
     return case_states
 
 
-def read_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+def read_columns(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
     """Read ``state`` and all columns, in the shape of the axes.
 
     Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
@@ -640,7 +652,7 @@ def read_columns(sweep_header: store.Stored, scene: Scene) -> dict[str, np.ndarr
         damage_text = (
             f"{is_damaged.sum()} of its cases are damaged, the first at {first_damaged_index}"
         )
-        raise sweep_header.refused(
+        raise sweep_header.refusal(
             f"a whole sweep: {damage_text}; the command sweep computes them again"
         )
     for column_name, (_, type_name) in (
@@ -669,26 +681,29 @@ def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarr
 
     With friction, tangential rows follow the normal ones.
     """
-    sweep_header = store.header(path)
-    sweep_header.fitting_argument(KIND)
+    sweep_header = store.read_header(path)
+    sweep_header.check_kind(KIND)
     waves = _read_intact_waves(sweep_header, index)
     if waves is None:
         requirement = (
             f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
         )
-        raise sweep_header.refused(requirement)
+        raise sweep_header.refusal(requirement)
     return waves
 
 
 def _read_intact_waves(
-    sweep_header: store.Stored, index: tuple[int, ...]
+    sweep_header: store.StoredFile, index: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Read the same coefficients; None if they are damaged."""
     stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:
         case_number = int(np.ravel_multi_index(index, stored_column_by_name["state"].shape))
-        n_rows = 2 * int(stored_column_by_name["harmonics"].of(file_path, case_number, 1)[0]) + 1
-        stored_checksum = stored_column_by_name[WAVES_CHECKSUM_COLUMN_NAME].of(
+        n_rows = (
+            2 * int(stored_column_by_name["harmonics"].read_numbers(file_path, case_number, 1)[0])
+            + 1
+        )
+        stored_checksum = stored_column_by_name[WAVES_CHECKSUM_COLUMN_NAME].read_numbers(
             file_path, case_number, 1
         )[0]
         for wave_name in UNIT_BY_WAVE:
@@ -700,7 +715,7 @@ def _read_intact_waves(
             wave_start = case_number * max_rows * n_columns
             n_values = n_rows * n_columns
             wave = (
-                stored_column_by_name[wave_name].of(file_path, wave_start, n_values)
+                stored_column_by_name[wave_name].read_numbers(file_path, wave_start, n_values)
                 if n_values
                 else np.zeros(0)
             )

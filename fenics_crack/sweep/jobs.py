@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
-from fenics_crack.files.store import Stored
+from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import REFUSALS
 from fenics_crack.sweep.case import (
@@ -83,7 +83,7 @@ class Worker:
         """Release the memory of the last geometry."""
         self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
-        collect_garbage(MPI.COMM_SELF, stopped=stopped)
+        collect_garbage(MPI.COMM_SELF, was_stopped=stopped)
 
     def run_job(
         self, job: Job, may_continue: Callable[[], bool]
@@ -247,7 +247,7 @@ class Manager:
         return f"{self._n_finished_cases} of {self._sweep_file.case_states.size} cases of the sweep"
 
     @property
-    def sweep_header(self) -> Stored:
+    def sweep_header(self) -> StoredFile:
         """Header of the finished file; raises the error that ended the sweep."""
         if self._error is not None:
             raise self._error
@@ -263,10 +263,10 @@ class Manager:
 
         def may_continue() -> bool:
             while self._n_jobs_sent and comm.iprobe():
-                if stop_request.asked(MPI.COMM_SELF):
+                if stop_request.is_requested(MPI.COMM_SELF):
                     self._remaining_chunks_by_geometry.clear()  # no job is handed out any more
                 self._receive_outcome(comm)
-            return self._error is None and not stop_request.asked(MPI.COMM_SELF)
+            return self._error is None and not stop_request.is_requested(MPI.COMM_SELF)
 
         try:
             for rank in other_ranks:
@@ -281,9 +281,9 @@ class Manager:
             while may_continue() and self._n_jobs_sent:
                 self._receive_outcome(comm)
         except BaseException as error:
-            is_second_interrupt = isinstance(error, KeyboardInterrupt) and stop_request.asked(
-                MPI.COMM_SELF
-            )
+            is_second_interrupt = isinstance(
+                error, KeyboardInterrupt
+            ) and stop_request.is_requested(MPI.COMM_SELF)
             if not is_second_interrupt:  # else what is written is all
                 self._end_with_error(error)
         self._remaining_chunks_by_geometry.clear()

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.basics.errors import MOST_HARMONICS, InputError
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, InputError
 from fenics_crack.fem.blocks import plate_pair_upper_bound
 from fenics_crack.fem.matrix_files import table_pair_upper_bound
 from fenics_crack.fem.plate import build_mesh
@@ -91,7 +91,7 @@ class Plan:
             balance_table.tolerance is not None
             or "harmonic_balance.tolerance" in self._swept_values_by_key
         ):
-            self.harmonics_upper_bound = max(self.harmonics_upper_bound, MOST_HARMONICS)
+            self.harmonics_upper_bound = max(self.harmonics_upper_bound, MAX_HARMONIC_ORDER)
         if not any(
             isinstance(self._case_by_number(case_number), Scene)
             for case_number in range(math.prod(self.shape))

@@ -38,15 +38,27 @@ from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linea
 from fenics_crack.balance.more_modes import UNKNOWN_ERROR
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.atomic_files import passing_folder
+from fenics_crack.basics.atomic_files import make_temporary_folder
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.observables import DRAWN, QUANTITIES, Place, names_of
-from fenics_crack.basics.progress import reaching
+from fenics_crack.basics.observables import (
+    IN_SWEEP_PICTURES,
+    OBSERVABLES_BY_NAME,
+    Place,
+    observable_names,
+)
+from fenics_crack.basics.progress import add_progress_text
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.suggestions import checked_call
-from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, optional, quantity
-from fenics_crack.files.results import solution_from
-from fenics_crack.files.store import Stored, header
+from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.tables import (
+    Conclusion,
+    Tabular,
+    format_count,
+    format_error,
+    format_quantity,
+    import_optional,
+)
+from fenics_crack.files.results import rebuild_solution
+from fenics_crack.files.store import StoredFile, read_header
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.conclusion import report_linearity
 from fenics_crack.scene.fields import Axis
@@ -145,7 +157,7 @@ def run_sweep(
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
         omitted_options += [f"vibration_{position}" for position in sorted(natural)]
-        file_path = Path(path or passing_folder() / "sweep.h5")
+        file_path = Path(path or make_temporary_folder() / "sweep.h5")
         sweep_file = SweepFile(
             file_path, scene, plan.harmonics_upper_bound, plan.gap_rows_upper_bound, omitted_options
         )
@@ -165,11 +177,11 @@ def run_sweep(
     worker, job_comm = Worker(request, managers[0].plan if managers else Plan(scene)), comm.Dup()
     with StopRequest() as stop_request:
         if managers:
-            with reaching(managers[0].progress_text):
+            with add_progress_text(managers[0].progress_text):
                 managers[0].run(worker, job_comm, stop_request)
         else:
             serve_jobs(worker, job_comm)
-    worker.release_geometry(stopped=stop_request.asked(comm))
+    worker.release_geometry(stopped=stop_request.is_requested(comm))
     job_comm.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].sweep_header))
 
@@ -228,7 +240,7 @@ class SweepResult(Tabular):
     KIND: ClassVar[str] = KIND
 
     @classmethod
-    @checked_call
+    @check_calls
     def load(cls, path: str | Path) -> SweepResult:
         """Read the table of a sweep, also while it runs; nothing is computed.
 
@@ -237,10 +249,10 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        return cls.of(header(Path(path)))
+        return cls.of(read_header(Path(path)))
 
     @classmethod
-    def of(cls, sweep_header: Stored) -> SweepResult:
+    def of(cls, sweep_header: StoredFile) -> SweepResult:
         """Return the table from a file's header."""
         scene = scene_of_sweep(sweep_header)
         return cls(sweep_header.path, scene, read_columns(sweep_header, scene))
@@ -355,7 +367,7 @@ class SweepResult(Tabular):
             As :meth:`gap`; or a mesh file has changed.
         """
         case_index = self._find_converged_index(index)
-        header(self.path).check_files(self.scene)
+        read_header(self.path).check_files(self.scene)
         plan = Plan(self.scene)
         case = plan.case_at(case_index)
         assert isinstance(case, Scene)
@@ -397,7 +409,7 @@ class SweepResult(Tabular):
         }
         if problem.has_projected_constraint:
             value_by_field["weight"] = default_projection_weight(problem.compliance())
-        return solution_from(value_by_field, structure, law)
+        return rebuild_solution(value_by_field, structure, law)
 
     def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """Return the index of a converged case; raise InputError for other cases."""
@@ -421,9 +433,14 @@ class SweepResult(Tabular):
         The scene's ``[output] quantities`` chooses them; otherwise there are a few.
         """
         label_by_point, label_and_unit_by_column = self.scene.point_names, {}
-        for quantity_name in self.scene.quantities or names_of(where=DRAWN):
-            label, unit = QUANTITIES[quantity_name].words, QUANTITIES[quantity_name].unit
-            if QUANTITIES[quantity_name].of is not Place.POINT:
+        for quantity_name in self.scene.quantities or observable_names(
+            required_flags=IN_SWEEP_PICTURES
+        ):
+            label, unit = (
+                OBSERVABLES_BY_NAME[quantity_name].words,
+                OBSERVABLES_BY_NAME[quantity_name].unit,
+            )
+            if OBSERVABLES_BY_NAME[quantity_name].place is not Place.POINT:
                 label_and_unit_by_column[quantity_name] = label, unit
             elif label_by_point:
                 label_and_unit_by_column |= {
@@ -464,7 +481,10 @@ class SweepResult(Tabular):
         ImportError
             xarray is not installed: the package does without it.
         """
-        dataset_class, unit_by_column = optional("xarray", "to_xarray").Dataset, self._units()
+        dataset_class, unit_by_column = (
+            import_optional("xarray", "to_xarray").Dataset,
+            self._units(),
+        )
         values_by_key = {
             axis.key: [
                 axis_value if np.isscalar(axis_value) else str(axis_value)
@@ -491,18 +511,18 @@ class SweepResult(Tabular):
             for column_name, (unit, _) in unit_and_type_by_column(self.scene).items()
         }
 
-    def said(self) -> Said:
+    def said(self) -> Conclusion:
         """Return what the last printed sentence says about the sweep."""
         is_converged, clauses = self.converged, []
         total_errors = self.errors.sum(axis=0)[is_converged]
-        cases_text = counted(is_converged.size, "case")
+        cases_text = format_count(is_converged.size, "case")
         if np.any(
             np.isfinite(converged_responses := np.where(is_converged, self["response"], np.nan))
         ):
             peak_index = np.unravel_index(
                 int(np.nanargmax(converged_responses)), converged_responses.shape
             )
-            response_text = quantity(float(converged_responses[peak_index]), "m")
+            response_text = format_quantity(float(converged_responses[peak_index]), "m")
             clauses.append(f"the largest response is {response_text} half peak-to-peak at ")
             clauses[0] += describe_swept_values(self.axes, [*map(int, peak_index)])
         max_error = total_errors.max(initial=0.0)
@@ -512,7 +532,7 @@ class SweepResult(Tabular):
                 "errors and stability are not estimated (harmonic_balance.error = false)"
             )
         elif max_error > 0.0 and not n_unknown_errors:
-            error_text = error_in_words(max_error)
+            error_text = format_error(max_error)
             clauses.append(f"largest estimated error by modes and harmonics {error_text}")
         verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
         verdict_texts = [
@@ -520,12 +540,12 @@ class SweepResult(Tabular):
             for verdict_count, verdict in zip(verdict_counts, verdict_names, strict=True)
             if verdict
         ]
-        return Said(
+        return Conclusion(
             "sweep complete"
             if is_converged.all()
             else f"{is_converged.sum()} of {cases_text} converged",
             ", ".join(clauses),
-            f"it could not be estimated in {counted(n_unknown_errors, 'case')}"
+            f"it could not be estimated in {format_count(n_unknown_errors, 'case')}"
             if n_unknown_errors
             else "",
             [*report_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
@@ -549,7 +569,7 @@ class SweepResult(Tabular):
         )
 
 
-def is_partial_sweep(sweep_header: Stored) -> bool:
+def is_partial_sweep(sweep_header: StoredFile) -> bool:
     """Return True for a sweep with omitted options, made by another computation."""
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
@@ -569,12 +589,12 @@ def describe_by_reason(
     case_groups, n_shown = sorted(cases_by_pattern.values(), key=len, reverse=True), 4
     for group_cases in case_groups[:n_shown]:
         index, reason = group_cases[0]
-        count_text = f"{counted(len(group_cases), 'case')} {outcome_text}, the first at"
+        count_text = f"{format_count(len(group_cases), 'case')} {outcome_text}, the first at"
         yield f"{count_text} {describe_swept_values(sweep.axes, index)}: {reason}"
     if further_groups := case_groups[n_shown:]:
         n_further_cases = sum(map(len, further_groups))
         yield (
-            f"{counted(n_further_cases, 'case')} {outcome_text} for other reasons: "
+            f"{format_count(n_further_cases, 'case')} {outcome_text} for other reasons: "
             "column status of the table"
         )
 

@@ -16,17 +16,17 @@ import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
-    RECORDED_PERIODS,
+    N_RECORDED_PERIODS,
     ConvergenceError,
     InputError,
     check_count,
     check_number,
     check_omega,
 )
-from fenics_crack.basics.progress import begin, reaching
-from fenics_crack.basics.ranks import StopRequest, raise_together
+from fenics_crack.basics.progress import add_progress_text, begin_stage
+from fenics_crack.basics.ranks import StopRequest, raise_first_error
 from fenics_crack.basics.suggestions import check_options
-from fenics_crack.basics.tables import Tabular, counted
+from fenics_crack.basics.tables import Tabular, format_count
 from fenics_crack.model.contact import ContactLaw, check_law, coefficient_of, friction_of, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import NEGLIGIBLE
@@ -256,12 +256,12 @@ class TimeHistory(ObservedMotion, Tabular):
         return {name: column.tolist() for name, column in columns.items()}
 
     def _title(self) -> str:
-        periods_text = counted(self.periods, "period")
-        steps_text = counted(self.steps_per_period, "step")
+        periods_text = format_count(self.periods, "period")
+        steps_text = format_count(self.steps_per_period, "step")
         settled_text = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
         return (
             f"{periods_text} of {steps_text}{settled_text}, "
-            f"{counted(self.structure.n_pairs, 'pair')}"
+            f"{format_count(self.structure.n_pairs, 'pair')}"
         )
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
@@ -283,7 +283,7 @@ class TimeHistory(ObservedMotion, Tabular):
         The last four periods determine the limit if two Floquet multipliers still decay (minimal
         polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2).
         """
-        records = [record[-RECORDED_PERIODS:] for record in self._watched_periods]
+        records = [record[-N_RECORDED_PERIODS:] for record in self._watched_periods]
         n_periods = len(records[0])
         if n_periods < 3:
             return math.nan
@@ -458,13 +458,13 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
     previous: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
-        begin("")
+        begin_stage("")
     from tqdm import tqdm
 
     started = clock.perf_counter()
     with (
         StopRequest() as stop_request,
-        reaching(lambda: f"{n_periods} of {request.periods} periods"),
+        add_progress_text(lambda: f"{n_periods} of {request.periods} periods"),
     ):
         for number in tqdm(range(request.periods), scheme.name, unit="period", disable=is_hidden):
             period_rows = slice(number % n_kept * steps, (number % n_kept + 1) * steps)
@@ -483,7 +483,7 @@ def march(request: March, scheme: Scheme) -> TimeHistory:
             # Slow modes hardly move the gaps.
             newest = gap_motion, gathered_displacement_at_load
             change, previous = np.inf if previous is None else _change(newest, previous), newest
-            if change < request.settle or stop_request.asked(structure.comm):
+            if change < request.settle or stop_request.is_requested(structure.comm):
                 break
     seconds = clock.perf_counter() - started
 
@@ -580,5 +580,5 @@ def initial_state(
     )
     input_error = InputError("initial", [part.shape for part in state], allowed)
     is_finite = all(np.all(np.isfinite(part)) for part in state)
-    raise_together(structure.comm, None if has_right_shapes and is_finite else input_error)
+    raise_first_error(structure.comm, None if has_right_shapes and is_finite else input_error)
     return state

@@ -31,18 +31,23 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import InputError
 from fenics_crack.basics import progress, threads
-from fenics_crack.basics.atomic_files import keep_files, write_together, write_whole
+from fenics_crack.basics.atomic_files import keep_files, write_file_whole, write_files_together
 from fenics_crack.basics.errors import WriteError
-from fenics_crack.basics.observables import QUANTITIES, Place, Where, names_of
+from fenics_crack.basics.observables import (
+    OBSERVABLES_BY_NAME,
+    ObservableFlag,
+    Place,
+    observable_names,
+)
 from fenics_crack.basics.tables import (
-    UNITS,
+    UNIT_BY_NAME,
     Described,
     Table,
     Tabular,
-    percent,
-    quantity,
-    ranging,
-    readable,
+    choose_unit_prefix,
+    format_percent,
+    format_quantity,
+    format_range,
 )
 from fenics_crack.fem import compat
 from fenics_crack.scene.tables import Sweep
@@ -66,15 +71,15 @@ def test_long_stages_leave_a_line(stream: io.StringIO, monkeypatch: pytest.Monke
     clock = iter([0.0, 0.5, 3.0, 3.1])
     monkeypatch.setattr(progress.time, "perf_counter", lambda: next(clock))
     with progress.StageLines(stream):
-        progress.begin("mesh")
-        progress.begin("natural modes")
-        progress.begin("solution")
+        progress.begin_stage("mesh")
+        progress.begin_stage("natural modes")
+        progress.begin_stage("solution")
     clear = "\r\033[K"
     live = (
         f"  mesh ...{clear}  natural modes ...{clear}  natural modes: 2.5 s\n  solution ...{clear}"
     )
     assert stream.getvalue() == (live if stream.isatty() else "  natural modes: 2.5 s\n")
-    progress.begin("nobody listens")
+    progress.begin_stage("nobody listens")
 
 
 def test_stages_are_logged(paper_scene: fc.Scene, caplog: pytest.LogCaptureFixture) -> None:
@@ -115,8 +120,8 @@ def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.Monk
     monkeypatch.setattr(progress.time, "perf_counter", lambda: 7.0)
     stream.seek(0)
     stream.truncate()
-    with progress.StageLines(stream, kept=kept):
-        progress.begin("path")
+    with progress.StageLines(stream, keeps_lines=kept):
+        progress.begin_stage("path")
         assert passed.wait(LIMIT)
     shown = stream.getvalue()
     assert shown.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n") == 3
@@ -256,7 +261,7 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
         assert 0.0 < seen <= exact < seen * (1.0 + 1e-5)
     assert found["closed_share"] == np.mean(force > 0.0)
     free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5)
-    of_faces = names_of(Place.FACES, without=Where.FRICTION)
+    of_faces = observable_names(Place.FACES, excluded_flags=ObservableFlag.REQUIRES_FRICTION)
     assert found.keys() - free.to_dict().keys() == {*of_faces} >= {"opening", "closed_share"}
     table = solution.table("contact_force", "omega")
     force_row = "contact_force [N]", found["contact_force"]
@@ -291,15 +296,15 @@ def test_long_tables_are_cut_for_eyes_only() -> None:
 def test_quantities() -> None:
     """A number with a prefix that suits it."""
     shown = {1.4514e-6: "1.451 µm", 0.0: "0 m", -2e-9: "-2 nm", 999.97e-6: "1000 µm", 12.0: "12 m"}
-    assert {value: quantity(value, "m") for value in shown} == shown
+    assert {value: format_quantity(value, "m") for value in shown} == shown
     plain = {"": "0.02", "1": "0.02", "deg": "0.02 deg", "Hz": "0.02 Hz"}
-    assert {unit: quantity(0.02, unit) for unit in plain} == plain
+    assert {unit: format_quantity(0.02, unit) for unit in plain} == plain
 
 
 def test_a_name_has_one_unit() -> None:
     """An observable named like an entry of another table would silently take its unit."""
-    observables = {name: row.unit for name, row in QUANTITIES.items()}
-    assert {name: UNITS[name] for name in observables} == observables
+    observables = {name: row.unit for name, row in OBSERVABLES_BY_NAME.items()}
+    assert {name: UNIT_BY_NAME[name] for name in observables} == observables
 
 
 @pytest.mark.parametrize(
@@ -308,13 +313,13 @@ def test_a_name_has_one_unit() -> None:
 )
 def test_shares_in_per_cent(share: float, words: str) -> None:
     """Without an exponent, also of an error as large as its number."""
-    assert percent(share) == words
+    assert format_percent(share) == words
 
 
 def test_ranges_in_words() -> None:
     """Ends that read alike are said once."""
-    assert ranging(np.array([9, 9])) == "9" and ranging(np.array([40, 5, 7])) == "5 to 40"
-    assert ranging(np.array([0.12, 0.1204]), ".2g") == "0.12"
+    assert format_range(np.array([9, 9])) == "9" and format_range(np.array([40, 5, 7])) == "5 to 40"
+    assert format_range(np.array([0.12, 0.1204]), ".2g") == "0.12"
 
 
 def test_units_that_read_well() -> None:
@@ -323,7 +328,7 @@ def test_units_that_read_well() -> None:
         (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
         (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
     ):  # fmt: skip
-        assert readable(largest, unit) == (pytest.approx(factor), found)
+        assert choose_unit_prefix(largest, unit) == (pytest.approx(factor), found)
 
 
 def test_values_of_keys_in_words() -> None:
@@ -488,14 +493,14 @@ def test_links_devices_and_folders(tmp_path: Path) -> None:
     file, link = tmp_path / "file", tmp_path / "link"
     file.write_text("before")
     link.symlink_to(file)
-    write_whole(link, "after")
+    write_file_whole(link, "after")
     assert not link.is_symlink() and file.read_text() == "before" and link.read_text() == "after"
-    write_whole("/dev/null", "anything")
+    write_file_whole("/dev/null", "anything")
     assert Path("/dev/null").is_char_device()
     with pytest.raises(WriteError, match="/dev/full"):
-        write_whole("/dev/full", "anything")
+        write_file_whole("/dev/full", "anything")
     assert not isinstance(
-        refusal(lambda: write_whole(tmp_path, "anything"), "can be written"), WriteError
+        refusal(lambda: write_file_whole(tmp_path, "anything"), "can be written"), WriteError
     )
     assert sorted(tmp_path.iterdir()) == [file, link]
 
@@ -514,7 +519,7 @@ def test_a_file_that_is_kept(
     if not linking:
         monkeypatch.setattr(os, "link", lambda *_: os.lstat("/nothing"))  # an OSError
     assert keep_files(("a", "b", "d"), own, kept) and not keep_files(("c", "d"), own, kept)
-    write_whole(own / "a", "after")
+    write_file_whole(own / "a", "after")
     assert victim.read_text() == "victim" and (kept / "a").read_text() == "before"
     assert sorted(path.name for path in kept.iterdir()) == ["a", "c"]
     (own / "link").symlink_to(kept)
@@ -525,9 +530,9 @@ def test_a_file_that_is_kept(
 def test_all_or_none(tmp_path: Path) -> None:
     """Files that belong together, of which one is too long."""
     names = [tmp_path / name for name in ("new/a", "new/b", "new/c")]
-    write_together((name, "before") for name in names)
+    write_files_together((name, "before") for name in names)
     with room_for(100), pytest.raises(WriteError, match="new/b"):
-        write_together(zip(names, ("after", "after" * 100, "after"), strict=True))
+        write_files_together(zip(names, ("after", "after" * 100, "after"), strict=True))
     assert [name.read_text() for name in names] == ["before"] * 3
     assert len(list((tmp_path / "new").iterdir())) == 3
 
@@ -574,7 +579,7 @@ def test_too_little_memory(
     """One line; without the question SCOTCH prints words of its own, or DOLFINx never ends."""
     plate = tmp_path / "plate.toml"
     assert main(["new", str(plate), "--quiet"]) == 0
-    monkeypatch.setattr(compat, "addresses_left", lambda: 1e8)
+    monkeypatch.setattr(compat, "remaining_address_space", lambda: 1e8)
     capfd.readouterr()
     assert main(["check", str(plate)]) == 1
     assert capfd.readouterr().err == "fenics-crack: memory was not enough\n"
@@ -618,8 +623,8 @@ class Pool:
 def pool(monkeypatch: pytest.MonkeyPatch) -> Pool:
     """The only OpenBLAS, of a user who has said nothing, on 8 processors."""
     found = Pool(8)
-    monkeypatch.setattr(threads, "_pools", lambda modules: [(found, 8)])
-    for name in threads.SETTINGS:
+    monkeypatch.setattr(threads, "_load_openblas_libraries", lambda modules: [(found, 8)])
+    for name in threads.THREAD_COUNT_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     return found
 
@@ -633,20 +638,20 @@ def test_one_thread_of_openblas(pool: Pool) -> None:
     with pytest.raises(InputError):
         solve(structure, 2)
     assert pool.told == [1, 8] * 2
-    with threads.alone(), threads.alone():
+    with threads.run_single_threaded(), threads.run_single_threaded():
         assert pool.threads == 1
     assert pool.told == [1, 8] * 3
 
 
-@pytest.mark.parametrize("name", threads.SETTINGS)
+@pytest.mark.parametrize("name", threads.THREAD_COUNT_VARIABLES)
 def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a variable, or by a number other than that with which OpenBLAS begins."""
     pool.threads = 3
-    with threads.alone():
+    with threads.run_single_threaded():
         assert pool.threads == 3
     pool.threads = 8
     monkeypatch.setenv(name, "8")
-    with threads.alone():
+    with threads.run_single_threaded():
         assert pool.threads == 8
     assert pool.told == []
 
@@ -663,7 +668,7 @@ from surroundings import main
 fc.prepare, fc.Scene
 
 def counted():
-    pools = threads._pools(len(sys.modules))
+    pools = threads._load_openblas_libraries(len(sys.modules))
     return len(pools), {pool("get_num_threads") == begin for pool, begin in pools}, {
         pool("get_num_threads") for pool, _ in pools}
 
@@ -686,7 +691,7 @@ from surroundings import main
 
 def counted(*_):
     import scipy.linalg
-    print({pool("get_num_threads") for pool, _ in threads._pools(-1)})
+    print({pool("get_num_threads") for pool, _ in threads._load_openblas_libraries(-1)})
 
 with patch("fenics_crack.cli.command_line._call_command", counted):
     main(["check", "demos/paper_plate.toml"])
@@ -703,7 +708,7 @@ import os, sys
 import fenics_crack as fc
 from fenics_crack.basics import threads
 study = fc.prepare(fc.Scene.load("demos/breathing_plate.toml"), whole=True)
-library, = threads._openmp(len(sys.modules))
+library, = threads._load_openmp_libraries(len(sys.modules))
 print(library.omp_get_max_active_levels() > 0)
 before = len(os.listdir("/proc/self/task"))
 fc.solve_modes(study.structure, 2)
@@ -724,7 +729,7 @@ def test_functions_can_be_pickled() -> None:
 
 def run(program: str, chosen: dict[str, str] | None = None) -> str:
     """What a program prints in a process of its own, with these settings of threads alone."""
-    settings = dict.fromkeys(threads.SETTINGS)
+    settings = dict.fromkeys(threads.THREAD_COUNT_VARIABLES)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT, cwd=ROOT,

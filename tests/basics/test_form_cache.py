@@ -18,7 +18,7 @@ from mpi4py import MPI
 from ranks import LIMIT, environment, is_running, launcher
 from surroundings import main
 
-from fenics_crack.basics.untrusted_files import sha256
+from fenics_crack.basics.untrusted_files import file_sha256
 from fenics_crack.fem import compat
 
 HANGS = "#!/bin/sh\necho $$ $PPID >{0}.new && mv {0}.new {0}\nexec sleep 3600\n"
@@ -185,10 +185,10 @@ def test_a_planted_library(tmp_path: Path, mode: int) -> None:
     planted = tmp_path / "planted.so"
     subprocess.run(["gcc", "-shared", "-o", planted, tmp_path / "planted.c"], check=True)
     for library in kept.rglob("*.so"):
-        digest = sha256(library)
+        digest = file_sha256(library)
         shutil.copy(planted, library)
         for record in kept.rglob("*.txt") if mode == 0o777 else ():
-            record.write_text(record.read_text().replace(digest, sha256(planted)))
+            record.write_text(record.read_text().replace(digest, file_sha256(planted)))
     kept.chmod(mode)
     done = subprocess.run(words, env=changes, timeout=LIMIT, capture_output=True, text=True)
     assert done.returncode == 0 and not (tmp_path / "RAN").exists()

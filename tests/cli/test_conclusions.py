@@ -14,7 +14,7 @@ from ranks import run_program
 from surroundings import RunCommand, main
 
 import fenics_crack as fc
-from fenics_crack.basics.tables import error_in_words
+from fenics_crack.basics.tables import format_error
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -173,7 +173,7 @@ def test_one_sentence_holds_the_answer(
     run = fc.load_run(tmp_path / "solution.h5")
     size, opening = (fc_quantity(rows[name]["value"]) for name in ("amplitude", "opening"))
     assert f"at 2000 rad/s the {run.watched_name} is {size} half peak-to-peak" in closing
-    error = error_in_words(run.stated.stated("opening")[0])
+    error = format_error(run.stated.stated("opening")[0])
     said = f"; the crack opens by {opening}, estimated error {error}, and is closed for "
     assert said in closing
     assert f"; {rows['verdict']['value']}; " in f"{closing}; "

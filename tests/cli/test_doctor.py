@@ -13,7 +13,7 @@ import pytest
 from ranks import LIMIT
 from surroundings import DEMOS, ROOT, main, no_rank
 
-from fenics_crack.basics.caches import settle_caches
+from fenics_crack.basics.caches import replace_unusable_caches
 from fenics_crack.cli import doctor
 
 
@@ -45,7 +45,7 @@ def open_cache(patch: pytest.MonkeyPatch, folder: Path) -> None:
     (folder / "fenics").chmod(0o777)
     patch.setenv("MPLCONFIGDIR", str(folder))
     patch.setenv("XDG_CACHE_HOME", str(folder))
-    settle_caches.cache_clear()
+    replace_unusable_caches.cache_clear()
 
 
 def without(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
@@ -61,7 +61,7 @@ BROKEN = {
     "no headers": ("compiler", replaced("sysconfig.get_path", lambda _: "/no"), "python3-dev"),
     "another MPI's mpirun": ("MPI", another_mpirun, "must be that of"),
     "two MPI libraries": (
-        "MPI", replaced("fenics_crack.cli.doctor.loaded_libraries", lambda _: ["/a", "/b"]), "one",
+        "MPI", replaced("fenics_crack.cli.doctor.list_loaded_libraries", lambda _: ["/a", "/b"]), "one",
     ),
     "complex PETSc": ("PETSc", replaced("petsc4py.PETSc.ScalarType", np.complex128), "float64"),
     "old NumPy": ("NumPy", replaced("numpy.__version__", "1.20.3"), "1.24 or newer"),

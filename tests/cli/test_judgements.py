@@ -554,8 +554,8 @@ def test_signs_of_life_say_how_far(
         if re.search(said, text):
             shown.set()
 
-    monkeypatch.setattr("fenics_crack.basics.progress.BEAT", 0.01)
-    monkeypatch.setattr("fenics_crack.basics.progress._reached", Held())
+    monkeypatch.setattr("fenics_crack.basics.progress.MESSAGE_INTERVAL", 0.01)
+    monkeypatch.setattr("fenics_crack.basics.progress._progress_functions", Held())
     wrap(monkeypatch, "fenics_crack.basics.progress.StageLines._write", write)
     settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]
     words = [command, str(PAPER), "--output", str(tmp_path), *(f"--set={x}" for x in settings)]

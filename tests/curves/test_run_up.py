@@ -13,8 +13,8 @@ from rotating import cracked
 
 import fenics_crack as fc
 from fenics_crack import InputError, Run, Scene
-from fenics_crack.basics.observables import SPECIAL
-from fenics_crack.basics.tables import RPM
+from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.cli.account import select_printed_quantities
 from fenics_crack.cli.results import tabulate_curve_points, tabulate_special_points
 from fenics_crack.curves.balance_equations import BalanceAlongSpeed
@@ -187,9 +187,13 @@ def test_run_up_in_the_scenes_unit(
 ) -> None:
     """Pictures, tables and words have rpm and Hz where the scene gives rpm, else rad/s; files have
     both; the picture names the frequency of the engine order."""
-    speeds = {"parameter": "rpm", "start": 560.0 / RPM, "stop": 640.0 / RPM} if in_rpm else CURVE
+    speeds = (
+        {"parameter": "rpm", "start": 560.0 / RAD_PER_S_PER_RPM, "stop": 640.0 / RAD_PER_S_PER_RPM}
+        if in_rpm
+        else CURVE
+    )
     run, unit = replace(run_up, scene=blade(speeds)), "rpm" if in_rpm else "rad/s"
-    factor, per_speed = (1.0 / RPM, 12.0 / 60.0) if in_rpm else (1.0, 12.0)
+    factor, per_speed = (1.0 / RAD_PER_S_PER_RPM, 12.0 / 60.0) if in_rpm else (1.0, 12.0)
     figure = fc.draw_curve(run.result, run.watched_dof, in_hertz=run.scene.in_hertz)
     [panel] = figure.axes
     assert panel.get_xlabel() == f"rotor speed [{unit}]"
@@ -203,10 +207,10 @@ def test_run_up_in_the_scenes_unit(
     whole = tabulate_special_points(run)
     first = dict(zip(whole.columns, whole.rows[0], strict=True))
     given = first["speed [rad/s]"], first["rpm"]
-    assert given == pytest.approx((560.0, 560.0 / RPM))
+    assert given == pytest.approx((560.0, 560.0 / RAD_PER_S_PER_RPM))
     assert first["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
     assert first["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
-    shown = select_printed_quantities(whole, run.scene, SPECIAL).columns[:3]
+    shown = select_printed_quantities(whole, run.scene, IN_SPECIAL_POINTS_TABLE).columns[:3]
     assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
     assert tabulate_curve_points(run).columns[:4] == whole.columns[1:5]

@@ -9,7 +9,7 @@ import gmsh
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.basics.gmsh_process import kept_interrupts
+from fenics_crack.basics.gmsh_process import keep_interrupt_handler
 from fenics_crack.disk.wheel import Wheel
 
 RING: dict[str, Any] = {
@@ -81,7 +81,7 @@ def write_plane(points: np.ndarray, cells: np.ndarray, path: Path) -> None:
     corners = cells.shape[1]
     edges = np.stack([cells, np.roll(cells, -1, axis=1)], axis=2).reshape(-1, 2)
     held = edges[inside[edges].all(axis=1)]
-    with kept_interrupts():
+    with keep_interrupt_handler():
         gmsh.initialize(readConfigFiles=False)
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.add("wheel")

@@ -23,9 +23,9 @@ from surroundings import RunCommand
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
-from fenics_crack.basics.caches import private_folder, settle_caches
-from fenics_crack.basics.untrusted_files import run_reader, sha256
-from fenics_crack.files.store import header, read
+from fenics_crack.basics.caches import check_private_folder, replace_unusable_caches
+from fenics_crack.basics.untrusted_files import file_sha256, run_reader
+from fenics_crack.files.store import read_header, read_result_file
 from fenics_crack.scene.tables import Sweep
 
 SCRIPT = 'SystemCall "touch PWNED";\n'
@@ -108,7 +108,7 @@ def test_a_result_runs_nothing(
         if how in ("polyglot", "no digest"):
             del file.attrs["meshes"]
         else:
-            file.attrs["meshes"] = sha256(evil) if "script" in how else "0" * 64
+            file.attrs["meshes"] = file_sha256(evil) if "script" in how else "0" * 64
     if how == "polyglot":
         with h5py.File(path) as old, h5py.File(home / "new", "w", userblock_size=512) as new:
             new.attrs.update(old.attrs)
@@ -304,8 +304,8 @@ def same(one: dict, other: dict) -> bool:
 def content_of(path: Path) -> dict[str, object]:
     """Return all that a file holds, by its names."""
     if path.name != "sweep.h5":
-        whole = read(path)
-        return whole.parts | whole.attributes
+        whole = read_result_file(path)
+        return whole.datasets | whole.attributes
     swept = SweepResult.load(path)
     return swept.columns | {f"gap {case}": swept.gap(case) for case in range(4)}
 
@@ -384,7 +384,7 @@ def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: 
     """It is not read, and the others stay; the state alone is known from the checksum."""
     path = home / "sweep.h5"
     shutil.copy(swept.path, path)
-    column = header(path).columns[name]
+    column = read_header(path).columns[name]
     content = bytearray(path.read_bytes())
     content[column.offset + column.size // 4] ^= 1  # the first byte of the second case
     path.write_bytes(content)
@@ -473,12 +473,12 @@ def test_a_home_that_takes_no_files(
     (tmp_path / "file").touch()
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv(lost, str(tmp_path / "file"))
-    settle_caches.__wrapped__()
+    replace_unusable_caches.__wrapped__()
     assert os.environ[lost] == str(temporary) and temporary.stat().st_mode & 0o777 == 0o700
     temporary.chmod(0o755)
     monkeypatch.setenv(lost, str(tmp_path / "file"))
     with pytest.raises(fc.InputError, match=lost):
-        settle_caches.__wrapped__()
+        replace_unusable_caches.__wrapped__()
 
 
 @pytest.mark.parametrize("place", ["cache", "cache/fenics", "parent", "link"])
@@ -498,7 +498,7 @@ def test_a_cache_that_others_can_write(
         (0o775, False),
     ):
         shared.chmod(mode)
-        settle_caches.__wrapped__()
+        replace_unusable_caches.__wrapped__()
         assert (os.environ["XDG_CACHE_HOME"] == str(cache)) == kept
         monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
     assert temporary.is_dir() and temporary.stat().st_mode & 0o777 == 0o700
@@ -514,7 +514,7 @@ def test_a_cache_of_another_user(
     for other in (cache, cache / "fenics"):
         os.chown(other, 1000, 1000)
         monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-        settle_caches.__wrapped__()
+        replace_unusable_caches.__wrapped__()
         assert os.environ["XDG_CACHE_HOME"] == str(temporary)
         os.chown(other, 0, 0)
 
@@ -522,11 +522,11 @@ def test_a_cache_of_another_user(
 def test_a_new_cache(tmp_path: Path, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is made when it is used, for this user alone, whatever others may do with new files."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "new" / "cache"))
-    settle_caches.__wrapped__()
+    replace_unusable_caches.__wrapped__()
     assert not temporary.exists() and not (tmp_path / "new").exists()
     before = os.umask(0)
     try:
-        private_folder(tmp_path / "new" / "cache")
+        check_private_folder(tmp_path / "new" / "cache")
     finally:
         os.umask(before)
     for folder in ("new", "new/cache"):

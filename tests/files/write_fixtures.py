@@ -67,9 +67,9 @@ def numbers(name: str, path: Path) -> dict[str, Any]:
         return {"length": growth.length[::50], "life": growth.life, "factor": growth.factor}
     if name in ("verification", "identify"):
         from fenics_crack.cli.kinds import restore_result
-        from fenics_crack.files.store import read
+        from fenics_crack.files.store import read_result_file
 
-        result: Any = restore_result(read(path))
+        result: Any = restore_result(read_result_file(path))
         if name == "identify":
             return {key: result.summary[key] for key in ("estimate", "log_bayes_factor")}
         return {"values": result.values, "stated": {q: result.stated(q)[0] for q in result.values}}

@@ -261,10 +261,11 @@ def test_a_killed_writer_leaves_the_whole_file(file: Path, tmp_path: Path) -> No
     path = Path(shutil.copy(file, tmp_path / "plate.h5"))
     program = (
         "import sys, fenics_crack as fc\n"
-        "from fenics_crack.files.store import read, write\n"
-        f"stored = read({str(file)!r})\n"
+        "from fenics_crack.files.store import read_result_file, write_result_file\n"
+        f"stored = read_result_file({str(file)!r})\n"
         "print('x', end='', flush=True)\n"
-        f"while True: write(stored.parts, {str(path)!r}, stored.kind, stored.scene())\n"
+        "while True:\n"
+        f"    write_result_file(stored.datasets, {str(path)!r}, stored.kind, stored.scene())\n"
     )
     writer = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
     assert writer.stdout is not None and writer.stdout.read(1)

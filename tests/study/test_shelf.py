@@ -21,7 +21,7 @@ from surroundings import DEMOS, RunCommand, main, no_rank
 from test_artefact import FORGERIES, PLATE, put_number, shortened
 
 import fenics_crack as fc
-from fenics_crack.files.store import read
+from fenics_crack.files.store import read_result_file
 from fenics_crack.scene.scene import known_keys
 from fenics_crack.study.sharing import LAST, SHELVES, parts_shared
 from fenics_crack.study.shelf import Shelf, key_of
@@ -338,4 +338,4 @@ def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
     SHELVES[0].keep(MPI.COMM_SELF)
     SHELVES.clear()
-    assert "coarser_structure" not in read(tmp_path / "prepared.h5").parts
+    assert "coarser_structure" not in read_result_file(tmp_path / "prepared.h5").datasets

@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
-from fenics_crack.basics.progress import begin
+from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import MPI, StopRequest, on_root
-from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.files.store import scene_text
 from fenics_crack.monitoring.identification.interpolation import MESH_AXIS, Loads, Part
 from fenics_crack.monitoring.identification.measurements import (
@@ -123,13 +123,13 @@ def identify(
     further = [load for row in rows if row.natural and (load := row.load(scene))]
     whole = _whole(scene, comm)
     others = any(not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown)
-    known = (scene.excitation.omega / TURN, *scene.identify.frequencies)
+    known = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
     whole.check(measurements, [load for load in known if load > 0.0], other=others)
     closer: list[Axis] = []
     while True:
         more: dict[str, Any] = {"further": further, "whole": whole, "closer": closer}
         forward = solve_forward(scene, shaken, Path(folder), comm, progress=progress, **more)
-        begin("inference")
+        begin_stage("inference")
         identification = infer(forward, measurements)
         if (worst := _interpolated(identification)) is None:
             return identification
@@ -284,7 +284,7 @@ def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     """The plate of a scene without its crack, on every rank (collective)."""
     table = scene.given("identify")
     plain = scene.replace(dict.fromkeys(IRRELEVANT) | (without_crack(scene) or {}))
-    begin("plate without its crack")
+    begin_stage("plate without its crack")
     return on_root(comm, lambda: Whole(plain, table))
 
 
@@ -344,7 +344,7 @@ def solve_forward(
             sweep = run_sweep(
                 swept, path, comm, progress=progress, verdicts=False, judged=False, natural=alone
             )
-        if stop.asked(comm):
+        if stop.is_requested(comm):
             raise StoppedError("identification was stopped; the same command goes on with it")
         return sweep
 

@@ -43,7 +43,7 @@ from scipy.interpolate import RBFInterpolator, make_interp_spline
 from scipy.spatial.distance import cdist
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import TURN
+from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import Axis
@@ -239,7 +239,7 @@ class Loads:
         """Take frequencies [Hz]; the scene's own where it follows the rotor, or there is no
         other."""
         order, others = scene.excitation.order, sorted(set(frequencies))
-        own = float(f"{scene.excitation.omega / TURN:.9g}")  # as that of arrivals
+        own = float(f"{scene.excitation.omega / RAD_PER_TURN:.9g}")  # as that of arrivals
         if order is None:
             self.frequencies = tuple(others) or (own,)
             self.axis = Axis("excitation.frequency", self.frequencies)

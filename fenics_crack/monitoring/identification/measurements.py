@@ -15,16 +15,16 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.basics.errors import (
-    FEW_MODES,
+    N_LOWEST_MODES,
     InputError,
     check_choice,
     check_count,
     check_number,
-    reading,
+    report_read_errors,
 )
-from fenics_crack.basics.suggestions import checked_call, fitting_argument
-from fenics_crack.basics.tables import RPM, TURN, Tabular, counted
-from fenics_crack.basics.untrusted_files import heading_in_si, table_rows
+from fenics_crack.basics.suggestions import check_calls, fit_argument
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
+from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_csv_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
 from fenics_crack.scene.fields import (
     MAX_ALLOWED_MAGNITUDE,
@@ -110,16 +110,16 @@ class Measurement:
         check_choice("measurements.quantity", self.quantity, kinds)
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
-        check_number("measurements.deviation", self.deviation, 0.0, above=True)
+        check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
         if self.natural:
-            if not (isinstance(self.mode, Integral) and 1 <= self.mode <= FEW_MODES):
-                allowed = f"a whole number from 1 to {FEW_MODES} with {self.quantity}"
+            if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
+                allowed = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed)
         else:
-            check_number("measurements.frequency", self.frequency, 0.0, above=True)
+            check_number("measurements.frequency", self.frequency, 0.0, excludes_bound=True)
         if at_probe:
             check_number("measurements.phase", self.phase)
-            if abs(self.phase) > 2.0 * TURN:  # a period that may begin elsewhere
+            if abs(self.phase) > 2.0 * RAD_PER_TURN:  # a period that may begin elsewhere
                 allowed = f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
                 raise InputError("measurements.phase", self.phase, allowed)
         if not math.isnan(self.rpm):
@@ -181,7 +181,7 @@ class Measurement:
             return float(self.frequency)
         if math.isnan(self.rpm):
             return 0.0
-        own = scene.excitation.omega / TURN
+        own = scene.excitation.omega / RAD_PER_TURN
         # At rest the load of a thousandth of the speed, which adds a millionth of its stiffening.
         found = max(scene.excitation.given("order") * self.rpm / 60.0, 1e-3 * own)
         return 0.0 if f"{found:.9g}" == f"{own:.9g}" else float(f"{found:.9g}")
@@ -217,7 +217,7 @@ class Measurements(Tabular):
     rows: tuple[Measurement, ...]
 
     def __post_init__(self) -> None:
-        fitting_argument("measurements", self.rows, "Iterable", ())
+        fit_argument("measurements", self.rows, "Iterable", ())
         object.__setattr__(self, "rows", tuple(self.rows))
         if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
             raise InputError("measurements", list(self.rows), "one Measurement or more")
@@ -243,7 +243,7 @@ class Measurements(Tabular):
         InputError
             A value cannot be used, or the lengths differ.
         """
-        fitting_argument("values", values, "Iterable", ())
+        fit_argument("values", values, "Iterable", ())
         count = len(values)
         columns = {"value": values, **where}
         several = isinstance(deviations, Iterable)
@@ -300,7 +300,7 @@ class Measurements(Tabular):
 
         check_count("order", order, 1)
         if noise is not None:
-            check_number("noise", noise, 0.0, above=True)
+            check_number("noise", noise, 0.0, excludes_bound=True)
         if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
         arrivals.check_places(angle_deviation)
@@ -316,16 +316,18 @@ class Measurements(Tabular):
         elif means.scatter <= arrivals.rounding:
             raise InputError("noise", None, "given where passages have no scatter")
         elif np.isnan(larger := student(means.within)):
-            found = counted(int(count.sum()), "arrival")
-            allowed = f"given for {found} at {counted(len(count), 'probe')}, too few to estimate it"
+            found = format_count(int(count.sum()), "arrival")
+            allowed = (
+                f"given for {found} at {format_count(len(count), 'probe')}, too few to estimate it"
+            )
             raise InputError("noise", None, allowed)
         else:
             own = np.diag(means.covariance) - places**2
             deviations = np.sqrt(larger * own + places**2)
         # Rounded, for one sweep to serve all arrivals at a speed.
-        frequency = float(f"{order * speed / TURN:.9g}")
+        frequency = float(f"{order * speed / RAD_PER_TURN:.9g}")
         values = -means.values if against else means.values
-        where: dict[str, Any] = {"phase": (order * means.angle % TURN).tolist()}
+        where: dict[str, Any] = {"phase": (order * means.angle % RAD_PER_TURN).tolist()}
         where |= {"frequency": [frequency] * len(count), "point": [point] * len(count)}
         return cls.from_arrays("displacement", values.tolist(), deviations.tolist(), **where)
 
@@ -359,8 +361,8 @@ class Measurements(Tabular):
             raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
         used = [one for one in zip(passages, modes, strict=True) if one[1]]
         values = [fit.frequency for fit, _ in used]
-        deviations = [fit.deviation / TURN for fit, _ in used]
-        rpm = [float(f"{fit.speed / RPM:.7g}") for fit, _ in used]
+        deviations = [fit.deviation / RAD_PER_TURN for fit, _ in used]
+        rpm = [float(f"{fit.speed / RAD_PER_S_PER_RPM:.7g}") for fit, _ in used]
         where: dict[str, Any] = {"mode": [mode for _, mode in used], "rpm": rpm}
         return cls.from_arrays(quantity, values, deviations, **where)
 
@@ -405,19 +407,19 @@ class Measurements(Tabular):
         """
         from fenics_crack.monitoring.identification.responses import read_responses, resonances
 
-        with reading("measurements", path, "a universal file with frequency responses"):
+        with report_read_errors("measurements", path, "a universal file with frequency responses"):
             responses = read_responses(Path(path))
-        found = resonances(responses)[: FEW_MODES if not modes else None]
+        found = resonances(responses)[: N_LOWEST_MODES if not modes else None]
         numbers = list(modes) or list(range(1, len(found) + 1))
         if len(numbers) != len(found):
             shown = ", ".join(f"{one:.6g}" for one in found[:, 0])
-            allowed = f"{counted(len(found), 'number')}, of the modes at {shown} Hz"
+            allowed = f"{format_count(len(found), 'number')}, of the modes at {shown} Hz"
             raise InputError("modes", list(modes), allowed)
         values, deviations = found[:, 0].tolist(), found[:, 1].tolist()
         return cls.from_arrays(quantity, values, deviations, mode=numbers)
 
     @classmethod
-    @checked_call
+    @check_calls
     def read(cls, path: str | Path, modes: Sequence[int] = ()) -> Measurements:
         """Read a universal file (.uff, .unv; :meth:`from_responses`) or a table
         (:meth:`from_csv`)."""
@@ -463,11 +465,13 @@ def without_crack(scene: Scene) -> dict[str, Any] | None:
 
 def _table(path: str | Path) -> list[Measurement]:
     """Measurements of a CSV file; raises InputError."""
-    with reading("measurements", path, "a CSV file"):
-        (_, headings), *table = table_rows(path) or [(0, [])]
+    with report_read_errors("measurements", path, "a CSV file"):
+        (_, headings), *table = read_csv_rows(path) or [(0, [])]
     table = table[: OPTIONS.most_measurements + 1]  # enough to be too many
     # Those of a value depend on the quantity.
-    scaled = [(cell, 1.0) if cell.startswith(NEEDED) else heading_in_si(cell) for cell in headings]
+    scaled = [
+        (cell, 1.0) if cell.startswith(NEEDED) else convert_heading_to_si(cell) for cell in headings
+    ]
     names = [cell.partition("[")[0].strip() for cell, _ in scaled]
     known = (*NEEDED, *OPTIONAL)
     if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from fenics_crack.basics.errors import FEW_MODES, MOST_HARMONICS
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_LOWEST_MODES
 from fenics_crack.monitoring.identification.interpolation import (
     RESONANCE_STATES,
     Feature,
@@ -223,7 +223,7 @@ class Model:
         kinds = ["frequency_open", "frequency_tied", "frequency_resonance"]
         if self.coarse.bare is not None:
             kinds.append("frequency_uncracked")
-        rows = [Measurement(k, 1.0, 1.0, mode + 1) for k in kinds for mode in range(FEW_MODES)]
+        rows = [Measurement(k, 1.0, 1.0, mode + 1) for k in kinds for mode in range(N_LOWEST_MODES)]
         loads, ratios = self.coarse.loads.frequencies, ("ratio_2_1", "ratio_3_1")
         seen = ["", *self.coarse.sweep.scene.point_names]
         for load, point, ratio in itertools.product(loads, seen, ratios):
@@ -488,7 +488,7 @@ class Quantities:
         """
         kept, highest = self.model.coarse.harmonics(first.frequency), self._highest
         kept = min(kept, squares.shape[1])
-        last = min(max(2 * kept, math.ceil(highest / first.frequency)), MOST_HARMONICS)
+        last = min(max(2 * kept, math.ceil(highest / first.frequency)), MAX_HARMONIC_ORDER)
         every = [replace(first, order=order) for order in range(1, last + 1)]
         soft = np.nan_to_num(basis[..., MODE_NUMBERS], nan=np.inf) ** -4.0
         moved = np.sum(soft / np.abs(poles(every, damping, basis)[1]) ** 2, axis=2)
@@ -513,7 +513,7 @@ class Quantities:
             turned = np.where(np.abs(waves) > 0.0, np.conj(waves) / np.abs(waves), 1.0) / scale
         turned = np.where(natural, sizes / scale, turned)
         values, rest = np.zeros((2, len(waves), len(self.rows)))
-        common = np.zeros((*values.shape, 1 + FEW_MODES))
+        common = np.zeros((*values.shape, 1 + N_LOWEST_MODES))
         turns = np.zeros((*values.shape, len(self._features)), dtype=complex)
         table, off = self.model.table, self.model.table.resonance_deviation
         for place, (row, at) in enumerate(zip(self.rows, self._places, strict=True)):

@@ -47,9 +47,9 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import eigh
 
-from fenics_crack.basics.errors import FEW_MODES, InputError
+from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
 from fenics_crack.basics.ranks import MPI
-from fenics_crack.basics.tables import RPM, TURN
+from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.fem.loads import rigid_motions
 from fenics_crack.model.modes import Modes, multiply, solve_modes
 from fenics_crack.monitoring.identification.interpolation import Feature, driving, poles, turned
@@ -101,13 +101,13 @@ class Whole:
     @cached_property
     def frequencies(self) -> np.ndarray:
         """Natural frequencies, with a bonded crack where it cannot be removed: (n,) [Hz]."""
-        return self.modes_at(1.0)[0] / TURN
+        return self.modes_at(1.0)[0] / RAD_PER_TURN
 
     def modes_at(self, faster: float, stiffer: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Natural frequencies (n,) [rad/s] and modes (r, n) at a speed over the rotor's, with a
         Young's modulus over the scene's."""
         squares, modes = eigh(stiffer * self.stiffness[0] + faster**2 * self.stiffness[1])
-        count = min(FEW_MODES, len(squares))
+        count = min(N_LOWEST_MODES, len(squares))
         return np.sqrt(np.maximum(squares[:count], 0.0)), modes[:, :count]
 
     def elastic_at(self, faster: float) -> np.ndarray:
@@ -245,8 +245,10 @@ class Whole:
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.frequencies)]
-        speeds = [1.0 if np.isnan(row.rpm) else RPM * row.rpm / self.speed for row in rows]
-        known = [self.modes_at(faster)[0] / TURN for faster in speeds]
+        speeds = [
+            1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.speed for row in rows
+        ]
+        known = [self.modes_at(faster)[0] / RAD_PER_TURN for faster in speeds]
         pairs = zip(rows, known, strict=True)
         units = [_unit(row.value / there[row.mode - 1]) for row, there in pairs]
         for unit in FACTORS:
@@ -335,7 +337,7 @@ class Since:
 
 def _modes(scene: Scene) -> Modes:
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
-    few = min(FEW_MODES, structure.n_dofs - structure.n_pairs)
+    few = min(N_LOWEST_MODES, structure.n_dofs - structure.n_pairs)
     return solve_modes(structure, few, lips="tied" if structure.n_pairs else "open")
 
 

@@ -11,9 +11,9 @@ from typing import Any, ClassVar
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Said, Table
-from fenics_crack.basics.untrusted_files import content_of
-from fenics_crack.files.store import IDENTIFICATION, Stored
+from fenics_crack.basics.tables import Conclusion, Table
+from fenics_crack.basics.untrusted_files import read_regular_file
+from fenics_crack.files.store import IDENTIFICATION_KIND, StoredFile
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
@@ -25,7 +25,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 class Identified:
     """Result of ``identify`` and the files that it has written."""
 
-    KIND: ClassVar[str] = IDENTIFICATION
+    KIND: ClassVar[str] = IDENTIFICATION_KIND
     scene: Scene
     summary: Mapping[str, Any]
     """Contents of ``identify.json``."""
@@ -33,10 +33,10 @@ class Identified:
     """Picture of the posterior, a PNG file and no link."""
 
     @classmethod
-    def of(cls, stored: Stored) -> Identified:
+    def of(cls, stored: StoredFile) -> Identified:
         """By its file and the picture beside it."""
         picture = stored.path.with_name("posterior.png")
-        with stored.taken() as parts:
+        with stored.checked_datasets() as parts:
             scene, summary = stored.scene(), json.loads(parts["summary"])
             if scene is None:
                 raise LookupError("scene")
@@ -44,7 +44,7 @@ class Identified:
                 raise LookupError("priors")
         drawn = b""
         with suppress(OSError):
-            drawn = content_of(picture, links=False)
+            drawn = read_regular_file(picture, follows_links=False)
         if not drawn.startswith(PNG):
             raise InputError("result", str(stored.path), f"with {picture.name} in its folder")
         return cls(scene, summary, picture)
@@ -71,10 +71,12 @@ def report_of_identification(found: Identified) -> Report:
     )
     return Report(
         table,
-        Said(values.get("conclusion", values["verdict"]), others=[*places, values["reason"]]),
+        Conclusion(
+            values.get("conclusion", values["verdict"]), further_clauses=[*places, values["reason"]]
+        ),
         notes=[f"priors: {priors}", *(f"next to measure: {one}" for one in values["advice"])],
         warnings=values["warnings"],
-        tables={
+        page_tables={
             "Unknowns": table,
             "Measurements and predictions of the estimate": Table(FITTED, values["measurements"]),
         },

@@ -31,8 +31,8 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.tables import TURN
-from fenics_crack.basics.untrusted_files import MOST_BYTES, content_of
+from fenics_crack.basics.tables import RAD_PER_TURN
+from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, read_regular_file
 
 BORDER = b"-1"
 COMPLEX = {5: "f4", 6: "f8"}
@@ -69,7 +69,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
         The file cannot be read, contradicts itself, or has none.
     """
     responses = []
-    for heading, numbers, order in _functions(BytesIO(content_of(path, MOST_BYTES))):
+    for heading, numbers, order in _functions(BytesIO(read_regular_file(path, MAX_FILE_BYTES))):
         lines = [line.decode("latin-1") for line in heading]
         if int(lines[6][:5]) == 4:  # frequency response functions
             responses.append(_response(lines, numbers, order))
@@ -158,7 +158,7 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     if any(not np.array_equal(response.frequency, lines) for response in responses):
         raise InputError("responses", "of different frequencies", "all at the same frequencies")
     kept = lines > 0.0
-    omega = TURN * lines[kept]
+    omega = RAD_PER_TURN * lines[kept]
     values = np.stack(
         [response.values[kept] / (1j * omega) ** response.derived for response in responses]
     )
@@ -176,7 +176,7 @@ def resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         frequency, error, damping = wide
         error = float(np.hypot(error, frequency - half[0]))
         # Peaks of noise do not give a frequency to a tenth of the width.
-        width, off = damping * frequency, abs(frequency - omega[peak] / TURN)
+        width, off = damping * frequency, abs(frequency - omega[peak] / RAD_PER_TURN)
         if error < 0.1 * width and off < width:
             found.append((frequency, error, damping))
     if not found:
@@ -214,6 +214,6 @@ def _fitted(
         return None
     left = wanted - stacked @ found
     variance = left @ left / (len(wanted) - len(found)) * np.linalg.inv(stacked.T @ stacked)[0, 0]
-    frequency = omega[peak] / TURN * np.sqrt(found[0])
+    frequency = omega[peak] / RAD_PER_TURN * np.sqrt(found[0])
     error = 0.5 * frequency / found[0] * np.sqrt(variance)
     return float(frequency), float(error), float(0.5 * found[1] / np.sqrt(found[0]))

@@ -24,10 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.atomic_files import write_whole
+from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError, check_number
-from fenics_crack.basics.tables import Table, Tabular, counted
-from fenics_crack.files.store import IDENTIFICATION, write
+from fenics_crack.basics.tables import Table, Tabular, format_count
+from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.monitoring.identification.model import Model, Passages, Quantities
 from fenics_crack.monitoring.identification.nuisance import OF_SIZE
@@ -106,7 +106,7 @@ def worth_of(
     """
     names = ("frequency_deviation", "harmonic_deviation")
     for name, deviation in zip(names, deviations, strict=True):
-        check_number(name, deviation, 0.0, above=True)
+        check_number(name, deviation, 0.0, excludes_bound=True)
     model, made = likelihood.quantities.model, likelihood.quantities.rows
     rows = tuple(measurements or ())
     for row in rows:
@@ -423,8 +423,8 @@ class Identification(Tabular):
                 parts[f"{key}_{number}"] = axis
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         parts["summary"] = text
-        write(parts, Path(folder) / "identify.h5", IDENTIFICATION, self.scene)
-        write_whole(Path(folder) / "identify.json", text + "\n")
+        write_result_file(parts, Path(folder) / "identify.h5", IDENTIFICATION_KIND, self.scene)
+        write_file_whole(Path(folder) / "identify.json", text + "\n")
 
     # --- shown ------------------------------------------------------------------------------------
 
@@ -562,7 +562,7 @@ def _if_alone(found: Identification) -> str:
     modes = {row.mode for row in rows if row.quantity != "frequency_uncracked"}
     if not all(row.natural for row in rows) or len(modes) > 2 * numbers:
         return ""
-    same = f"may have the same frequencies of {counted(len(modes), 'mode')}"
+    same = f"may have the same frequencies of {format_count(len(modes), 'mode')}"
     return f"; place and size are those of one crack: two of them, or one elsewhere, {same}"
 
 

@@ -190,7 +190,7 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     least = f"no crack above {longest} of crack length"
     assert sound.conclusion == least and f"({least} (" in repr(sound) and "mm," not in repr(sound)
     assert "±" not in repr(sound) and sound.intervals["crack.length"][1] > 4e-3
-    closing = report_of_identification(Identified(scene, sound.summary(), folder)).closing
+    closing = report_of_identification(Identified(scene, sound.summary(), folder)).closing_sentence
     assert sound.summary()["conclusion"] == least and closing.startswith(f"{least}; log")
 
 
