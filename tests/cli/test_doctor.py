@@ -61,7 +61,9 @@ BROKEN = {
     "no headers": ("compiler", replaced("sysconfig.get_path", lambda _: "/no"), "python3-dev"),
     "another MPI's mpirun": ("MPI", another_mpirun, "must be that of"),
     "two MPI libraries": (
-        "MPI", replaced("fenics_crack.cli.doctor.list_loaded_libraries", lambda _: ["/a", "/b"]), "one",
+        "MPI",
+        replaced("fenics_crack.cli.doctor.list_loaded_libraries", lambda _: ["/a", "/b"]),
+        "one",
     ),
     "complex PETSc": ("PETSc", replaced("petsc4py.PETSc.ScalarType", np.complex128), "float64"),
     "old NumPy": ("NumPy", replaced("numpy.__version__", "1.20.3"), "1.24 or newer"),
