@@ -263,23 +263,23 @@ def _command(
     from fenics_crack.basics.ranks import on_root
     from fenics_crack.cli.given import STRUCTURE_FILE, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
-    from fenics_crack.study.sharing import SHELVES
+    from fenics_crack.study.sharing import STRUCTURE_FILES
 
     assert console is not None
     if given.command not in ("check", "clean"):
         make_writable(inputs.folder, console.comm)
     if (fresh := vars(given).get("fresh")) is not None and inputs.prepared is None:
-        from fenics_crack.study.shelf import Shelf
+        from fenics_crack.study.shelf import StructureFile
 
         path = inputs.folder / STRUCTURE_FILE
         is_read = on_root(console.comm, lambda: path.is_file() and not path.is_symlink())
-        SHELVES[:] = [Shelf(path, console.note, is_read=is_read and not fresh)]
+        STRUCTURE_FILES[:] = [StructureFile(path, console.note, is_read=is_read and not fresh)]
     if given.command != "clean":  # before the mesh, which may take minutes
         console.remark(*remarks_on_scene(inputs.scene))
     try:
         return command(given, inputs, console)
     finally:
-        SHELVES.clear()
+        STRUCTURE_FILES.clear()
 
 
 # --- arguments ------------------------------------------------------------------------------------

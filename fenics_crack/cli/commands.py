@@ -20,7 +20,7 @@ from fenics_crack.cli.given import STRUCTURE_FILE, Console, Inputs, command, kee
 from fenics_crack.cli.kinds import KINDS, draw, report_of
 from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.sharing import SHELVES
+from fenics_crack.study.sharing import STRUCTURE_FILES
 
 if TYPE_CHECKING:
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
@@ -77,8 +77,8 @@ def tell(
     their kind is given, under a path without its ending; print what there is to say. Returns how
     that ended."""
     replaced = ""
-    for shelf in SHELVES:
-        shelf.keep(console.comm)
+    for structure_file in STRUCTURE_FILES:
+        structure_file.write_structure(console.comm)
     if result is not None:
         replaced = keep_before(Path(f"{path}.json"), report.table.formatted("json"), console.comm)
     with together() as files:

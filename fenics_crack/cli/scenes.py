@@ -39,7 +39,7 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.resonance import resonance_of
-from fenics_crack.study.sharing import SHELVES
+from fenics_crack.study.sharing import STRUCTURE_FILES
 from fenics_crack.study.solve import modes_chosen
 
 
@@ -94,8 +94,8 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
     remark = _remark_on_whole(scene, whole, highest_omega(scene))
     remarks = remarks_on_scene(study.scene, whole, figures)
-    for shelf in SHELVES:
-        shelf.keep(console.comm)
+    for structure_file in STRUCTURE_FILES:
+        structure_file.write_structure(console.comm)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.remark(*remarks)

@@ -55,7 +55,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
 from fenics_crack.study.prepare import REFUSALS, law_of
 from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
-from fenics_crack.study.sharing import assembled
+from fenics_crack.study.sharing import assemble_or_reuse
 
 HELD = (*FREQUENCY_KINDS[:2], "partly")
 """Kinds of frequencies of a crack that its resonance does not change."""
@@ -367,7 +367,7 @@ def campbell(
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
     asked = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
-    top = assembled(scene, comm)
+    top = assemble_or_reuse(scene, comm)
     most = count_bonded_modes(top)
     if count is not None and count > most:
         raise InputError("count", count, f"a whole number from 1 to {most}")

@@ -20,7 +20,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import extents
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.sharing import kept
+from fenics_crack.study.sharing import coarser_structure_cache
 
 
 def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
@@ -32,7 +32,7 @@ def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
     scene = study.scene
     with within("a coarser mesh"):
         whole = structure.whole is structure
-        last = structure.whole.compute_once(kept, from_matrices=True)
+        last = structure.whole.compute_once(coarser_structure_cache, from_matrices=True)
         twin = prepare(coarse, structure.comm, whole=whole, judged=False, last=last)
     counts = n_elements(structure), n_elements(twin.structure)
     if not counts[1] < counts[0]:

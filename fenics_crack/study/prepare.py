@@ -33,7 +33,7 @@ from fenics_crack.model.rotation import N_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
-from fenics_crack.study.sharing import LAST, Made, assembled
+from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse
 
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
@@ -100,7 +100,7 @@ def prepare(
     whole: bool = False,
     like: Study | None = None,
     judged: bool = True,
-    last: list[Made] = LAST,
+    last: list[SharedStructure] = LAST_STRUCTURES,
 ) -> Study:
     """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
 
@@ -143,7 +143,7 @@ def prepare(
 
         scene = with_crack_length(scene, comm)
     known = None if like is None else _at_another_speed(scene, like)
-    structure = assembled(scene, comm, last) if known is None else known
+    structure = assemble_or_reuse(scene, comm, last) if known is None else known
     structure = structure.with_tangents() if scene.has_friction else structure
     watched = _watched_dofs(scene, structure)
     if watched[0].name:
