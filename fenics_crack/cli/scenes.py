@@ -33,10 +33,10 @@ from fenics_crack.study.plausibility import (
 )
 from fenics_crack.study.prepare import (
     Study,
-    check_memory_of,
-    give_back_freed,
+    estimate_checked_memory,
     prepare,
     reduction_of,
+    release_freed_memory,
 )
 from fenics_crack.study.resonance import resonance_of
 from fenics_crack.study.sharing import STRUCTURE_FILES
@@ -55,8 +55,8 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
     run_up = scene.curve is not None and scene.curve.followed[0] == "speed"
-    give_back_freed()
-    memory = check_memory_of(scene, whole, run_up=run_up)
+    release_freed_memory()
+    memory = estimate_checked_memory(scene, whole, is_run_up=run_up)
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
     with console.stage("resonance at the load"):
@@ -244,7 +244,7 @@ def _reduction(study: Study) -> str:
     reduction, few = reduction_of(scene, study.structure), modes_chosen(study)
     if reduction is None:
         return "none"
-    modes = counted(reduction.modes, "mode")
+    modes = counted(reduction.n_modes, "mode")
     if few:
         modes = f"{counted(few[0], 'mode')} or more, for an error of "
         modes += f"{scene.harmonic_balance.tolerance:g}"

@@ -97,7 +97,7 @@ from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.meshes import coarser
 from fenics_crack.study.observer import errors_along_fronts, rows_requested
-from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
 
 STATED_CAUSES = (*REDUCTION_CAUSES, "friction")
@@ -253,7 +253,7 @@ def stated_errors(
         return errors.with_unknown("harmonics", not_estimated(answer.report))
     try:
         wave = solve_again(study, answer.omega, answer.harmonics, answer)
-    except REFUSALS as error:
+    except REFUSAL_EXCEPTIONS as error:
         if answer.orbit is None:
             reason = reason_of_failure("harmonic balance from it", error)
             return errors.with_unknown("harmonics", reason)
@@ -405,7 +405,9 @@ class StatedCase(Case):
         if len(structure.omega) <= MESH_MODES:
             return self
         scene = scene.replace({scene.modes_key: MESH_MODES})
-        study = reduced(replace(study, scene=scene, structure=structure.whole), judged=False)
+        study = reduce_study(
+            replace(study, scene=scene, structure=structure.whole), with_reference=False
+        )
         start = self.wave if structure.light_lips else None  # else it has other coordinates
         wave = solve_again(study, self.wave.omega, self.wave.harmonics, start)
         numbers = numbers_of(study, wave, self.numbers.mode)

@@ -34,7 +34,13 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import finer_mesh, is_even, n_elements
-from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    prepare,
+    reduce_study,
+    reduction_of,
+)
 from fenics_crack.study.solve import Solved, solve_prepared
 
 REFINEMENT_FACTORS = (1, 2, 4)
@@ -119,10 +125,10 @@ def _settled_scene(run: Solved) -> Scene:
     if scene.disk is not None:
         return scene.replace(changes)
     reduction = reduction_of(scene, whole_structure)
-    if reduction is None or reduction.modes >= whole_structure.n_dofs:
+    if reduction is None or reduction.n_modes >= whole_structure.n_dofs:
         changes |= {"reduction.method": "off", "reduction.modes": None}
     else:
-        changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.modes}
+        changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.n_modes}
     return scene.replace(changes)
 
 
@@ -134,7 +140,7 @@ def _kept_modes(study: Study) -> tuple[int, int] | str:
     if reduction is None:
         return "the structure is not reduced"
     max_modes = study.structure.n_dofs - study.structure.n_pairs
-    return "all are kept" if reduction.modes >= max_modes else (reduction.modes, max_modes)
+    return "all are kept" if reduction.n_modes >= max_modes else (reduction.n_modes, max_modes)
 
 
 @dataclass(frozen=True)
@@ -190,7 +196,7 @@ class _VerifiedCase(Case):
             with within(name):
                 try:
                     run = self._run(scene, shared_study)
-                except REFUSALS as error:
+                except REFUSAL_EXCEPTIONS as error:
                     self.failures.append(f"{name}: {error}")
                     continue
             level = finer_count or n_elements(run.structure), self._run_values(run, cause)
@@ -213,7 +219,7 @@ class _VerifiedCase(Case):
         study, mode = self.study, self.numbers.mode
         initial, omega = self.answer if shared_study is study else None, self.answer.omega
         if shared_study is not None:
-            finer_study = reduced(replace(shared_study, scene=scene), judged=False)
+            finer_study = reduce_study(replace(shared_study, scene=scene), with_reference=False)
         else:
             finer_study = prepare(scene, study.structure.comm, judged=False)
             omega *= bilinear_of(finer_study.structure, mode) / bilinear_of(study.structure, mode)

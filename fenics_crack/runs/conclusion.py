@@ -33,7 +33,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
-from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study
 from fenics_crack.time.march import TimeHistory
 
 
@@ -61,7 +61,7 @@ class Answer(Study):
         """Remarks on the scene and its structure, those of ``fenics-crack check`` (collective)."""
         try:
             figures = find_key_figures(self)
-        except REFUSALS:  # figures that cannot be found are no reason to lose the result
+        except REFUSAL_EXCEPTIONS:  # figures that cannot be found are no reason to lose the result
             figures = None
         return tuple(remarks_on_scene(self.scene, self.structure.whole, figures))
 

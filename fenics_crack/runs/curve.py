@@ -25,7 +25,12 @@ from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import rows_requested
-from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, reduction_of
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    estimate_checked_memory,
+    reduction_of,
+)
 from fenics_crack.study.solve import (
     MOST_OF_MANY,
     modes_chosen,
@@ -154,7 +159,7 @@ def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     if scene.reduction is not None:
         requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
-    check_memory_of(scene, unreduced_study.structure, run_up=True)
+    estimate_checked_memory(scene, unreduced_study.structure, is_run_up=True)
     if modes_chosen(unreduced_study):
         order = scene.excitation.omega / scene.speed
         studies = with_more_modes(unreduced_study, MOST_OF_MANY)
@@ -162,7 +167,7 @@ def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
         unreduced_study = replace(unreduced_study, scene=study.scene)
     reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
     default_modes = min(DEFAULT_LARGE_MODES, unreduced_study.structure.n_dofs)
-    n_modes = default_modes if reduction is None else reduction.modes
+    n_modes = default_modes if reduction is None else reduction.n_modes
     structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)
     yield replace(unreduced_study, structure=structure.at_speed(start))
 
@@ -181,7 +186,7 @@ def _first_with_enough_modes(
         omega = _first_resonance(study, start, stop)
         problem = Problem(study.structure, omega, law, balance.harmonics)
         error = 0.0
-        with suppress(*REFUSALS):  # the curve itself will tell
+        with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will tell
             error = error_by_modes(study, solve_beside(problem, None, balance.tolerance))
         if error <= balance.given("tolerance") or error == math.inf:
             break

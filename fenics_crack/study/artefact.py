@@ -44,7 +44,7 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import coarser, coarser_scene
-from fenics_crack.study.prepare import Study, prepare, reduced
+from fenics_crack.study.prepare import Study, prepare, reduce_study
 from fenics_crack.study.sharing import (
     SharedStructure,
     coarser_structure_cache,
@@ -318,7 +318,7 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     mode_counts = modes_chosen(prepared, MOST_OF_MANY)
     if mode_counts:
         prepared = replace(reduced_to(prepared, mode_counts[-1]), scene=prepared.scene)
-    prepared = reduced(prepared)
+    prepared = reduce_study(prepared)
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
         table_name = "disk" if scene.disk is not None else "rotation"

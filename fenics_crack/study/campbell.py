@@ -53,7 +53,7 @@ from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, s
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
-from fenics_crack.study.prepare import REFUSALS, law_of
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
 from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
 from fenics_crack.study.sharing import assemble_or_reuse
 
@@ -404,7 +404,7 @@ def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
     scene, order, law = (
         found.scene,
         found.scene.excitation.order,
-        law_of(found.scene, small.structure),
+        scene_contact_law(found.scene, small.structure),
     )
     if order is None or law is None:
         return ()
@@ -413,7 +413,7 @@ def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
     def find_resonance(speed: float) -> AtLoad:
         try:
             return at_load(scene, law, RunUpStructure(many, speed), order * speed, "speed")
-        except REFUSALS as error:
+        except REFUSAL_EXCEPTIONS as error:
             return AtLoad(unknown=str(error))
 
     crossings = found.crossings(order, "real").tolist()

@@ -195,7 +195,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         closed=int(closed.sum()),
         breathes=breathes,
         modes_below=_modes_below(whole, many, highest_omega(scene)) if whole.n_pairs else 0,
-        modes_kept=whole.n_dofs if kept is None else kept.modes,
+        modes_kept=whole.n_dofs if kept is None else kept.n_modes,
     )
 
 

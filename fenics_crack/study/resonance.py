@@ -29,7 +29,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import Ritz, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSALS, Study, reduced, reduction_of
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, reduce_study, reduction_of
 
 SOUGHT_MODES = 10
 """Modes of the whole structure in which it is sought."""
@@ -132,7 +132,7 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
     if law is None:
         return AtLoad(unknown="there is no crack")
     order, reduction = scene.excitation.order, reduction_of(scene, whole)
-    n_modes = min(SOUGHT_MODES, whole.n_dofs if reduction is None else reduction.modes)
+    n_modes = min(SOUGHT_MODES, whole.n_dofs if reduction is None else reduction.n_modes)
     mode = int(np.argmin(np.abs(estimates - scene.excitation.omega)))
     omega = float(estimates[mode])
     try:
@@ -143,11 +143,11 @@ def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtL
             rotor = RunUpStructure(Ritz.of_range(whole, speed, speed, n_modes), speed)
             return at_load(scene, law, rotor, order * speed, "speed", with_rest=True)
         if scene.disk is not None or (reduction is None and is_small(whole)):
-            structure = reduced(study, judged=False).structure
+            structure = reduce_study(study, with_reference=False).structure
         else:
             structure = reduce_structure(whole, modes=n_modes, method="massless", reference=False)
         return at_load(scene, law, structure, omega, with_rest=True)
-    except REFUSALS as error:
+    except REFUSAL_EXCEPTIONS as error:
         return AtLoad(unknown=str(error))
 
 
@@ -189,7 +189,7 @@ def at_load(
     if resonance.several:
         return AtLoad(resonance.value, resonance.width, rest, unknown=SEE_CURVE)
     solution, verdict = resonance.solution, "undecided"
-    with suppress(*REFUSALS):
+    with suppress(*REFUSAL_EXCEPTIONS):
         verdict = floquet(solution.structure, solution).verdict
     amplitude = solution.amplitude()
     return AtLoad(resonance.value, resonance.width, rest, amplitude, resonance.error, verdict)

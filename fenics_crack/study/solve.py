@@ -28,7 +28,13 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import rows_requested
-from fenics_crack.study.prepare import FEW_DOFS, Study, prepare, reduced, reduction_of
+from fenics_crack.study.prepare import (
+    MAX_UNREDUCED_DOFS,
+    Study,
+    prepare,
+    reduce_study,
+    reduction_of,
+)
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,11 +61,11 @@ def solve_prepared(
     scene, law = whole.scene, whole.contact
     omega, table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
-        study = reduced(whole)
+        study = reduce_study(whole)
         linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
         return _solved(study, linear)
     if table.tolerance is None:
-        study = with_lines(reduced(whole), omega)
+        study = with_lines(reduce_study(whole), omega)
         law = study.contact
         assert law is not None
         check_memory(study.structure, table.harmonics)
@@ -72,7 +78,9 @@ def solve_prepared(
         whole = replace(whole, contact=slide_along_lines(smallest_structure, omega, law))
         study, solution = _solve_to_tolerance(whole)
     structure = study.structure
-    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
+    quick = (
+        is_piecewise_linear(law) or structure.n_dofs <= MAX_UNREDUCED_DOFS
+    )  # else it takes minutes
     if is_rigid(law):
         quick = structure.light_lips
     if solution.converged and quick and is_small(structure) and table.error:
@@ -151,14 +159,14 @@ def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]
     large = kept.method == "massless" and (of_file or not is_small(whole))
     if of_file:  # which holds so many and their reference
         most = min(most, len(whole.compute_once(receptance_cache)[0].squares) // 2)
-    return mode_counts(whole, FIRST_MODES if large else kept.modes, most)
+    return mode_counts(whole, FIRST_MODES if large else kept.n_modes, most)
 
 
 def reduced_to(whole: Study, modes: int) -> Study:
     """A study with so many modes (collective)."""
     kept = reduction_of(whole.scene, whole.structure)
     keys = {"reduction.method": kept and kept.method, "reduction.modes": modes}
-    return reduced(replace(whole, scene=whole.scene.replace(keys)))
+    return reduce_study(replace(whole, scene=whole.scene.replace(keys)))
 
 
 def with_more_modes(whole: Study, most: int = MAX_MODES_FOR_MONODROMY) -> Iterator[Study]:
@@ -174,4 +182,4 @@ def with_more_modes(whole: Study, most: int = MAX_MODES_FOR_MONODROMY) -> Iterat
         receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
     yield from (reduced_to(whole, modes) for modes in chosen)
     if not chosen:
-        yield reduced(whole)
+        yield reduce_study(whole)

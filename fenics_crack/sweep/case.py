@@ -35,7 +35,13 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.plausibility import damping_ratios
-from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    prepare,
+    reduce_study,
+    scene_contact_law,
+)
 from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
 from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
 from fenics_crack.sweep.plan import Chunk
@@ -137,7 +143,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
     whole = prepare(scene, comm, whole=True, like=None if last is None else last.study)
     modes = modes_chosen(whole, MOST_OF_MANY) if asked.judged else []
     # Natural frequencies have no error of their own: they are of many modes.
-    every = reduced(whole, judged=asked.judged and not modes)
+    every = reduce_study(whole, with_reference=asked.judged and not modes)
     structure = every.structure
     if not is_small(structure):
         method = "off" if scene.reduction is None else scene.reduction.method
@@ -234,7 +240,7 @@ def solve_chunk(
                 found |= cases.verdict(solution)
                 found["status"] += found.pop("remark", "")
             found |= {"gap": solution.gap_rows, "force": solution.force_rows}
-        except REFUSALS as error:
+        except REFUSAL_EXCEPTIONS as error:
             cases = Cases(geometry)
             found["status"] = str(error)
         solved.append(found | {"seconds": time.perf_counter() - started})
@@ -277,7 +283,7 @@ class Cases:
         if self._last != at_omega:
             self._last = at_omega
             self._structure = self._geometry.of_case(case)
-            self._law = law_of(case, self._structure)
+            self._law = scene_contact_law(case, self._structure)
 
     def at_resonance(self, case: Scene) -> PeriodicSolution:
         """The solution of a case at the resonance nearest to its frequency; raises as
@@ -330,7 +336,7 @@ class Cases:
             return {}
         try:
             found = floquet(structure, solution)
-        except REFUSALS:
+        except REFUSAL_EXCEPTIONS:
             return {"verdict": "undecided", "remark": f"; {UNSURE}no multipliers were found"}
         if found.reason:
             remark = f"; {found.verdict}: {found.reason}"

@@ -22,7 +22,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
 from fenics_crack.files.store import Stored
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSALS
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS
 from fenics_crack.sweep.case import ALONE, Asked, Found, Geometry, build, solve_chunk
 from fenics_crack.sweep.file import State, SweepFile
 from fenics_crack.sweep.plan import Chunk, Plan
@@ -88,7 +88,7 @@ class Worker:
         known = self._built if scene.speed and isinstance(self._built, Geometry) else None
         try:
             self._built = build(scene, MPI.COMM_SELF, self._asked, known)
-        except REFUSALS as error:
+        except REFUSAL_EXCEPTIONS as error:
             self._built = error
         except Exception:
             self._built = _unforeseen()
@@ -104,7 +104,9 @@ class Worker:
             except Exception:
                 return chunk.numbers, _unforeseen()
         large = isinstance(built, InputError) and built.key == "reduction.method"
-        if built is None or (isinstance(built, REFUSALS) and not (large and self._asked.hopeless)):
+        if built is None or (
+            isinstance(built, REFUSAL_EXCEPTIONS) and not (large and self._asked.hopeless)
+        ):
             reasons = [case if isinstance(case, str) else str(built) for case in chunk.cases]
             return chunk.numbers, [{"status": status} for status in reasons]
         return chunk.numbers, built

@@ -52,7 +52,7 @@ from fenics_crack.runs.conclusion import report_linearity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.prepare import law_of
+from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.sweep.case import Asked, with_any_modes
 from fenics_crack.sweep.file import (
     KIND,
@@ -341,7 +341,7 @@ class SweepResult(Tabular):
     ) -> PeriodicSolution:
         """The solution of a case in its structure; InputError where it is of another one."""
         omega = float(self["omega"][place])
-        law = law_of(case, structure)
+        law = scene_contact_law(case, structure)
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)

@@ -145,7 +145,7 @@ def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object) -> None:
         raise ConvergenceError("none")
 
-    monkeypatch.setattr("fenics_crack.errors.case.law_of", fails)
+    monkeypatch.setattr("fenics_crack.errors.case.scene_contact_law", fails)
     errors = fc.solve(FEW, MPI.COMM_SELF).errors
     assert errors.unknown["friction"] == "a run with friction has no solution"
     assert errors.stated("amplitude")[0] > 0.0

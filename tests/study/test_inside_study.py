@@ -118,7 +118,7 @@ def test_natural_frequencies_beside_other_numbers(mode: int, expected_modes: tup
         np.eye(5), chain_stiffness(np.ones(6)), gap=np.eye(5)[2], force_sin=np.eye(5)[0],
         damping=fc.ModalDamping(0.1),
     )  # fmt: skip
-    study = replace(study_of(structure), watched=(prepare.Watched("", "last mass", 4),))
+    study = replace(study_of(structure), watched=(prepare.WatchedDisplacement("", "last mass", 4),))
     solution = fc.solve_harmonic_balance(structure, 1.1, study.contact, harmonics=3)
     numbers = numbers_of(study, solution, mode)
     is_open = {name: value for name, value in numbers.values.items() if "omega_open" in name}
@@ -307,9 +307,11 @@ def test_what_does_not_fit_is_refused(
 
 def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
     """Krylov vectors and shapes; a factor for each harmonic."""
-    few = prepare.reduction_memory(wide_plate, 10, "massless")
-    assert few < prepare.reduction_memory(wide_plate, 100, "massless")
-    assert prepare.whole_memory(wide_plate, 5) < prepare.whole_memory(wide_plate, 50)
+    few = prepare.estimate_reduction_memory(wide_plate, 10, "massless")
+    assert few < prepare.estimate_reduction_memory(wide_plate, 100, "massless")
+    assert prepare.estimate_unreduced_memory(wide_plate, 5) < prepare.estimate_unreduced_memory(
+        wide_plate, 50
+    )
 
 
 def test_parts_of_what_a_solid_needs() -> None:
@@ -330,24 +332,24 @@ def test_parts_of_what_a_solid_needs() -> None:
         structure = fc.build_structure(solid, MPI.COMM_SELF)
         with Factor(structure.stiffness) as factor:
             entries = int(factor._factor.getMumpsInfog(9))
-        assert 0.5 < prepare._factor_memory(structure) / (8.0 * entries) < 2.0
+        assert 0.5 < prepare._estimate_factor_memory(structure) / (8.0 * entries) < 2.0
         _, columns, values = structure.stiffness.getValuesCSR()
-        assert prepare._matrix_memory(structure) == columns.nbytes + values.nbytes
+        assert prepare._estimate_matrix_memory(structure) == columns.nbytes + values.nbytes
 
 
 def test_memory_that_is_freed_does_not_count(
     paper_scene: fc.Scene, wide_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is given back where there would not be enough otherwise."""
-    prepare.give_back_freed()
-    before = prepare.check_memory_of(paper_scene, wide_plate)
+    prepare.release_freed_memory()
+    before = prepare.estimate_checked_memory(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (before + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
-        prepare.check_memory_of(paper_scene, wide_plate)
+        prepare.estimate_checked_memory(paper_scene, wide_plate)
     pieces[:-1] = []  # the last one holds the others' memory for the process
-    assert prepare.check_memory_of(paper_scene, wide_plate) < before + 1e7
+    assert prepare.estimate_checked_memory(paper_scene, wide_plate) < before + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:
