@@ -38,9 +38,9 @@ from fenics_crack.study.prepare import (
     reduction_of,
     release_freed_memory,
 )
-from fenics_crack.study.resonance import resonance_of
+from fenics_crack.study.resonance import find_study_resonance
 from fenics_crack.study.sharing import STRUCTURE_FILES
-from fenics_crack.study.solve import modes_chosen
+from fenics_crack.study.solve import candidate_mode_counts
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:
@@ -60,7 +60,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
     with console.stage("resonance at the load"):
-        at_load = resonance_of(study, figures.omega_bilinear, figures.slopes)
+        at_load = find_study_resonance(study, figures.omega_bilinear, figures.slopes)
     with console.stage("errors due to the mesh"):
         tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
         frequencies = {"open": figures.omega_open} | tied
@@ -241,7 +241,7 @@ def harmonics_in_words(scene: Scene) -> int | str:
 def _reduction(study: Study) -> str:
     """Describe the reduction by which the structure is solved."""
     scene = study.scene
-    reduction, few = reduction_of(scene, study.structure), modes_chosen(study)
+    reduction, few = reduction_of(scene, study.structure), candidate_mode_counts(study)
     if reduction is None:
         return "none"
     modes = counted(reduction.n_modes, "mode")

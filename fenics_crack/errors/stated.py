@@ -95,10 +95,10 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.meshes import coarser
+from fenics_crack.study.meshes import prepare_coarser_study
 from fenics_crack.study.observer import errors_along_fronts, rows_requested
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
-from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
+from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
 STATED_CAUSES = (*REDUCTION_CAUSES, "friction")
 """Causes of stated errors."""
@@ -172,7 +172,7 @@ def _errors_at_speed(
 def errors_of_natural(
     study: Study,
     natural_frequencies: Mapping[str, np.ndarray],
-    at_load: AtLoad = NOT_SOUGHT,
+    at_load: LoadResonance = UNSOUGHT_RESONANCE,
     slopes: np.ndarray | None = None,
 ) -> Verification:
     """Return mesh errors of natural frequencies and of the resonance at the load (collective).
@@ -183,10 +183,10 @@ def errors_of_natural(
         Of the whole structure.
     natural_frequencies : dict of str to (m,) [rad/s]
         With crack faces "open" and "tied".
-    at_load : AtLoad
+    at_load : LoadResonance
         Of the same structure; its ``numbers`` are among those of the result.
     slopes : (m,), optional
-        S of each mode (:func:`resonance_of`).
+        S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
     factor, _, unit = frequency_axis(scene.in_hertz)
@@ -200,7 +200,7 @@ def errors_of_natural(
         }
 
     def mesh_error() -> Varied:
-        coarse_mesh = coarser(study)
+        coarse_mesh = prepare_coarser_study(study)
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         twin, counts, ratio = coarse_mesh
@@ -211,7 +211,9 @@ def errors_of_natural(
         coarse_mesh_numbers = by_name(coarse_frequencies)
         if at_load.numbers and slopes is not None:
             estimates = BilinearFrequencies(coarse_frequencies["open"], coarse_frequencies["tied"])
-            coarse_mesh_numbers |= resonance_of(twin, estimates.omega_bilinear, slopes).numbers
+            coarse_mesh_numbers |= find_study_resonance(
+                twin, estimates.omega_bilinear, slopes
+            ).numbers
         levels = zip(counts, (values, coarse_mesh_numbers), strict=True)
         return part_of("mesh", [*levels], scene, ratio=ratio)
 
@@ -420,7 +422,7 @@ class StatedCase(Case):
         of a peak; the place where crack faces part; and the dent under a force.
         """
         study, wave = self.study, self.wave
-        coarse_mesh = coarser(study)
+        coarse_mesh = prepare_coarser_study(study)
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         coarse_study, counts, ratio = coarse_mesh

@@ -32,12 +32,12 @@ from fenics_crack.study.prepare import (
     reduction_of,
 )
 from fenics_crack.study.solve import (
-    MOST_OF_MANY,
-    modes_chosen,
-    required_law,
-    whole_study,
-    with_lines,
-    with_more_modes,
+    MAX_MODES_FOR_MANY_SOLUTIONS,
+    candidate_mode_counts,
+    prepare_unreduced_study,
+    reduce_with_more_modes,
+    required_contact_law,
+    with_friction_lines,
 )
 
 
@@ -81,11 +81,11 @@ def curve(
     rows_requested(study)  # before the curve: it may be refused
     scene = scene.scene if isinstance(scene, Study) else scene
     parameter, start, stop = scene.given("curve").followed
-    if friction_of(required_law(study)) is not None:
+    if friction_of(required_contact_law(study)) is not None:
         omega = _first_resonance(study, start, stop) if parameter == "omega" else None
-        study = with_lines(study, omega or scene.excitation.omega)
+        study = with_friction_lines(study, omega or scene.excitation.omega)
     unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
-    if parameter == "speed" or not modes_chosen(unreduced_study):
+    if parameter == "speed" or not candidate_mode_counts(unreduced_study):
         return Run(**vars(study), result=_follow(study, scene, progress))
     if parameter == "omega":
         study = _first_with_enough_modes(study, studies, start, stop)
@@ -110,7 +110,7 @@ def _check_curve(study: Study) -> None:
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
         requirement = "one that changes in time, for a curve: nothing vibrates"
         raise InputError("load", "steady", requirement)
-    if is_rigid(required_law(study)) and not structure.light_lips:
+    if is_rigid(required_contact_law(study)) and not structure.light_lips:
         requirement = (
             "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         )
@@ -123,7 +123,7 @@ def _follow(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     from fenics_crack.curves.resonance import follow_resonance
     from fenics_crack.curves.verdicts import judge_curve
 
-    structure, law, omega = study.structure, required_law(study), scene.excitation.omega
+    structure, law, omega = study.structure, required_contact_law(study), scene.excitation.omega
     table, balance = scene.given("curve"), scene.harmonic_balance
     parameter, start, stop = table.followed
     if parameter == "resonance":
@@ -152,17 +152,17 @@ def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
     """
     scene = source.scene if isinstance(source, Study) else source
     parameter, start, stop = scene.given("curve").followed
-    unreduced_study = whole_study(source, comm)
+    unreduced_study = prepare_unreduced_study(source, comm)
     if parameter != "speed":
-        yield from with_more_modes(unreduced_study, MOST_OF_MANY)
+        yield from reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
         requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
     estimate_checked_memory(scene, unreduced_study.structure, is_run_up=True)
-    if modes_chosen(unreduced_study):
+    if candidate_mode_counts(unreduced_study):
         order = scene.excitation.omega / scene.speed
-        studies = with_more_modes(unreduced_study, MOST_OF_MANY)
+        studies = reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         study = _first_with_enough_modes(next(studies), studies, order * start, order * stop)
         unreduced_study = replace(unreduced_study, scene=study.scene)
     reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
@@ -180,7 +180,7 @@ def _first_with_enough_modes(
     Their error is that of a solution next to the first resonance of a curve over the frequency, or
     at its start.
     """
-    balance, law = study.scene.harmonic_balance, required_law(study)
+    balance, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
         omega = _first_resonance(study, start, stop)

@@ -25,7 +25,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import rows_requested
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import required_law, with_lines
+from fenics_crack.study.solve import required_contact_law, with_friction_lines
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
 
 
@@ -67,8 +67,8 @@ def integrate(
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
     earlier_file = None if table.initial is None else _read_initial(table.initial, comm)
     omega = scene.excitation.omega
-    study = with_lines(prepare(scene, comm), omega)
-    structure, law = study.structure, required_law(study)
+    study = with_friction_lines(prepare(scene, comm), omega)
+    structure, law = study.structure, required_contact_law(study)
     method = _choose_method(study, table, law)
     rows_requested(study)  # before the integration: it may be refused
     initial: Initial = None
@@ -110,7 +110,7 @@ def _march_of(
         return integrate_exponential, steps or 512
     if steps is None:
         omega = study.scene.excitation.omega
-        steps = 2 * stable_steps_per_period(study.structure, omega, required_law(study))
+        steps = 2 * stable_steps_per_period(study.structure, omega, required_contact_law(study))
         steps = max(512, steps)
     return integrate_central_difference, steps
 

@@ -17,7 +17,7 @@ from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import solve_prepared, whole_study
+from fenics_crack.study.solve import prepare_unreduced_study, solve_study
 
 DEFAULT_MODES = 6
 """Number of modes that are found by default."""
@@ -83,7 +83,7 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved_study = solve_prepared(whole_study(scene, comm))
+    solved_study = solve_study(prepare_unreduced_study(scene, comm))
     return _with_motion_from_rest(Run(**vars(solved_study)))
 
 

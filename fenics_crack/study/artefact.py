@@ -43,7 +43,7 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.fields import LARGEST
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import coarser, coarser_scene
+from fenics_crack.study.meshes import make_coarser_scene, prepare_coarser_study
 from fenics_crack.study.prepare import Study, prepare, reduce_study
 from fenics_crack.study.sharing import (
     SharedStructure,
@@ -51,7 +51,11 @@ from fenics_crack.study.sharing import (
     load_dependencies,
     structure_dependencies,
 )
-from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
+from fenics_crack.study.solve import (
+    MAX_MODES_FOR_MANY_SOLUTIONS,
+    candidate_mode_counts,
+    reduce_to_modes,
+)
 
 KIND = "prepared structure"
 CHANGEABLE_KEYS_TEXT = (
@@ -280,7 +284,7 @@ class PreparedFile:
         ``weights`` are those of :meth:`PreparedStructure.make_structure`.
         """
         structure = self.structure.make_structure(scene, weights, comm)
-        scene_or_reason, rank_comm = coarser_scene(scene), MPI.COMM_SELF
+        scene_or_reason, rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
         if self.coarser_structure is not None and isinstance(scene_or_reason, Scene):
             # As of a reduced structure.
             coarser_entries = structure.compute_once(coarser_structure_cache, from_matrices=True)
@@ -315,9 +319,9 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     """
-    mode_counts = modes_chosen(prepared, MOST_OF_MANY)
+    mode_counts = candidate_mode_counts(prepared, MAX_MODES_FOR_MANY_SOLUTIONS)
     if mode_counts:
-        prepared = replace(reduced_to(prepared, mode_counts[-1]), scene=prepared.scene)
+        prepared = replace(reduce_to_modes(prepared, mode_counts[-1]), scene=prepared.scene)
     prepared = reduce_study(prepared)
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
@@ -328,7 +332,7 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
         requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
         raise InputError("structure", repr(structure), requirement)
-    coarser_study_or_reason = coarser(prepared)
+    coarser_study_or_reason = prepare_coarser_study(prepared)
     studies = (
         prepared,
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),

@@ -54,7 +54,12 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
-from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
+from fenics_crack.study.resonance import (
+    N_SEARCH_MODES,
+    UNSOUGHT_RESONANCE,
+    LoadResonance,
+    find_load_resonance,
+)
 from fenics_crack.study.sharing import assemble_or_reuse
 
 HELD = (*FREQUENCY_KINDS[:2], "partly")
@@ -117,7 +122,7 @@ class Campbell(Saved):
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
     at: At | None = None
-    met: tuple[tuple[int, AtLoad], ...] = ()
+    met: tuple[tuple[int, LoadResonance], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
     frequency_open, frequency_tied = hertz_of("omega_open"), hertz_of("omega_tied")
@@ -227,12 +232,12 @@ class Campbell(Saved):
             for kind in dict.fromkeys(self._states(mode, at))
         ]
 
-    def _at_load(self, order: int) -> list[tuple[int, float, AtLoad]]:
+    def _at_load(self, order: int) -> list[tuple[int, float, LoadResonance]]:
         """Each crossing of an engine order: mode, speed, and of the load's own the resonance there;
         elsewhere it is not known."""
         own, every = order == self.scene.excitation.order, self.crossings(order, "real").tolist()
         found = [one for _, one in self.met] if own else []
-        found += [NOT_SOUGHT] * len(every)
+        found += [UNSOUGHT_RESONANCE] * len(every)
         return [(int(mode), speed, one) for (mode, speed), one in zip(every, found, strict=False)]
 
     def meetings(self, order: int) -> Iterator[str]:
@@ -399,7 +404,7 @@ def campbell(
     return replace(found, met=_met(found, replace(small, structure=top)))
 
 
-def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
+def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, LoadResonance], ...]:
     """Return the resonances at the load where its engine order crosses natural frequencies."""
     scene, order, law = (
         found.scene,
@@ -408,13 +413,15 @@ def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
     )
     if order is None or law is None:
         return ()
-    many = replace(small, modes=max(small.modes, SOUGHT_MODES))
+    many = replace(small, modes=max(small.modes, N_SEARCH_MODES))
 
-    def find_resonance(speed: float) -> AtLoad:
+    def find_resonance(speed: float) -> LoadResonance:
         try:
-            return at_load(scene, law, RunUpStructure(many, speed), order * speed, "speed")
+            return find_load_resonance(
+                scene, law, RunUpStructure(many, speed), order * speed, "speed"
+            )
         except REFUSAL_EXCEPTIONS as error:
-            return AtLoad(unknown=str(error))
+            return LoadResonance(unknown=str(error))
 
     crossings = found.crossings(order, "real").tolist()
     return tuple((int(mode), find_resonance(speed)) for mode, speed in crossings)

@@ -52,7 +52,12 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.prepare import Study, reduction_of
-from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, meeting_speed
+from fenics_crack.study.resonance import (
+    N_SEARCH_MODES,
+    UNSOUGHT_RESONANCE,
+    LoadResonance,
+    order_crossing_speed,
+)
 
 N_MODES = 4
 """Modes that are computed."""
@@ -123,7 +128,7 @@ class KeyFigures:
     breathes: bool
     modes_below: int
     modes_kept: int
-    at_load: AtLoad = NOT_SOUGHT
+    at_load: LoadResonance = UNSOUGHT_RESONANCE
 
 
 def find_key_figures(study: Study) -> KeyFigures:
@@ -135,7 +140,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     count = min(N_MODES, most)
     with Factor(whole.stiffness, definite=True) as factor:
         many = solve_modes_with_factor(
-            factor, whole, min(SOUGHT_MODES, most)
+            factor, whole, min(N_SEARCH_MODES, most)
         )  # of the resonance, too
         modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
         static = _static(factor, modes, whole.force)
@@ -178,7 +183,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
     kept = reduction_of(scene, whole)
     return KeyFigures(
-        size=extents(whole.whole),
+        size=mesh_extents(whole.whole),
         elements=_elements(scene, whole),
         omega_open=modes.omega,
         omega_tied=tied.omega,
@@ -242,7 +247,7 @@ def _elements(scene: Scene, whole: Structure) -> int | None:
     return math.ceil(fewest / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order))
 
 
-def extents(whole: Structure) -> tuple[float, ...]:
+def mesh_extents(whole: Structure) -> tuple[float, ...]:
     """Extents of the mesh of a whole structure [m] (collective)."""
     if whole.nodes is None:
         return np.nan, np.nan
@@ -375,7 +380,7 @@ def _meeting(
     square has a slope over that of the speed."""
     order = scene.excitation.order
     if parameter in ("speed", "rpm") and order is not None:
-        return meeting_speed(harmonic * order, scene.speed, omega, slope)
+        return order_crossing_speed(harmonic * order, scene.speed, omega, slope)
     return omega / harmonic
 
 
@@ -705,7 +710,8 @@ OF_SCENE = (
 )  # fmt: skip
 OF_STRUCTURE = (
     Usual("structure.model mesh.file", 0.0, LARGEST_SIDE, "a structure of {1:.3g} m x {0:.3g} m; "
-          "is the mesh in mm?", lambda _, __, structure: (max(e := extents(structure)), min(e))),
+          "is the mesh in mm?",
+          lambda _, __, structure: (max(e := mesh_extents(structure)), min(e))),
     Usual("excitation.point", 0.0, POSITION_TOLERANCE, "no node is there: the force acts on the "
           "nearest one, at {1}", _no_node),
     Usual("rotation.speed", 0.0, FASTEST, TOO_FAST, _tip_speed, {"rpm": RPM}),

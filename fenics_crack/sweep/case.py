@@ -42,7 +42,11 @@ from fenics_crack.study.prepare import (
     reduce_study,
     scene_contact_law,
 )
-from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
+from fenics_crack.study.solve import (
+    MAX_MODES_FOR_MANY_SOLUTIONS,
+    candidate_mode_counts,
+    reduce_to_modes,
+)
 from fenics_crack.sweep.file import AT_POINTS, PHASES, UNSURE, YET, of_load
 from fenics_crack.sweep.plan import Chunk
 
@@ -113,7 +117,7 @@ class Geometry:
         """The same with the next number of modes; None where these are the most."""
         if len(self.modes) < 2:
             return None
-        study = reduced_to(self.whole, self.modes[1])
+        study = reduce_to_modes(self.whole, self.modes[1])
         return replace(self, study=study, watched=_watched(study), modes=self.modes[1:])
 
     @property
@@ -141,7 +145,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
         units = zip(FORCES, np.eye(len(FORCES), size, size - len(FORCES))[:, ::-1], strict=True)
         scene = scene.replace({f"excitation.{name}": tuple(unit) for name, unit in units})
     whole = prepare(scene, comm, whole=True, like=None if last is None else last.study)
-    modes = modes_chosen(whole, MOST_OF_MANY) if asked.judged else []
+    modes = candidate_mode_counts(whole, MAX_MODES_FOR_MANY_SOLUTIONS) if asked.judged else []
     # Natural frequencies have no error of their own: they are of many modes.
     every = reduce_study(whole, with_reference=asked.judged and not modes)
     structure = every.structure
@@ -153,7 +157,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
     lengths = [crack.length for crack in every.scene.all_cracks.values()]
     known = lengths[0] if lengths and lengths[0] is not None else np.nan
     natural = bilinear_frequencies(structure)
-    study = reduced_to(whole, modes[0]) if modes else every
+    study = reduce_to_modes(whole, modes[0]) if modes else every
     rows = _watched(study)
     return Geometry(study, asked.unit_loads, known, natural, rows, whole, tuple(modes))
 

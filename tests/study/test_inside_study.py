@@ -27,7 +27,7 @@ from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, distribute_rows
 from fenics_crack.study import prepare
-from fenics_crack.study.meshes import finer_mesh
+from fenics_crack.study.meshes import refine_scene
 from fenics_crack.study.observer import at_tips
 from fenics_crack.study.plausibility import (
     KeyFigures,
@@ -437,7 +437,7 @@ def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
 def test_meshes_of_a_solid_are_similar() -> None:
     """Elements at the front, and what each next one is longer by, have the same ratio in all."""
     solid = fc.Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml")
-    finer = [finer_mesh(solid, factor) for factor in (1.5, 2.0)]
+    finer = [refine_scene(solid, factor) for factor in (1.5, 2.0)]
     meshes = [solid.mesh, *(scene.mesh for scene in finer if scene is not None)]
     fronts, rises = [], []
     for mesh in meshes:
