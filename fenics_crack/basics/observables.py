@@ -5,7 +5,8 @@ unless a scene chooses. Tables, files, pictures, the columns of sweeps, ``[outpu
 stated errors and the list in the reference follow from it.
 
 What is at a place, which ``read`` takes, is a ``Point`` or ``Faces`` of
-:mod:`fenics_crack.motion.motions`, an ``AtTip`` or ``Held`` of :mod:`fenics_crack.study.observer`.
+:mod:`fenics_crack.motion.motions`, a ``TipHistory`` or ``ClampReactions`` of
+:mod:`fenics_crack.study.observer`.
 """
 
 from __future__ import annotations
@@ -146,25 +147,25 @@ QUANTITIES: dict[str, Observable] = {
     "over_open": _mode("load frequency / natural frequency, crack open", "1", where=PRINTED),
     "over_tied": _mode("load frequency / natural frequency, crack bonded", "1"),
     "over_bilinear": _mode("load frequency / bilinear frequency", "1", where=PRINTED | SPECIAL),
-    "K_max": _tip("largest stress intensity K_I", "Pa m^0.5", lambda at: at.one.max()),
-    "K_min": _tip("smallest K_I", "Pa m^0.5", lambda at: at.one.min()),
-    "delta_K": _tip("range of K_I", "Pa m^0.5", lambda at: np.ptp(at.one)),
+    "K_max": _tip("largest stress intensity K_I", "Pa m^0.5", lambda at: at.K_I.max()),
+    "K_min": _tip("smallest K_I", "Pa m^0.5", lambda at: at.K_I.min()),
+    "delta_K": _tip("range of K_I", "Pa m^0.5", lambda at: np.ptp(at.K_I)),
     "delta_K_effective": _tip("range of K_I while the crack tip is open", "Pa m^0.5",
-        lambda at: np.ptp(at.one.clip(0.0))),
+        lambda at: np.ptp(at.K_I.clip(0.0))),
     "K_II_max": _tip("largest stress intensity K_II, of either sign", "Pa m^0.5",
-        lambda at: np.abs(at.two).max()),
+        lambda at: np.abs(at.K_II).max()),
     "K_III_max": _tip("largest stress intensity K_III, of either sign", "Pa m^0.5",
-        lambda at: np.abs(at.three).max(), SOLID),
+        lambda at: np.abs(at.K_III).max(), SOLID),
     "delta_K_equivalent": _tip("range of K_I, R = 0, that makes the crack grow as much", "Pa m^0.5",
-        lambda at: at.equivalent, GROWING),
+        lambda at: at.equivalent_range, GROWING),
     "delta_K_effective_deepest": _ellipse("range of K_I while open, at the deepest place",
-        read=lambda at: np.ptp(at.deepest.one.clip(0.0))),
+        read=lambda at: np.ptp(at.deepest.K_I.clip(0.0))),
     "delta_K_effective_surface": _ellipse("range of K_I while open, mean of the ends",
-        read=lambda at: np.mean([np.ptp(end.one.clip(0.0)) for end in at.ends])),
+        read=lambda at: np.mean([np.ptp(end.K_I.clip(0.0)) for end in at.ends])),
     "delta_K_equivalent_deepest": _ellipse("range that makes it grow as much in depth",
-        read=lambda at: at.deepest.equivalent),
+        read=lambda at: at.deepest.equivalent_range),
     "delta_K_equivalent_surface": _ellipse("range that makes it grow as much along the face",
-        read=lambda at: np.mean([end.equivalent for end in at.ends])),
+        read=lambda at: np.mean([end.equivalent_range for end in at.ends])),
     "reaction_force": _clamp("largest force of the clamp", "N", lambda at: _largest(at.force)),
     "reaction_moment": _clamp("largest moment of the clamp, about its centre", "N m",
         lambda at: _largest(at.moment)),

@@ -43,7 +43,7 @@ from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import asked_quantities
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import observe
+from fenics_crack.study.observer import observe_quantities
 from fenics_crack.study.plausibility import highest_omega
 from fenics_crack.time.march import TimeHistory
 
@@ -238,7 +238,7 @@ def _quantities(run: Run[Any], omega: float, values: Mapping[str, object]) -> Ta
     watched dof, those of the crack faces, of a vibration natural frequencies near the load's, and
     others (collective)."""
     rows: list[Row] = [(n, n, v, UNITS[n]) for n, v in with_frequency({"omega": omega}).items()]
-    rows += [one[:4] for one in observe(run, run.result)]
+    rows += [one[:4] for one in observe_quantities(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     elif isinstance(run.result, PeriodicSolution):
@@ -531,7 +531,7 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
 def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> Columns:
     """Columns of indicators of the watched dofs, by their names with units: a value for every point
     of a curve of the run."""
-    found = {with_unit(one.column, one.unit): one.value for one in observe(run, curve)}
+    found = {with_unit(one.column, one.unit): one.value for one in observe_quantities(run, curve)}
     near = _natural_along(run, curve.omega).nearest(curve.omega)
     return found | {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
 

@@ -49,9 +49,9 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     with console.stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if asked_quantities(scene):  # which may be refused
-            from fenics_crack.study.observer import rows_requested  # the solver
+            from fenics_crack.study.observer import make_requested_rows  # the solver
 
-            rows_requested(study)
+            make_requested_rows(study)
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
     run_up = scene.curve is not None and scene.curve.followed[0] == "speed"

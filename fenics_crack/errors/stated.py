@@ -96,7 +96,7 @@ from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.meshes import prepare_coarser_study
-from fenics_crack.study.observer import errors_along_fronts, rows_requested
+from fenics_crack.study.observer import estimate_front_errors, make_requested_rows
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
@@ -440,7 +440,7 @@ class StatedCase(Case):
         numbers_by_shift = self._values_at_shifts(factors * (1.0 - frequency_ratio))
         numbers_with_clearance_shift = self._values_with_shifted_clearance()
         dents = dict.fromkeys(names_of(Place.POINT), self._relative_dent)
-        closed_errors, front_changes = errors_along_fronts(study, wave, coarse_study, coarse_wave)
+        closed_errors, front_changes = estimate_front_errors(study, wave, coarse_study, coarse_wave)
         for name, part in parts.items():
             value, coarse_mesh_number = part.values
             shape_errors = factors * (value - coarse_mesh_number)
@@ -531,7 +531,7 @@ class StatedCase(Case):
 def _with_known_numbers(study: Study) -> Study:
     """Drop stress intensities from a study if its elements are too long."""
     try:
-        rows_requested(study)
+        make_requested_rows(study)
     except InputError:
         refused_names = names_of(Place.TIPS, Place.ELLIPSE)
         names = [name for name in study.scene.quantities or () if name not in refused_names]

@@ -24,7 +24,7 @@ from fenics_crack.model.reduction import DEFAULT_LARGE_MODES
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import rows_requested
+from fenics_crack.study.observer import make_requested_rows
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
@@ -78,7 +78,7 @@ def curve(
     studies = studies_of_curve(scene, comm)
     study = next(studies)
     _check_curve(study)
-    rows_requested(study)  # before the curve: it may be refused
+    make_requested_rows(study)  # before the curve: it may be refused
     scene = scene.scene if isinstance(scene, Study) else scene
     parameter, start, stop = scene.given("curve").followed
     if friction_of(required_contact_law(study)) is not None:

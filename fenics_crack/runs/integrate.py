@@ -23,7 +23,7 @@ from fenics_crack.runs.load import free_study, run_of, structure_under_static_lo
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import rows_requested
+from fenics_crack.study.observer import make_requested_rows
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
@@ -70,7 +70,7 @@ def integrate(
     study = with_friction_lines(prepare(scene, comm), omega)
     structure, law = study.structure, required_contact_law(study)
     method = _choose_method(study, table, law)
-    rows_requested(study)  # before the integration: it may be refused
+    make_requested_rows(study)  # before the integration: it may be refused
     initial: Initial = None
     if table.deflection is not None:
         static_structure = structure_under_static_load(structure, table.deflection)

@@ -14,7 +14,7 @@ from fenics_crack.basics.tables import Tabular, quantity
 from fenics_crack.model.nodes import AXES
 from fenics_crack.runs.run import Run, check_motion
 from fenics_crack.scene.scene import check_known, without_clamp
-from fenics_crack.study.observer import held, inertia_rows
+from fenics_crack.study.observer import clamp_inertia_rows, compute_clamp_reactions
 from fenics_crack.time.march import TimeHistory
 
 
@@ -101,5 +101,5 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     check_motion(run)
     check_known(without_clamp(run.scene), "run", repr(run))
     structure = run.result.structure
-    [record] = run.result.records(structure.compute_once(inertia_rows))
-    return Reaction(record.time, structure.whole.clamp.center, *held(record))
+    [record] = run.result.records(structure.compute_once(clamp_inertia_rows))
+    return Reaction(record.time, structure.whole.clamp.center, *compute_clamp_reactions(record))

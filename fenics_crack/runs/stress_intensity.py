@@ -16,7 +16,13 @@ from fenics_crack.errors.stated import errors_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.runs.run import Run, check_motion
 from fenics_crack.scene.scene import check_known, without_tips
-from fenics_crack.study.observer import AtTip, at_tips, leading, stations_of_fronts, tip_rows
+from fenics_crack.study.observer import (
+    TipHistory,
+    compute_tip_histories,
+    leading_tip_index,
+    make_tips_and_rows,
+    station_indices_by_front,
+)
 from fenics_crack.time.march import TimeHistory
 
 
@@ -59,7 +65,7 @@ class StressIntensity(Tabular):
     three: np.ndarray | None
     closed: np.ndarray
     _run: Run[Any] = field(compare=False)
-    _tip_histories: list[AtTip] = field(compare=False)
+    _tip_histories: list[TipHistory] = field(compare=False)
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
@@ -70,9 +76,10 @@ class StressIntensity(Tabular):
         ``[growth]`` delta_K_equivalent, too: the range from 0 that makes the crack grow as much,
         once a period of the load, as all cycles of K_I do, counted by rain flow.
         """
-        numbers = [tip.numbers() for tip in self._tip_histories]
+        tip_values = [tip.values_by_name() for tip in self._tip_histories]
         return {
-            name: np.array([tip_numbers[name] for tip_numbers in numbers]) for name in numbers[0]
+            name: np.array([tip_numbers[name] for tip_numbers in tip_values])
+            for name in tip_values[0]
         }
 
     @property
@@ -93,7 +100,7 @@ class StressIntensity(Tabular):
     @property
     def leading(self) -> int:
         """Index of the tip with the largest effective range."""
-        return leading(self._tip_histories)
+        return leading_tip_index(self._tip_histories)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -103,7 +110,7 @@ class StressIntensity(Tabular):
     @property
     def fronts(self) -> dict[str, list[int]]:
         """Indices of each front's tips, of a solid stations, by its name."""
-        return stations_of_fronts(self.tips)
+        return station_indices_by_front(self.tips)
 
     @property
     def turn(self) -> np.ndarray:
@@ -183,20 +190,20 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     """
     check_motion(run)
     check_known(without_tips(run.scene), "run", repr(run))
-    tips, rows, of_forces = tip_rows(run)
+    tips, rows, of_forces = make_tips_and_rows(run)
     [record] = run.result.records(rows)
-    tip_histories = at_tips(record, tips, of_forces, run.scene.growth)
-    three = [tip_history.three for tip_history in tip_histories if tip_history.three is not None]
+    tip_histories = compute_tip_histories(record, tips, of_forces, run.scene.growth)
+    three = [tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None]
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
         np.array([tip.arc_length for tip in tips]),
         np.array([tip.point for tip in tips]),
         np.array([tip.growth_direction for tip in tips]),
-        np.column_stack([tip_history.one for tip_history in tip_histories]),
-        np.column_stack([tip_history.two for tip_history in tip_histories]),
+        np.column_stack([tip_history.K_I for tip_history in tip_histories]),
+        np.column_stack([tip_history.K_II for tip_history in tip_histories]),
         np.column_stack(three) if three else None,
-        np.array([tip_history.closed for tip_history in tip_histories]),
+        np.array([tip_history.closed_front_error for tip_history in tip_histories]),
         run,
         tip_histories,
     )

@@ -27,7 +27,7 @@ from fenics_crack.model.receptance import receptance, receptance_cache
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import rows_requested
+from fenics_crack.study.observer import make_requested_rows
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,
     Study,
@@ -58,7 +58,7 @@ def solve_study(
     the search starts from ``initial_solution``, of the same structure, if there is one.
     ``omega`` [rad/s] replaces the scene's load frequency if there is no tolerance.
     """
-    rows_requested(study)  # before anything is solved: this may raise InputError
+    make_requested_rows(study)  # before anything is solved: this may raise InputError
     scene, law = study.scene, study.contact
     omega, balance_table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:

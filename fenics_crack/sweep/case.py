@@ -33,7 +33,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCES
-from fenics_crack.study.observer import rows_requested
+from fenics_crack.study.observer import make_requested_rows
 from fenics_crack.study.plausibility import damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
@@ -153,7 +153,7 @@ def build(scene: Scene, comm: MPI.Comm, asked: Asked, last: Geometry | None = No
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    rows_requested(every)
+    make_requested_rows(every)
     lengths = [crack.length for crack in every.scene.all_cracks.values()]
     known = lengths[0] if lengths and lengths[0] is not None else np.nan
     natural = bilinear_frequencies(structure)
@@ -367,7 +367,7 @@ def _observed(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Fo
     with rows of their own."""
     rows = _load_row(solution, case) | geometry.watched
     stacked = np.reshape([*rows.values()], (len(rows), solution.structure.n_dofs))
-    points, found = solution.observe_rows(stacked, rows_requested(geometry.study))
+    points, found = solution.observe_rows(stacked, make_requested_rows(geometry.study))
     for name, seen in zip(rows, points, strict=True):
         values = {quantity: getattr(seen.indicators, quantity) for quantity in AT_POINTS}
         values |= zip(PHASES, seen.coefficients[1:].tolist(), strict=False)
