@@ -17,7 +17,7 @@ from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_range
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
+from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
 
 MOST_TURNING = 0.3
 """Sliding across the lines of friction over that along them from which on friction along lines is
@@ -71,9 +71,9 @@ UNITS_WITH_ROUNDING = ("m", "N", "Pa m^0.5")
 def of_size(run: Run[Any], largest: Sequence[float]) -> list[str]:
     """A warning of a motion that is not small beside the distance from the clamp, from the largest
     displacement of each dof that is watched [m], with its mean (collective)."""
-    lengths = from_clamp(run.structure.whole, [one.dof for one in run.watched])
+    lengths = distances_from_clamp(run.structure.whole, [one.dof for one in run.watched])
     place = int(np.argmax(rotations := np.asarray(largest) / lengths))
-    if not rotations[place] > SMALL_MOTION:
+    if not rotations[place] > MAX_SMALL_ROTATION:
         return []
     return [
         f"{quantity(largest[place], 'm')} of {run.watched[place].words} is beyond small "

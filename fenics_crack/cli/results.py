@@ -44,7 +44,7 @@ from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import asked_quantities
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import observe_quantities
-from fenics_crack.study.plausibility import highest_omega
+from fenics_crack.study.plausibility import highest_harmonic_omega
 from fenics_crack.time.march import TimeHistory
 
 ERROR = "error [%]"
@@ -97,7 +97,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     """A solution, its error and its stability (collective)."""
     found, scene = run.result, run.scene
     table = _quantities(run, found.omega, found.to_dict() | _in_doubt(run))
-    notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
+    notes = [remark_on(run.structure, highest_harmonic_omega(scene, "solve"))]
     asked = scene.harmonic_balance.error
     if found.converged and found.stability is None and run.contact is not None and asked:
         reduced = "" if scene.disk is not None else "for a reduced structure (reduction.method), "
@@ -337,7 +337,10 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     along = _along(run, found)
     special = special_points(run, along)
     few, hidden = few_special_points(run, special)
-    notes = [_seen_at_largest(run), remark_on(run.structure, highest_omega(scene, "curve"))]
+    notes = [
+        _seen_at_largest(run),
+        remark_on(run.structure, highest_harmonic_omega(scene, "curve")),
+    ]
     if hidden:
         notes.insert(0, f"{hidden} more bifurcations and changes of stability: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)

@@ -23,11 +23,11 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, asked_quantities
 from fenics_crack.scene.words import faces_in_words
 from fenics_crack.study.plausibility import (
-    CURVE_UNITS,
+    CURVE_UNIT_BY_PARAMETER,
     KeyFigures,
     find_key_figures,
-    highest_omega,
-    proposed_curve,
+    highest_harmonic_omega,
+    propose_curve,
     remarks_on_scene,
     scales_with_load,
 )
@@ -60,13 +60,13 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     with console.stage("natural frequencies"):
         figures = find_key_figures(study)
     with console.stage("resonance at the load"):
-        at_load = find_study_resonance(study, figures.omega_bilinear, figures.slopes)
+        at_load = find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
     with console.stage("errors due to the mesh"):
         tied = {"tied": figures.omega_tied} if whole.n_pairs else {}
         frequencies = {"open": figures.omega_open} | tied
-        by_mesh = errors_of_natural(study, frequencies, at_load, figures.slopes)
+        by_mesh = errors_of_natural(study, frequencies, at_load, figures.speed_slopes)
         mesh_error = 0.0 if scene.structure is not None else by_mesh.stated("vibration")[0]
-        figures = replace(figures, at_load=replace(at_load, mesh_error=mesh_error))
+        figures = replace(figures, load_resonance=replace(at_load, mesh_error=mesh_error))
     rows: dict[str, object] = {
         **({} if whole.nodes is None else _extents(figures)),
         **_part(scene, whole),
@@ -84,15 +84,18 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     if scene.curve is not None:
         span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         rows["curve"] = f"{scene.curve.parameter} from {span}"
-    if (curve := proposed_curve(study.scene, figures)) is not None:
-        rows["proposed curve.parameter"], unit = curve.parameter, CURVE_UNITS[curve.parameter][1]
+    if (curve := propose_curve(study.scene, figures)) is not None:
+        rows["proposed curve.parameter"], unit = (
+            curve.parameter,
+            CURVE_UNIT_BY_PARAMETER[curve.parameter][1],
+        )
         rows[f"proposed curve.start [{unit}]"] = curve.start
         rows[f"proposed curve.stop [{unit}]"] = curve.stop
     if scene.sweep is not None:
         rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
         rows["cases of the sweep"] = scene.sweep.n_cases
         rows["invalid cases"] = on_root(console.comm, lambda: _impossible(scene))
-    remark = _remark_on_whole(scene, whole, highest_omega(scene))
+    remark = _remark_on_whole(scene, whole, highest_harmonic_omega(scene))
     remarks = remarks_on_scene(study.scene, whole, figures)
     for structure_file in STRUCTURE_FILES:
         structure_file.write_structure(console.comm)
@@ -108,15 +111,15 @@ def without_curve(scene: Scene, console: Console) -> InputError:
     error.example = ""
     with console.stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
-        if curve := proposed_curve(study.scene, find_key_figures(study)):
+        if curve := propose_curve(study.scene, find_key_figures(study)):
             error.example = curve.as_toml()
     return error
 
 
 def _extents(figures: KeyFigures) -> dict[str, object]:
     """The sizes of the mesh."""
-    names = ("width", "height", "thickness")[: len(figures.size)]
-    return {" x ".join(names) + " [m]": " x ".join(f"{extent:g}" for extent in figures.size)}
+    names = ("width", "height", "thickness")[: len(figures.extents)]
+    return {" x ".join(names) + " [m]": " x ".join(f"{extent:g}" for extent in figures.extents)}
 
 
 def _part(scene: Scene, whole: Structure) -> dict[str, str]:
@@ -132,12 +135,12 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     """The first natural frequencies, and the load's frequency over the first."""
     faces = faces_in_words(scene)
     lips = {f", {faces} open": figures.omega_open, f", {faces} bonded": figures.omega_tied}
-    if figures.elements is None:
+    if figures.n_face_elements is None:
         lips = {"": figures.omega_open}
     lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
     lips = {words: natural for words, natural in lips.items() if len(natural)}
     rows: dict[str, object] = {}
-    if figures.elements is not None and scene.structure is None and scene.dimension == 2:
+    if figures.n_face_elements is not None and scene.structure is None and scene.dimension == 2:
         rows["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for words, natural in lips.items():
         rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
@@ -168,8 +171,8 @@ def _known_by_mesh(found: Verification) -> dict[str, str]:
 
 def _resonance(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     """The resonance at the scene's own load, or why it is not known."""
-    found, order = figures.at_load, scene.excitation.order
-    if figures.elements is None:
+    found, order = figures.load_resonance, scene.excitation.order
+    if figures.n_face_elements is None:
         return {}
     words = "resonance at the load"
     if scene.contact is not None and scene.contact.friction:
@@ -180,7 +183,7 @@ def _resonance(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     elif math.isfinite(found.value):
         words = f"order {order} meets the {words}, rotor speed"
         rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = found.value, found.value / RPM
-    held = figures.closed or figures.mean_opening or not scales_with_load(scene)
+    held = figures.n_closed_pairs or figures.mean_opening or not scales_with_load(scene)
     rows["vibration there" if rows else words] = found.in_words
     if not (held or found.unknown):
         rows["vibration there"] = f"{found.in_words}; proportional to the load"
@@ -195,7 +198,7 @@ def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:
         "rotor speed [rad/s]": scene.speed,
         "rotor speed [rpm]": scene.speed / RPM,
     }
-    if figures.elements is not None:
+    if figures.n_face_elements is not None:
         rows["crack opened by rotation and mean load [m]"] = figures.mean_opening
     return rows
 
@@ -221,12 +224,12 @@ def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
         rows["softest pair [N/m]"] = float(stiffness.min())
         rows["stiffest pair [N/m]"] = float(stiffness.max())
     faces = faces_in_words(study.scene)
-    static = ranging(figures.own_stiffness, ".3g")
+    static = ranging(figures.face_stiffness, ".3g")
     rows[f"static stiffness of the {faces}, each pair [N/m]"] = static
     if figures.stiffness_ratio is not None:
         rows["contact stiffness / static stiffness"] = ranging(figures.stiffness_ratio, ".3g")
     rows["static opening, mean load [m]"] = figures.mean_opening
-    rows[f"static motion of the {faces}, amplitude of the load [m]"] = figures.static_motion
+    rows[f"static motion of the {faces}, amplitude of the load [m]"] = figures.static_gap_motion
     return rows
 
 

@@ -52,7 +52,7 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
+from fenics_crack.study.plausibility import damping_ratios, describe_coriolis, remarks_on_scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,
@@ -436,7 +436,7 @@ def report_of_campbell(found: Campbell) -> Report:
     notes = [text for order in orders for text in found.meetings(order)]
     if not notes and own is None:
         notes = [f"engine orders 1 to {ORDERS} meet none"]
-    if text := coriolis_in_words(found.coriolis):
+    if text := describe_coriolis(found.coriolis):
         notes.append(f"at {in_unit(speed_axis(scene.in_rpm), found.speed[-1])} {text}")
     columns = ["rpm" if scene.in_rpm else "speed", "mode"]
     columns += [*(f"{unit}_{kind}" for kind in found.kinds), *(["crack"] if found.cracked else [])]

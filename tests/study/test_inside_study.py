@@ -31,12 +31,12 @@ from fenics_crack.study.meshes import refine_scene
 from fenics_crack.study.observer import compute_tip_histories
 from fenics_crack.study.plausibility import (
     KeyFigures,
-    _rounded,
+    _round_to_three_digits,
     find_key_figures,
-    highest_omega,
+    highest_harmonic_omega,
+    load_frequency_range,
     remarks_on_scene,
     scales_with_load,
-    span_of,
 )
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
@@ -72,14 +72,14 @@ def test_of_what_nothing_holds() -> None:
     elastic = shapes[:, 2:]
     compliance = (elastic / squares[2:]) @ elastic.T
     assert list(figures.omega_open[:2]) == [0.0, 0.0]
-    assert figures.own_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
-    assert figures.static_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
+    assert figures.face_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
+    assert figures.static_gap_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
     omega = np.sqrt(np.abs(squares))
     omega[:2] = 0.0
     at = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
     at[4:] = 1.0 / omega[4:] ** 2  # only four modes move, the others follow
     moved = gap @ (shapes * at) @ shapes.T @ force
-    assert figures.gap_motion == pytest.approx(abs(moved), rel=1e-7)
+    assert figures.peak_gap_motion == pytest.approx(abs(moved), rel=1e-7)
 
 
 def test_all_harmonics_of_a_load_count() -> None:
@@ -96,8 +96,10 @@ def test_all_harmonics_of_a_load_count() -> None:
         at = 1.0 / (squares - omega**2 + 0.2j * np.sqrt(squares) * omega)
         return float(abs(gap @ (shapes * at) @ shapes.T @ force))
 
-    assert figures.gap_motion == pytest.approx(moved(1.1, first) + moved(3.3, third), rel=1e-9)
-    assert figures.static_motion == pytest.approx(moved(0.0, first) + moved(0.0, third), rel=1e-9)
+    assert figures.peak_gap_motion == pytest.approx(moved(1.1, first) + moved(3.3, third), rel=1e-9)
+    assert figures.static_gap_motion == pytest.approx(
+        moved(0.0, first) + moved(0.0, third), rel=1e-9
+    )
 
 
 def test_all_motions_are_tied() -> None:
@@ -137,14 +139,14 @@ def test_against_dense_algebra() -> None:
     )
     gap = structure.gap.toarray()
     compliance = gap.T @ np.linalg.solve(stiffness, gap)
-    np.testing.assert_allclose(figures.own_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
+    np.testing.assert_allclose(figures.face_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
     np.testing.assert_allclose(figures.stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9)
     mean, cosine, sine = (gap.T @ np.linalg.solve(stiffness, f) for f in structure.force)
     assert figures.mean_opening == pytest.approx(max(0.0, -mean.min()), rel=1e-9)
-    assert figures.static_motion == pytest.approx(np.hypot(cosine, sine).max(), rel=1e-9)
+    assert figures.static_gap_motion == pytest.approx(np.hypot(cosine, sine).max(), rel=1e-9)
     omega = np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_open, omega[:4], rtol=1e-8)
-    assert figures.modes_below == np.sum(omega < 5 * 2000.0)
+    assert figures.n_modes_below == np.sum(omega < 5 * 2000.0)
     tied = np.sqrt(scipy.linalg.eigh(stiffness + 1e16 * gap @ gap.T, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_tied, tied[:4], rtol=1e-3)
     ratio = scene.damping.ratio
@@ -154,8 +156,8 @@ def test_against_dense_algebra() -> None:
     motion = np.linalg.solve(
         dynamic + 2000.0j * rates, structure.force[1] - 1j * structure.force[2]
     )
-    assert figures.displacement == pytest.approx(abs(motion[structure.watched_dof]), rel=1e-3)
-    assert figures.gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
+    assert figures.peak_displacement == pytest.approx(abs(motion[structure.watched_dof]), rel=1e-3)
+    assert figures.peak_gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
 
 
 @pytest.mark.usefixtures("predicted_errors")
@@ -220,7 +222,7 @@ def test_uncracked_plate() -> None:
     """Frequencies alone; nothing meets or parts."""
     scene = PAPER.replace({"crack": None, "contact": None})
     figures = figures_of(scene)
-    assert figures.elements is None and not figures.own_stiffness.size
+    assert figures.n_face_elements is None and not figures.face_stiffness.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
     assert not remarks_on_scene(scene, figures=figures)
 
@@ -248,9 +250,13 @@ def test_breathing_frequency_is_of_one_shape() -> None:
 def test_frequencies_asked_for() -> None:
     """Of each command, from its own table or the excitation."""
     scene = PAPER.replace({"curve.start": 3000.0, "curve.stop": 1000.0})
-    assert span_of(scene, "curve") == (1000.0, 3000.0)
-    assert span_of(scene, "solve") == span_of(scene, "sweep") == (2000.0, 2000.0)
-    assert highest_omega(scene, "curve") == 5 * 3000.0
+    assert load_frequency_range(scene, "curve") == (1000.0, 3000.0)
+    assert (
+        load_frequency_range(scene, "solve")
+        == load_frequency_range(scene, "sweep")
+        == (2000.0, 2000.0)
+    )
+    assert highest_harmonic_omega(scene, "curve") == 5 * 3000.0
 
 
 def test_proportional_to_the_load() -> None:
@@ -494,8 +500,8 @@ def test_method_of_integration(
 ])  # fmt: skip
 def test_ends_of_a_proposed_range(value: float, below: float, above: float) -> None:
     """Three digits, outwards."""
-    assert _rounded(value, math.floor) == pytest.approx(below, rel=1e-14)
-    assert _rounded(value, math.ceil) == pytest.approx(above, rel=1e-14)
+    assert _round_to_three_digits(value, math.floor) == pytest.approx(below, rel=1e-14)
+    assert _round_to_three_digits(value, math.ceil) == pytest.approx(above, rel=1e-14)
 
 
 def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:

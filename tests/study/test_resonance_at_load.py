@@ -11,7 +11,7 @@ from rotating import cracked
 from surroundings import RunCommand
 
 import fenics_crack as fc
-from fenics_crack.study.plausibility import find_key_figures, proposed_curve
+from fenics_crack.study.plausibility import find_key_figures, propose_curve
 from fenics_crack.study.resonance import (
     SEVERAL_MODES_TEXT,
     LoadResonance,
@@ -25,7 +25,7 @@ DEMOS = ROOT / "demos"
 def at_load(scene: fc.Scene) -> LoadResonance:
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
-    return find_study_resonance(study, figures.omega_bilinear, figures.slopes)
+    return find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
 
 
 def test_plate() -> None:
@@ -105,10 +105,10 @@ def test_proposed_curve_meets_its_peak() -> None:
     scene = fc.Scene.load(DEMOS / "blade.toml").replace({"curve": None})
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
-    found = find_study_resonance(study, figures.omega_bilinear, figures.slopes)
-    curve = proposed_curve(study.scene, replace(figures, at_load=found))
+    found = find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
+    curve = propose_curve(study.scene, replace(figures, load_resonance=found))
     start, stop = curve.followed[1:]
     assert start <= found.value - 3.0 * found.width < found.value + 3.0 * found.width <= stop
     keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}
     known = study.scene.replace(keys)
-    assert proposed_curve(known, replace(figures, at_load=found)) is None
+    assert propose_curve(known, replace(figures, load_resonance=found)) is None
