@@ -39,7 +39,7 @@ from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import WHOLE, key_in_words, value_in_words
-from fenics_crack.study.campbell import ORDERS, Campbell
+from fenics_crack.study.campbell import MAX_REPORTED_ORDER, Campbell
 from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep.plan import FREQUENCIES
 from fenics_crack.sweep.result import SweepResult
@@ -327,7 +327,7 @@ def draw_growth_of(found: Growth, file: Drawn) -> None:
 def draw_campbell_of(found: Campbell, file: Drawn) -> None:
     """Draw a Campbell diagram in the units of its scene."""
     scene = found.scene
-    orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
+    orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
     words = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
     how: dict[str, Any] = {"in_hertz": scene.in_hertz or scene.in_rpm, "in_rpm": scene.in_rpm}
     plot_study.draw_campbell(found, orders, path=file("campbell", words), **how)

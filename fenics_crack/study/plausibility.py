@@ -143,10 +143,8 @@ def find_key_figures(study: Study) -> KeyFigures:
     bilinear = BilinearFrequencies(
         modes.omega, bonded_modes.omega[match_bonded_modes(modes, bonded_modes)]
     )
-    static_gaps, modal_gaps = (
-        structure.apply_bt(static_displacements),
-        structure.apply_bt(modes.shapes.T),
-    )
+    static_gaps = structure.apply_bt(static_displacements)
+    modal_gaps = structure.apply_bt(modes.shapes.T)
     modal_loads = structure.sum_over_ranks(structure.force @ modes.shapes)
     harmonic_amplitudes = [
         to_complex(fourier_rows)[1:]
