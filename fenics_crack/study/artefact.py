@@ -217,9 +217,9 @@ class PreparedStructure:
             shared_receptances = structure.compute_once(shared_receptance_cache, from_matrices=True)
             shared_receptances[:] = [loaded_receptance]
         if not np.array_equal(weights, np.eye(len(structure.force))):
-            force, clamp = weights @ structure.force, structure.clamp
-            weighted_clamp = clamp and clamp.with_weights(weights)
-            structure = structure._in_setting(DEFAULT_SETTING, force=force, clamp=weighted_clamp)
+            clamp = structure.clamp and structure.clamp.with_weights(weights)
+            force = weights @ structure.force
+            structure = structure._in_setting(DEFAULT_SETTING, force=force, clamp=clamp)
         if self.mass is None:
             receptance(structure, 1)
         return structure
@@ -232,9 +232,8 @@ class PreparedStructure:
             {"free dofs": np.unique(nodes.dofs[nodes.dofs >= 0])} if nodes else {}
         )
         n_dofs, n_pairs = len(self.gap.indptr) - 1, len(self.clearance)
-        n_load_rows = len(self.force)
         n_nodes, dimension = nodes.points.shape if nodes else (0, 2)
-        n_rigid_motions = len(self.clamp.inertia) if self.clamp else 0
+        n_load_rows, n_rigid_motions = len(self.force), len(self.clamp.inertia) if self.clamp else 0
         shape_by_name = {
             "force": (n_load_rows, n_dofs), "watched": (n_dofs,), "clearance": (n_pairs,),
             "excitation": (n_load_rows, dimension), "nodes.dofs": (n_nodes, dimension),

@@ -225,14 +225,14 @@ class Campbell(Saved):
 
     def _kinds_around(self, mode: int, speed: float) -> tuple[str, str]:
         """Return the kind of the crack's frequency just below a speed, and from the speed on."""
-        diagram_kinds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
+        kinds_at_speeds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
         changed_kinds = [
             (start, kind) for changed_mode, start, kind in self.changes if changed_mode == mode
         ]
-        starts_and_kinds = sorted([*diagram_kinds, *changed_kinds])
-        first_kind = starts_and_kinds[0][1]
-        kinds_below = [kind for start, kind in starts_and_kinds if start < speed] or [first_kind]
-        return kinds_below[-1], [kind for start, kind in starts_and_kinds if start <= speed][-1]
+        starts_and_kinds = sorted([*kinds_at_speeds, *changed_kinds])
+        kinds_below = [kind for start, kind in starts_and_kinds if start < speed]
+        kinds_from = [kind for start, kind in starts_and_kinds if start <= speed]
+        return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
 
     def _state_frequency(self, mode: int, speed: float, kind: str) -> float:
         """Return the natural frequency of a kind at a speed [rad/s], for a mode (from 1)."""
@@ -261,9 +261,8 @@ class Campbell(Saved):
 
         Only the load's own engine order has known resonances.
         """
-        crossings = self.crossings(order, "real").tolist()
-        is_load_order = order == self.scene.excitation.order
-        resonances = [resonance for _, resonance in self.met] if is_load_order else []
+        load_order, crossings = self.scene.excitation.order, self.crossings(order, "real").tolist()
+        resonances = [resonance for _, resonance in self.met] if order == load_order else []
         resonances += [UNSOUGHT_RESONANCE] * len(crossings)
         return [
             (int(mode), speed, resonance)
@@ -279,8 +278,10 @@ class Campbell(Saved):
         for mode, speed, resonance in self._crossing_resonances(order):
             text = f"engine order {order} meets mode {mode} at "
             if math.isfinite(resonance.value):
-                text += f"{_speed_in_words(resonance.value)} at the load, {resonance.in_words}; "
-                text += "estimated at "
+                text += (
+                    f"{_speed_in_words(resonance.value)} at the load, {resonance.in_words}; "
+                    "estimated at "
+                )
             text += _speed_in_words(speed)
             if self.cracked:
                 kinds_at_crossing = [*dict.fromkeys(self._kinds_around(mode, speed))]
@@ -441,8 +442,7 @@ def campbell(
     # The bonded mode with an open mode's shape may come later, if the bond moves it past others.
     n_bonded_modes = min(count + 2, max_modes) if fastest_structure.n_pairs else 0
     start, stop = speed_array[[0, -1]]
-    undamped_structure = fastest_structure.damped(None)
-    projection = Ritz.of_range(undamped_structure, start, stop, count, n_bonded_modes)
+    projection = Ritz.of_range(fastest_structure.damped(None), start, stop, count, n_bonded_modes)
     load_amplitude = projection.force[1] - 1j * projection.force[2]
     peak_amplitudes = partial(_find_peak_amplitudes, load_amplitude, fastest_structure)
 
@@ -569,11 +569,11 @@ def _find_state_changes(
     held_kinds = {lower_kind, upper_kind} - {"bilinear"}
     if lower_kind != upper_kind and len(held_kinds) == 1:
         [kind_index] = map(HELD_KINDS.index, held_kinds)
-
-        def margin(speed: float) -> float:
-            return float(find_frequencies_and_margins(speed)[1][kind_index, mode_index])
-
-        yield brentq(margin, lower_speed, upper_speed, rtol=SPEED_TOLERANCE), upper_kind
+        change_speed = brentq(
+            lambda speed: find_frequencies_and_margins(speed)[1][kind_index, mode_index],
+            lower_speed, upper_speed, rtol=SPEED_TOLERANCE,
+        )  # fmt: skip
+        yield change_speed, upper_kind
     elif lower_kind != upper_kind and upper_speed - lower_speed <= SPEED_TOLERANCE * upper_speed:
         yield upper_speed, upper_kind
     elif lower_kind != upper_kind:

@@ -328,8 +328,8 @@ def _collect_fronts(
             for name in station_values[0]
         }
         closed_error = max(history.closed_front_error for history in histories)
-        positions = arc_lengths / (arc_lengths[-1] or 1.0)
-        front_by_name[front_name] = positions, values_by_name, closed_error
+        front_length = arc_lengths[-1] or 1.0
+        front_by_name[front_name] = arc_lengths / front_length, values_by_name, closed_error
     return front_by_name
 
 

@@ -224,9 +224,8 @@ def _solve_modes_and_statics(
     """
     known_modes = structure.known_modes(is_bonded=False)
     max_modes = structure.n_dofs if known_modes is None else len(known_modes[0])
-    n_modes = min(N_FIGURE_MODES, max_modes)
+    n_modes, n_search_modes = min(N_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
     with Factor(structure.stiffness, definite=True) as factor:
-        n_search_modes = min(N_SEARCH_MODES, max_modes)
         search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
         static_displacements = _static_response(factor, modes, structure.force)
@@ -752,8 +751,8 @@ def _distance_to_node(
     points = gather_rows(structure.comm, structure.nodes.points)
     distances = np.linalg.norm(points - load_point, axis=1)
     nearest_index = int(np.argmin(distances))
-    relative_distance = distances[nearest_index] / np.ptp(points, axis=0).max()
-    return relative_distance, format_point(points[nearest_index])
+    mesh_size, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
+    return distances[nearest_index] / mesh_size, format_point(nearest_point)
 
 
 def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None:
