@@ -33,7 +33,7 @@ from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.timing import Timing, largest_blade
-from fenics_crack.runs.conclusion import describe_error, frequency_in_words
+from fenics_crack.runs.conclusion import describe_stated_error, frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
@@ -78,7 +78,7 @@ def draw_solution(run: Run[PeriodicSolution], file: Drawn) -> None:
     """Draw a period of a solution, its harmonics, and where it moves."""
     found, dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
-    if known := describe_error(run):
+    if known := describe_stated_error(run):
         title += f", error {known.partition(',')[0]}"
     elif found.gap_coefficients.size and found.report.estimated:
         title += f", error {'unknown' if found.report.unknown else percent(found.report.total)}"

@@ -38,7 +38,11 @@ from fenics_crack.model.modes import (
     bilinear_frequencies,
 )
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.runs.conclusion import conclusion_of, unknown_error, unknown_of_solution
+from fenics_crack.runs.conclusion import (
+    explain_unknown_error,
+    explain_unknown_solution_error,
+    make_conclusion,
+)
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import asked_quantities
@@ -74,9 +78,9 @@ def _report(run: Run[Any], table: Table, **how: Any) -> Report:
     how["notes"] = [*how.get("notes", ()), *lines, *_watched_away(run), *incomplete_numbers]
     how["warnings"] = [*how.get("warnings", ()), *turning]
     if table.columns[0] != "name":
-        return Report(table, conclusion_of(run), remarks=run.remarks, **how)
+        return Report(table, make_conclusion(run), remarks=run.remarks, **how)
     how |= {"shown": account.in_short(table, run.scene, PRINTED), "tables": _in_numbers(run, table)}
-    report = Report(table, conclusion_of(run), remarks=run.remarks, **how)
+    report = Report(table, make_conclusion(run), remarks=run.remarks, **how)
     row = ["conclusion", OTHERS["conclusion"][0], report.closing, "-"]
     row += ["" for _ in table.columns[len(row) :]]
     return replace(report, table=Table(table.columns, [*table.rows, row]))
@@ -134,7 +138,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         warnings=warnings,
         further=_of_blades(run, "Blades") | _along_fronts(run),
         done=found.converged,
-        missed=missed or bool(unknown_of_solution(run)),
+        missed=missed or bool(explain_unknown_solution_error(run)),
     )
 
 
@@ -163,7 +167,7 @@ def _in_doubt(run: Run[PeriodicSolution]) -> dict[str, object]:
     """Return the values that cast doubt on a solution, by the names of :data:`OTHERS`; without
     those that do not."""
     judged = run.result.stability
-    found: dict[str, object] = {"unknown_error": unknown_of_solution(run)}
+    found: dict[str, object] = {"unknown_error": explain_unknown_solution_error(run)}
     found["remarks"] = "; ".join(map(str, run.remarks))
     if judged is not None:
         found |= {"from_rest": judged.from_rest, "rest_amplitude": judged.rest_amplitude}
@@ -369,7 +373,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         tables={"Special points": account.in_short(special, scene, SPECIAL)},
         further=_of_blades(run, "Blades, each at its largest response"),
         done=bool(found.complete) and found.status != INTERRUPTED,
-        missed=bool(unknown_error(run)),
+        missed=bool(explain_unknown_error(run)),
     )
 
 

@@ -18,7 +18,7 @@ from fenics_crack.files.store import Stored, read
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.curve import studies_of_curve
+from fenics_crack.runs.curve import iterate_curve_studies
 from fenics_crack.runs.run import Run
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.time.march import TimeHistory
@@ -55,33 +55,35 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     >>> fc.solve(scene).save("solution.h5")
     >>> run = fc.load_run("solution.h5")
     """
-    return run_of(read(path, comm), comm)
+    return make_run_from_file(read(path, comm), comm)
 
 
-def run_of(
+def make_run_from_file(
     result_file: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
 ) -> Run[Result]:
     """Return the run of a file that has been read (collective).
 
     A reduction has its reference if ``with_reference``. Raises as :func:`load_run`.
     """
-    kind, scene = type_of(result_file), result_file.scene()
+    result_type, scene = type_of(result_file), result_file.scene()
     if scene is None:
-        raise InputError("path", str(result_file.path), f"a {kind.KIND} saved with its scene")
+        raise InputError(
+            "path", str(result_file.path), f"a {result_type.KIND} saved with its scene"
+        )
     on_root(comm, lambda: result_file.check_files(scene))
-    if issubclass(kind, ResponseCurve) and scene.curve is not None:
-        study = next(studies_of_curve(scene, comm))
+    if issubclass(result_type, ResponseCurve) and scene.curve is not None:
+        study = next(iterate_curve_studies(scene, comm))
     else:
-        study = prepare(scene, comm, whole=kind is Modes, judged=with_reference)
-    if kind is TimeHistory and scene.integration is not None and scene.integration.free:
-        study = free_study(study)
+        study = prepare(scene, comm, whole=result_type is Modes, judged=with_reference)
+    if result_type is TimeHistory and scene.integration is not None and scene.integration.free:
+        study = study_under_mean_load(study)
     try:
         result = unpack(result_file, study.structure, study.contact)
     except InputError as error:
         if error.key == "path":
             raise
-        difference = f"{error.key} {error.allowed}"
-        requirement = f"a result of this version's structure ({difference}); compute it again"
+        difference_text = f"{error.key} {error.allowed}"
+        requirement = f"a result of this version's structure ({difference_text}); compute it again"
         raise InputError("path", str(result_file.path), requirement) from None
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:
@@ -94,12 +96,12 @@ def read_run(result_file: Stored) -> Run[Result]:
 
     A solution's structure gets no reference, as the stated errors are in the file.
     """
-    return run_of(
+    return make_run_from_file(
         result_file, MPI.COMM_SELF, with_reference=result_file.kind != PeriodicSolution.KIND
     )
 
 
-def free_study(study: Study) -> Study:
+def study_under_mean_load(study: Study) -> Study:
     """Return a study whose mean load acts alone."""
     structure = structure_under_static_load(study.structure, 0.0)
     return replace(study, structure=structure.watching(study.watched[0].dof))

@@ -46,22 +46,22 @@ class Reaction(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return time, forces and moments as columns, a row for every instant."""
-        time_column = {"time": self.time.tolist()}
+        time_by_name = {"time": self.time.tolist()}
         force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
-        names = [f"force_{axis}" for axis in force_axes] + [
+        column_names = [f"force_{axis}" for axis in force_axes] + [
             f"moment_{axis}" for axis in moment_axes
         ]
-        columns = np.hstack([self.force, self.moment]).T.tolist()
-        return time_column | dict(zip(names, columns, strict=True))
+        column_values = np.hstack([self.force, self.moment]).T.tolist()
+        return time_by_name | dict(zip(column_names, column_values, strict=True))
 
     def _units(self) -> Mapping[str, str]:
-        units = {"time": "s", "force": "N", "moment": "N m"}
-        return {name: units[name.partition("_")[0]] for name in self.to_dict()}
+        unit_by_prefix = {"time": "s", "force": "N", "moment": "N m"}
+        return {name: unit_by_prefix[name.partition("_")[0]] for name in self.to_dict()}
 
     def _title(self) -> str:
         force, moment = self.numbers.values()
-        place = ", ".join(f"{x:.4g}" for x in self.center)
-        return f"up to {quantity(force, 'N')} and {quantity(moment, 'N m')} about ({place}) m"
+        center_text = ", ".join(f"{coordinate:.4g}" for coordinate in self.center)
+        return f"up to {quantity(force, 'N')} and {quantity(moment, 'N m')} about ({center_text}) m"
 
 
 def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:

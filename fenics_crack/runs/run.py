@@ -20,7 +20,7 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.files.results import Result, save
 from fenics_crack.model.modes import Modes
 from fenics_crack.motion.motions import ObservedMotion
-from fenics_crack.runs.conclusion import Answer, conclusion_of
+from fenics_crack.runs.conclusion import StudyWithResult, make_conclusion
 from fenics_crack.time.march import TimeHistory
 
 ResultType = TypeVar("ResultType", bound=Result, covariant=True)
@@ -29,15 +29,15 @@ ResultType = TypeVar("ResultType", bound=Result, covariant=True)
 class ResultAttribute:
     """Attribute of a run's result, read through the run."""
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
+    def __set_name__(self, owner: type, attribute_name: str) -> None:
+        self.attribute_name = attribute_name
 
     def __get__(self, run: Any, owner: type | None = None) -> Any:
-        return self if run is None else getattr(run.result, self.name)
+        return self if run is None else getattr(run.result, self.attribute_name)
 
 
 @dataclass(frozen=True, repr=False)
-class Run(Answer, Generic[ResultType]):
+class Run(StudyWithResult, Generic[ResultType]):
     """A study with its result, whose attributes are also its own: ``run.peak()``.
 
     Attributes
@@ -63,7 +63,7 @@ class Run(Answer, Generic[ResultType]):
         return self.stated or errors_of(self, self.result)
 
     def __str__(self) -> str:
-        return f"{self.result!r}: {conclusion_of(self).closing()}"
+        return f"{self.result!r}: {make_conclusion(self).closing()}"
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
@@ -81,8 +81,10 @@ class Run(Answer, Generic[ResultType]):
         peak, errors = self.result.peak(dof), self.errors
         if errors is None or not errors.parts or dof not in (None, self.watched_dof):
             return peak
-        names = self.watched[0].column("amplitude"), errors.resonance
-        amplitude_error, omega_error = (errors.stated(name)[0] for name in names)
+        quantity_names = self.watched[0].column("amplitude"), errors.resonance
+        amplitude_error, omega_error = (
+            errors.stated(quantity_name)[0] for quantity_name in quantity_names
+        )
         return replace(
             peak,
             error=amplitude_error,
@@ -97,12 +99,16 @@ class Run(Answer, Generic[ResultType]):
         and modes have none.
         """
         result, dofs = self.result, [point.dof for point in self.watched]
-        columns: list[np.ndarray] = []
+        displacement_columns: list[np.ndarray] = []
         if isinstance(result, TimeHistory):
-            columns = list(result.displacement(dofs).T)
+            displacement_columns = list(result.displacement(dofs).T)
         elif isinstance(result, ObservedMotion):
-            columns = [displacement.coefficients for displacement in result.observe(dofs)[0]]
-        return dict(zip((point.words for point in self.watched), columns, strict=False))
+            displacement_columns = [
+                displacement.coefficients for displacement in result.observe(dofs)[0]
+            ]
+        return dict(
+            zip((point.words for point in self.watched), displacement_columns, strict=False)
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the result with its scene, stated errors and watched motion (collective).
@@ -115,13 +121,15 @@ class Run(Answer, Generic[ResultType]):
         InputError
             The file cannot be written.
         """
-        errors = None if self.stated is None else self.stated.text()
-        write = partial(save, self.result, path, self.scene, watched=self.motion(), errors=errors)
-        is_shared = isinstance(self.result, PeriodicSolution | Modes)  # spread over ranks
-        if self.structure.comm.size > 1 and is_shared:
-            write()
+        errors_text = None if self.stated is None else self.stated.text()
+        write_file = partial(
+            save, self.result, path, self.scene, watched=self.motion(), errors=errors_text
+        )
+        is_distributed = isinstance(self.result, PeriodicSolution | Modes)  # spread over ranks
+        if self.structure.comm.size > 1 and is_distributed:
+            write_file()
         else:
-            on_root(self.structure.whole.comm, write)
+            on_root(self.structure.whole.comm, write_file)
 
     # --- attributes of the result, in alphabetical order ---
 

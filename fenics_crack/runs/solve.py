@@ -19,7 +19,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import prepare_unreduced_study, solve_study
 
-DEFAULT_MODES = 6
+N_DEFAULT_MODES = 6
 """Number of modes that are found by default."""
 
 
@@ -50,7 +50,7 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
     >>> fc.modes(scene, 3).result.omega
     """
     study = prepare(scene, comm, whole=True)
-    n_modes = min(DEFAULT_MODES, study.structure.n_modes) if count is None else count
+    n_modes = min(N_DEFAULT_MODES, study.structure.n_modes) if count is None else count
     return Run(**vars(study), result=solve_modes(study.structure, n_modes))
 
 
@@ -93,7 +93,7 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     An undecided verdict needs it, and one on a solution in which no pair opens and closes: its
     multipliers know nothing of the contact that another motion meets.
     """
-    solution, dof = run.result, run.watched_dof
+    solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability
     if stability is None or solution.still:
         return run
@@ -101,17 +101,20 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     if is_decided and solution.breathes:
         return run
     begin("the motion from rest")
-    motion = None
+    rest_motion = None
     with suppress(KeyboardInterrupt):  # the solution stays what it is
-        motion = from_rest(solution)
-    if motion is None or not motion.periods:
+        rest_motion = from_rest(solution)
+    if rest_motion is None or not rest_motion.periods:
         return run
     rest_amplitude = math.nan
-    outcome = f"has not settled after {counted(motion.periods, 'period')} of the load"
-    if motion.orbit is not None:
-        outcome, rest_amplitude = motion.description, motion.orbit.amplitude(dof)
-        amplitude = solution.amplitude(dof)
+    outcome_text = f"has not settled after {counted(rest_motion.periods, 'period')} of the load"
+    if rest_motion.orbit is not None:
+        outcome_text, rest_amplitude = (
+            rest_motion.description,
+            rest_motion.orbit.amplitude(watched_dof),
+        )
+        amplitude = solution.amplitude(watched_dof)
         if is_decided and abs(rest_amplitude - amplitude) <= MAX_SETTLED_CHANGE * amplitude:
             return run  # the same motion
-    stability = replace(stability, from_rest=outcome, rest_amplitude=rest_amplitude)
+    stability = replace(stability, from_rest=outcome_text, rest_amplitude=rest_amplitude)
     return replace(run, result=replace(solution, stability=stability))

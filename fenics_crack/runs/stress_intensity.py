@@ -76,9 +76,9 @@ class StressIntensity(Tabular):
         ``[growth]`` delta_K_equivalent, too: the range from 0 that makes the crack grow as much,
         once a period of the load, as all cycles of K_I do, counted by rain flow.
         """
-        tip_values = [tip.values_by_name() for tip in self._tip_histories]
+        tip_values = [tip_history.values_by_name() for tip_history in self._tip_histories]
         return {
-            name: np.array([tip_numbers[name] for tip_numbers in tip_values])
+            name: np.array([value_by_name[name] for value_by_name in tip_values])
             for name in tip_values[0]
         }
 
@@ -119,9 +119,9 @@ class StressIntensity(Tabular):
         The hoop stress is largest there: K_I sin(theta) + K_II (3 cos(theta) - 1) = 0 (Erdogan,
         Sih, Journal of Basic Engineering 85, 1963, 519); nan where K_I is never positive.
         """
-        place = self.one.argmax(axis=0)[None]
-        K_I = np.take_along_axis(self.one, place, axis=0)[0]
-        K_II = np.take_along_axis(self.two, place, axis=0)[0]
+        instant_indices = self.one.argmax(axis=0)[None]
+        K_I = np.take_along_axis(self.one, instant_indices, axis=0)[0]
+        K_II = np.take_along_axis(self.two, instant_indices, axis=0)[0]
         angles = -2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
         return np.where(K_I > 0.0, angles, np.nan)
 
@@ -137,20 +137,25 @@ class StressIntensity(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Return time and the stress intensities of each tip, a row for every instant."""
         columns = {"time": self.time.tolist()}
-        kinds = {"K_I": self.one, "K_II": self.two} | (
+        values_by_name = {"K_I": self.one, "K_II": self.two} | (
             {} if self.three is None else {"K_III": self.three}
         )
-        for number, tip in enumerate(self.tips):
-            columns |= {f"{name}, {tip}": rows[:, number].tolist() for name, rows in kinds.items()}
+        for tip_index, tip_name in enumerate(self.tips):
+            columns |= {
+                f"{name}, {tip_name}": values[:, tip_index].tolist()
+                for name, values in values_by_name.items()
+            }
         return columns
 
     def _units(self) -> Mapping[str, str]:
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
 
     def _title(self) -> str:
-        tip = self.leading
-        parts = [f"{name} = {values[tip]:.4g}" for name, values in self.numbers.items()]
-        return f"{', '.join(parts)} Pa m^0.5 at {self.tips[tip]}"
+        tip_index = self.leading
+        number_texts = [
+            f"{name} = {values[tip_index]:.4g}" for name, values in self.numbers.items()
+        ]
+        return f"{', '.join(number_texts)} Pa m^0.5 at {self.tips[tip_index]}"
 
 
 def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:
@@ -190,10 +195,12 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     """
     check_motion(run)
     check_known(without_tips(run.scene), "run", repr(run))
-    tips, rows, of_forces = make_tips_and_rows(run)
-    [record] = run.result.records(rows)
-    tip_histories = compute_tip_histories(record, tips, of_forces, run.scene.growth)
-    three = [tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None]
+    tips, displacement_rows, force_rows = make_tips_and_rows(run)
+    [record] = run.result.records(displacement_rows)
+    tip_histories = compute_tip_histories(record, tips, force_rows, run.scene.growth)
+    K_III_columns = [
+        tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None
+    ]
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
@@ -202,7 +209,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
         np.array([tip.growth_direction for tip in tips]),
         np.column_stack([tip_history.K_I for tip_history in tip_histories]),
         np.column_stack([tip_history.K_II for tip_history in tip_histories]),
-        np.column_stack(three) if three else None,
+        np.column_stack(K_III_columns) if K_III_columns else None,
         np.array([tip_history.closed_front_error for tip_history in tip_histories]),
         run,
         tip_histories,

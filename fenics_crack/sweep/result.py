@@ -48,7 +48,7 @@ from fenics_crack.basics.tables import Said, Tabular, counted, error_in_words, o
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.conclusion import report_linearity
+from fenics_crack.runs.conclusion import describe_linearity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.tables import Sweep
@@ -439,7 +439,7 @@ class SweepResult(Tabular):
             "sweep complete" if solved.all() else f"{solved.sum()} of {cases} converged",
             ", ".join(known),
             f"it could not be estimated in {counted(unknown, 'case')}" if unknown else "",
-            [*report_linearity(self["closed_share"][solved]), ", ".join(verdicts)],
+            [*describe_linearity(self["closed_share"][solved]), ", ".join(verdicts)],
         )
 
     def _title(self) -> str:
