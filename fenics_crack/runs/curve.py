@@ -46,14 +46,14 @@ def curve(
 ) -> Run[ResponseCurve]:
     """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
 
-    Over the frequency (:func:`continue_frequency`), the speed of a rotor or another parameter
-    (:func:`continue_parameter`), or at resonance over the load (:func:`follow_resonance`);
-    collective.
+    The curve is followed over the frequency (:func:`continue_frequency`), over rotor speed or
+    another parameter (:func:`continue_parameter`), or at resonance over the load
+    (:func:`follow_resonance`). Collective.
 
     Parameters
     ----------
     scene : Scene or Study
-        Scene that vibrates, with its curve; or what :func:`load_prepared` returns.
+        Scene that vibrates, with its curve; or the result of :func:`load_prepared`.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
@@ -78,7 +78,7 @@ def curve(
     studies = iterate_curve_studies(scene, comm)
     study = next(studies)
     _check_curve(study)
-    make_requested_rows(study)  # before the curve: it may be refused
+    make_requested_rows(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
     parameter, start, stop = scene.given("curve").followed
     if friction_of(required_contact_law(study)) is not None:
@@ -157,15 +157,15 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     if parameter == "omega":
         return continue_frequency(structure, start, stop, law, **curve_options)
     if parameter == "speed":
-        load_omega *= start / scene.speed  # the structure is that of the start
+        load_omega *= start / scene.speed  # the structure has the speed of the start
     return continue_parameter(structure, load_omega, law, parameter, start, stop, **curve_options)
 
 
 def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
-    """Yield a scene prepared for its curve, with more and more modes.
+    """Yield a scene prepared for its curve, with more and more modes (collective).
 
-    A run-up has a basis for all speeds, and as many modes as a resonance at the scene's own speed
-    takes.
+    A run-up is yielded once. It has one basis for all speeds, with as many modes as the first
+    resonance of the curve needs at the scene's own speed.
     """
     scene = source.scene if isinstance(source, Study) else source
     parameter, start, stop = scene.given("curve").followed
@@ -194,10 +194,10 @@ def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Stu
 def _find_study_with_enough_modes(
     study: Study, studies: Iterator[Study], start: float, stop: float
 ) -> Study:
-    """Return the first of some studies with enough modes (collective).
+    """Return the first study with enough modes for a curve over the frequency (collective).
 
-    Their error is that of a solution next to the first resonance of a curve over the frequency, or
-    at its start.
+    ``studies`` follow ``study`` with more modes. The error due to modes is computed at the first
+    resonance of the curve, or at its start. If no study suffices, it is the last one.
     """
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
@@ -205,7 +205,7 @@ def _find_study_with_enough_modes(
         resonance_omega = _lowest_bilinear_frequency(study, start, stop)
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
-        with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will tell
+        with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
             mode_error = error_by_modes(study, solve_beside(problem, None, balance_table.tolerance))
         if mode_error <= balance_table.given("tolerance") or mode_error == math.inf:
             break
@@ -213,7 +213,7 @@ def _find_study_with_enough_modes(
 
 
 def _lowest_bilinear_frequency(study: Study, start: float, stop: float) -> float:
-    """Return the lowest bilinear frequency of a range, or its start [rad/s] (collective)."""
+    """Return the lowest bilinear frequency in a range [rad/s], else its start (collective)."""
     lower_bound, upper_bound = sorted((start, stop))
     bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear
     is_between = (bilinear_omegas > lower_bound) & (bilinear_omegas < upper_bound)
@@ -221,7 +221,10 @@ def _lowest_bilinear_frequency(study: Study, start: float, stop: float) -> float
 
 
 def _describe_mode_choice(study: Study, mode_error: float) -> str:
-    """Say whether the modes of a curve meet its tolerance, with their error."""
+    """Describe in words whether the number of modes meets the tolerance of a curve.
+
+    ``mode_error`` is the relative error due to the number of modes.
+    """
     scene = study.scene
     tolerance, n_modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
     if mode_error <= tolerance:

@@ -38,8 +38,8 @@ def integrate(
 ) -> Run[TimeHistory]:
     """Integrate a scene's motion in time, as ``fenics-crack integrate`` does (collective).
 
-    By the scheme, the steps, the periods and the initial values of the table ``[integration]``, or
-    the defaults: from rest, until the motion settles.
+    Scheme, steps, periods and initial values are those of the table ``[integration]``. By default
+    the motion starts from rest and is followed until it settles.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def integrate(
     study = with_friction_lines(prepare(scene, comm), omega)
     structure, law = study.structure, required_contact_law(study)
     method_name = _choose_method(study, integration_table, law)
-    make_requested_rows(study)  # before the integration: it may be refused
+    make_requested_rows(study)  # before the integration: this may raise InputError
     initial_motion: Initial = None
     if integration_table.deflection is not None:
         static_structure = structure_under_static_load(structure, integration_table.deflection)
@@ -117,7 +117,10 @@ def integrate(
 def _march_function_and_steps(
     study: Study, method_name: str, steps_per_period: int | None
 ) -> tuple[Callable[..., TimeHistory], int]:
-    """Return the function of a method and its steps per period, given or usual."""
+    """Return the integrating function of a method, and its steps per period.
+
+    The steps are those given, else the method's default.
+    """
     from fenics_crack.time.central_differences import (
         integrate_central_difference,
         stable_steps_per_period,
@@ -153,8 +156,8 @@ def _start_state(
 ) -> tuple[np.ndarray, ...]:
     """Return the state of an earlier motion of the same mesh for a structure (collective).
 
-    It is that of a solution at phase 0 of its load, of a motion in time at its end. Reduced
-    structures take it by their modes: q = Phi^T M u.
+    A solution gives the state at phase 0 of its load, a motion in time its final state. For a
+    reduced structure the state is projected on the modes: q = Phi^T M u.
 
     Returns
     -------
@@ -186,7 +189,7 @@ def _start_state(
 
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:
-    """Return the integration method, the table's or the default; InputError if unusable."""
+    """Return the name of the integration method; InputError if it cannot be used."""
     structure, contact, requirement = study.structure, study.scene.contact, ""
     has_massless_faces = structure.light_lips
     method_name = integration_table.method or (

@@ -27,10 +27,9 @@ from fenics_crack.time.march import TimeHistory
 def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     """Read the result of a command with its scene, structure and law (collective).
 
-    The structure is built anew from the scene in the file; the result is only read. Files of the
-    mesh or of matrices that the scene names are opened if they are still those of the result, by
-    their SHA-256. With a structure at hand, :func:`fenics_crack.load` reads the same files; sweeps
-    are read by ``SweepResult.load``.
+    The structure is built anew from the scene in the file; the result is only read. Mesh and matrix
+    files that the scene names must have the SHA-256 digests of the result. If the structure exists
+    already, :func:`fenics_crack.load` reads the same files; ``SweepResult.load`` reads sweeps.
 
     Parameters
     ----------
@@ -48,7 +47,7 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     ------
     InputError
         The file is not a result with a scene, is a sweep, damaged or of an older version; or a file
-        that its scene names has changed.
+        that the scene names has changed.
 
     Examples
     --------
@@ -61,9 +60,10 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
 def make_run_from_file(
     result_file: Stored, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
 ) -> Run[Result]:
-    """Return the run of a file that has been read (collective).
+    """Make the run of a result file that has been read (collective).
 
-    A reduction has its reference if ``with_reference``. Raises as :func:`load_run`.
+    A reduced structure has a reference of more modes if ``with_reference``. Raises as
+    :func:`load_run`.
     """
     result_type, scene = type_of(result_file), result_file.scene()
     if scene is None:
@@ -92,9 +92,9 @@ def make_run_from_file(
 
 
 def read_run(result_file: Stored) -> Run[Result]:
-    """Return the run of a file that one rank has read.
+    """Make the run of a result file on this rank alone.
 
-    A solution's structure gets no reference, as the stated errors are in the file.
+    A solution's structure gets no reference, because the file has the stated errors.
     """
     return make_run_from_file(
         result_file, MPI.COMM_SELF, with_reference=result_file.kind != PeriodicSolution.KIND
@@ -102,7 +102,7 @@ def read_run(result_file: Stored) -> Run[Result]:
 
 
 def study_under_mean_load(study: Study) -> Study:
-    """Return a study whose mean load acts alone."""
+    """Return a study whose load is the mean load alone."""
     structure = structure_under_static_load(study.structure, 0.0)
     return replace(study, structure=structure.watching(study.watched[0].dof))
 
@@ -110,7 +110,7 @@ def study_under_mean_load(study: Study) -> Study:
 def structure_under_static_load(structure: Structure, fraction: float) -> Structure:
     """Return a structure under a static load.
 
-    It is the mean load, plus a fraction of the first harmonic's cosine part and of its sine part.
+    The load is the mean load, plus a fraction of the first harmonic's cosine and sine parts.
     """
     weights = np.zeros((len(structure.force),) * 2)
     weights[0, :3] = 1.0, fraction, fraction

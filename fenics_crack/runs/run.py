@@ -38,7 +38,7 @@ class ResultAttribute:
 
 @dataclass(frozen=True, repr=False)
 class Run(StudyWithResult, Generic[ResultType]):
-    """A study with its result, whose attributes are also its own: ``run.peak()``.
+    """A study with its result, and with the result's attributes: ``run.amplitude()``.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result of the computation.
     stated : Verification or None
-        Its :attr:`errors`, where they were computed with it.
+        The :attr:`errors`, if they were computed together with the result.
     """
 
     result: ResultType
@@ -93,10 +93,10 @@ class Run(StudyWithResult, Generic[ResultType]):
         )
 
     def motion(self) -> dict[str, np.ndarray]:
-        """Return the motion of what is watched [m], by its words (collective).
+        """Return the watched displacements [m] by their descriptions (collective).
 
-        A solution has coefficients (2H+1,), a curve (n, 2H+1), a motion in time displacements (n,),
-        and modes have none.
+        A solution has Fourier coefficients (2H+1,), a curve (n, 2H+1), a motion in time
+        displacements (n,), and modes have none.
         """
         result, dofs = self.result, [point.dof for point in self.watched]
         displacement_columns: list[np.ndarray] = []

@@ -20,7 +20,7 @@ from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import prepare_unreduced_study, solve_study
 
 N_DEFAULT_MODES = 6
-"""Number of modes that are found by default."""
+"""Default number of modes that are found."""
 
 
 def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
@@ -57,14 +57,14 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
 def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
-    Harmonic balance at the load's frequency (:func:`solve_harmonic_balance`), with its stability
-    (:func:`floquet`) if that is quick. With a tolerance the modes of the reduction are chosen, too,
-    if the scene does not give any.
+    The solution is found by harmonic balance at the load frequency
+    (:func:`solve_harmonic_balance`). Its stability (:func:`floquet`) is added if that is quick.
+    With a tolerance, the number of modes is chosen unless the scene gives it.
 
     Parameters
     ----------
     scene : Scene or Study
-        Scene with its load, contact and harmonic balance; or what :func:`load_prepared` returns.
+        Scene with its load, contact and harmonic balance; or the result of :func:`load_prepared`.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -90,8 +90,8 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
 def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Add the outcome of the motion from rest if the verdict needs it (collective).
 
-    An undecided verdict needs it, and one on a solution in which no pair opens and closes: its
-    multipliers know nothing of the contact that another motion meets.
+    It is needed if the verdict is undecided, or if no pair opens and closes in the solution. In the
+    latter case the multipliers ignore contact that another motion may meet.
     """
     solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability
@@ -102,7 +102,7 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
         return run
     begin("the motion from rest")
     rest_motion = None
-    with suppress(KeyboardInterrupt):  # the solution stays what it is
+    with suppress(KeyboardInterrupt):  # the solution stays as it is
         rest_motion = from_rest(solution)
     if rest_motion is None or not rest_motion.periods:
         return run
