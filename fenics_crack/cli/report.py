@@ -37,7 +37,7 @@ from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene, unit_of
 from fenics_crack.scene.words import differences, given_values, key_in_words, value_in_words
-from fenics_crack.study.shelf import KIND as KEPT_KIND
+from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_part
 from fenics_crack.version import VERSION, packaged
 

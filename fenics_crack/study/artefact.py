@@ -57,7 +57,7 @@ from fenics_crack.study.solve import (
     reduce_to_modes,
 )
 
-KIND = "prepared structure"
+FILE_KIND = "prepared structure"
 CHANGEABLE_KEYS_TEXT = (
     "a key that needs no mesh: the frequency, force_mean, force_cos and force_sin of the load, "
     "damping, clearances, the contact law and its friction, harmonics, the tolerance, [curve]; "
@@ -164,7 +164,7 @@ class PreparedStructure:
             ), **datasets,
         )  # fmt: skip
 
-    def make_structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
+    def make_structure(self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm) -> Structure:
         """Make the structure with a scene's damping and clearance (collective).
 
         Rank 0 has all rows. Datasets that are no structure raise an error of
@@ -172,11 +172,11 @@ class PreparedStructure:
 
         Parameters
         ----------
-        weights : (n, 2K+1)
+        load_weights : (n, 2K+1)
             Matrix from the load rows of the file to those of the scene.
         """
         n_dofs, n_pairs = self._check_and_count_dofs(), len(self.clearance)
-        local_part = slice(None if comm.rank == 0 else 0)
+        local_slice = slice(None if comm.rank == 0 else 0)
 
         def local_matrix(sparse_rows: SparseRows | None, n_columns: int) -> Any:
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
@@ -194,15 +194,15 @@ class PreparedStructure:
             shares=self.shares and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
         array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: getattr(nodes, name)[local_part] for name in array_names}
+        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in array_names}
         structure = Structure(Body(
-            mass, stiffness, gap=local_matrix(self.gap, n_pairs), force=self.force[:, local_part],
+            mass, stiffness, gap=local_matrix(self.gap, n_pairs), force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
             damping=damping_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
             nodes=nodes and replace(nodes, **node_array_by_name), pairs=pairs,
-            watched=None if watched_row is None else watched_row[local_part],
-            clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_part]), comm=comm,
+            watched=None if watched_row is None else watched_row[local_slice],
+            clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip
         for stored_receptance in self.receptances:
             source_structures = structure, structure.with_tangents()
@@ -216,9 +216,9 @@ class PreparedStructure:
             source_structure.compute_once(receptance_cache)[:] = [loaded_receptance]
             shared_receptances = structure.compute_once(shared_receptance_cache, from_matrices=True)
             shared_receptances[:] = [loaded_receptance]
-        if not np.array_equal(weights, np.eye(len(structure.force))):
-            clamp = structure.clamp and structure.clamp.with_weights(weights)
-            force = weights @ structure.force
+        if not np.array_equal(load_weights, np.eye(len(structure.force))):
+            clamp = structure.clamp and structure.clamp.with_weights(load_weights)
+            force = load_weights @ structure.force
             structure = structure._in_setting(DEFAULT_SETTING, force=force, clamp=clamp)
         if self.mass is None:
             receptance(structure, 1)
@@ -248,7 +248,7 @@ class PreparedStructure:
             "pairs.places": (0, n_pairs),
         }  # fmt: skip
         for receptance_index, stored_receptance in enumerate(self.receptances):
-            prefix, (n_sources, n_modes) = (
+            receptance_prefix, (n_sources, n_modes) = (
                 f"receptances.{receptance_index}",
                 stored_receptance.modal.shape,
             )
@@ -259,9 +259,14 @@ class PreparedStructure:
             }
             for dof in stored_receptance.rows:
                 shape_by_field |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
-            shape_by_name |= {f"{prefix}.{name}": shape for name, shape in shape_by_field.items()}
-            range_by_name |= {f"{prefix}.squares": (0, LARGEST), f"{prefix}.rows": (0, n_dofs)}
-            array_by_name[f"{prefix}.rows"] = np.array([*stored_receptance.rows])
+            shape_by_name |= {
+                f"{receptance_prefix}.{name}": shape for name, shape in shape_by_field.items()
+            }
+            range_by_name |= {
+                f"{receptance_prefix}.squares": (0, LARGEST),
+                f"{receptance_prefix}.rows": (0, n_dofs),
+            }
+            array_by_name[f"{receptance_prefix}.rows"] = np.array([*stored_receptance.rows])
         check_shapes(array_by_name, shape_by_name)
         for name, array in array_by_name.items():
             lower_limit, upper_limit = range_by_name.get(name, (-LARGEST, LARGEST))
@@ -277,19 +282,22 @@ class PreparedFile:
     structure: PreparedStructure
     coarser_structure: PreparedStructure | None = None
 
-    def make_structures(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> SharedStructure:
+    def make_structures(
+        self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm
+    ) -> SharedStructure:
         """Make a scene's structure, and attach that of its coarser mesh (collective).
 
-        ``weights`` are those of :meth:`PreparedStructure.make_structure`.
+        ``load_weights`` are those of :meth:`PreparedStructure.make_structure`.
         """
-        structure = self.structure.make_structure(scene, weights, comm)
-        scene_or_reason, rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
+        structure = self.structure.make_structure(scene, load_weights, comm)
+        scene_or_reason, single_rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
         if self.coarser_structure is not None and isinstance(scene_or_reason, Scene):
             # As of a reduced structure.
             coarser_entries = structure.compute_once(coarser_structure_cache, from_matrices=True)
             coarser_entries.append(SharedStructure(
-                self.coarser_structure.make_structure(scene_or_reason, weights, rank_comm),
-                rank_comm, structure_dependencies(scene_or_reason, rank_comm),
+                self.coarser_structure.make_structure(
+                    scene_or_reason, load_weights, single_rank_comm
+                ), single_rank_comm, structure_dependencies(scene_or_reason, single_rank_comm),
             ))  # fmt: skip
         return SharedStructure(structure, comm, structure_dependencies(scene, comm))
 
@@ -337,13 +345,13 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
         *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
     datasets = packed(PreparedFile(*map(_gather_study_datasets, studies)))
-    write(datasets, path, KIND, scene, structure.whole.comm)
+    write(datasets, path, FILE_KIND, scene, structure.whole.comm)
 
 
 def _gather_study_datasets(study: Study) -> PreparedStructure:
     """Gather the datasets of a reduced study, with the modes of its reference (collective)."""
-    reference = getattr(study.structure, "reference", None) or study.structure
-    n_modes = max(study.structure.n_modes, reference.n_modes)
+    reference_structure = getattr(study.structure, "reference", None) or study.structure
+    n_modes = max(study.structure.n_modes, reference_structure.n_modes)
     displacement_rows(
         study.structure.whole,
         n_modes,
@@ -399,7 +407,7 @@ def _changed_scene(stored_file: Stored, changes: Mapping[str, object]) -> Scene:
         The file is of another kind or has no scene, a changed key needs a mesh, or a requested
         quantity needs matrices.
     """
-    stored_file.fitting_argument(KIND)
+    stored_file.fitting_argument(FILE_KIND)
     file_scene = stored_file.scene()
     if file_scene is None:
         raise stored_file.refused("one with its scene")
@@ -421,11 +429,13 @@ def _changed_scene(stored_file: Stored, changes: Mapping[str, object]) -> Scene:
         )
 
     if needs_mesh(scene):
-        for key, value in changes.items():
+        for changed_key, changed_value in changes.items():
             with suppress(InputError):  # keys that cannot change without another key
-                if needs_mesh(file_scene.replace({key: value})):
+                if needs_mesh(file_scene.replace({changed_key: changed_value})):
                     break
-        raise InputError(key, value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}")
+        raise InputError(
+            changed_key, changed_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
+        )
     unavailable_quantities = [
         quantity_name
         for quantity_name in scene.quantities or ()
@@ -478,17 +488,17 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
         loads.
     """
     scene_load_rows = np.array(force_parts(scene), dtype=float)
-    is_same = np.array_equal(file_load_rows, scene_load_rows)
+    has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
     weights = (
         np.eye(len(scene_load_rows))
-        if is_same
+        if has_same_load_rows
         else scene_load_rows @ np.linalg.pinv(file_load_rows)
     )
     is_not_representable = (
         np.abs(weights @ file_load_rows - scene_load_rows).max()
         > ROUNDING * np.abs(scene_load_rows).max()
     )
-    if is_not_representable or (scene.has_other_loads and not is_same):
+    if is_not_representable or (scene.has_other_loads and not has_same_load_rows):
         requirement = (
             f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
         )
@@ -506,7 +516,7 @@ def _make_file_structure(stored_file: Stored, scene: Scene, comm: MPI.Comm) -> S
     """
     file_scene = stored_file.scene()
     assert file_scene is not None
-    weights = _load_weights_between_scenes(file_scene, scene)
+    load_weights = _load_weights_between_scenes(file_scene, scene)
     with stored_file.taken() as datasets:
         prepared_file: PreparedFile = unpacked(PreparedFile, datasets)
-        return prepared_file.make_structures(scene, weights, comm)
+        return prepared_file.make_structures(scene, load_weights, comm)

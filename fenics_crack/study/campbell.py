@@ -201,8 +201,11 @@ class Campbell(Saved):
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
         crossings = []
         for speed_index, mode_index in np.argwhere(is_above[1:] != is_above[:-1]).tolist():
-            interval, mode = self.speed[speed_index : speed_index + 2].tolist(), mode_index + 1
-            speed = brentq(frequency_difference, *interval, (mode,), rtol=SPEED_TOLERANCE)
+            speed_interval, mode = (
+                self.speed[speed_index : speed_index + 2].tolist(),
+                mode_index + 1,
+            )
+            speed = brentq(frequency_difference, *speed_interval, (mode,), rtol=SPEED_TOLERANCE)
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
 
@@ -363,15 +366,16 @@ class Campbell(Saved):
         """Return the parts of the last sentence: crossings of the load's engine order."""
         axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
         modes_text = counted(self.omega_open.shape[1], "mode")
-        outcome = f"{modes_text} found between {in_unit(axis, self.speed[0], self.speed[-1])}"
+        outcome_text = f"{modes_text} found between {in_unit(axis, self.speed[0], self.speed[-1])}"
         if order is None:
-            return Said(outcome)
+            return Said(outcome_text)
         crossing_texts = [
             f"mode {mode} at {in_unit(axis, speed if resonance.unknown else resonance.value)}"
             for mode, speed, resonance in self._crossing_resonances(order)
         ]
         return Said(
-            outcome, f"engine order {order} meets {', '.join(crossing_texts) or 'none of them'}"
+            outcome_text,
+            f"engine order {order} meets {', '.join(crossing_texts) or 'none of them'}",
         )
 
     def _title(self) -> str:
@@ -444,19 +448,19 @@ def campbell(
     start, stop = speed_array[[0, -1]]
     projection = Ritz.of_range(fastest_structure.damped(None), start, stop, count, n_bonded_modes)
     load_amplitude = projection.force[1] - 1j * projection.force[2]
-    peak_amplitudes = partial(_find_peak_amplitudes, load_amplitude, fastest_structure)
+    peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, fastest_structure)
 
     @cache
     def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
         return _find_frequencies_and_margins(
-            projection.at_speed(speed), peak_amplitudes, count, n_bonded_modes
+            projection.at_speed(speed), peak_amplitude_function, count, n_bonded_modes
         )
 
     omega_of_states, hold_margins = zip(
         *map(find_frequencies_and_margins, speed_array.tolist()), strict=True
     )
     omega_open, omega_tied, omega_partly = np.moveaxis(omega_of_states, 1, 0)
-    changes = tuple(
+    kind_changes = tuple(
         (mode_index + 1, speed, kind)
         for mode_index in range(count)
         for speed_interval in pairwise(speed_array.tolist())
@@ -464,7 +468,7 @@ def campbell(
             find_frequencies_and_margins, *speed_interval, mode_index
         )
     )
-    kind = np.array([_classify_states(margins) for margins in hold_margins])
+    frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.at_speed(speed_array[-1]), count)
     modes = Modes(
         projected_modes.omega, projection.basis @ projected_modes.shapes, fastest_structure
@@ -477,8 +481,8 @@ def campbell(
         omega_tied,
         omega_partly,
         fastest_structure.n_pairs > 0,
-        kind,
-        changes,
+        frequency_kinds,
+        kind_changes,
         coriolis,
         find_frequencies_and_margins,
     )
@@ -614,7 +618,10 @@ def _find_peak_amplitudes(
 
 
 def _find_frequencies_and_margins(
-    structure: Structure, peak_amplitudes: PeakAmplitudeFunction, n_modes: int, n_bonded_modes: int
+    structure: Structure,
+    peak_amplitude_function: PeakAmplitudeFunction,
+    n_modes: int,
+    n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find frequencies and margins of the states in which a crack may be held.
 
@@ -645,11 +652,11 @@ def _find_frequencies_and_margins(
     held_states = zip(rest_states, (no_pairs, all_pairs, is_pressed), strict=True)
     state_results = [
         _find_held_frequencies_and_margins(
-            open_modes, peak_amplitudes, rest_state, is_bonded, n_bonded_modes
+            open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
         )
         for rest_state, is_bonded in held_states
     ]
-    omega, hold_margins = (np.array(arrays) for arrays in zip(*state_results, strict=True))
+    omega, hold_margins = (np.array(results) for results in zip(*state_results, strict=True))
     if is_pressed.all() or not is_pressed.any():
         hold_margins[2] = -1.0  # not partly
     return omega, hold_margins
@@ -657,7 +664,7 @@ def _find_frequencies_and_margins(
 
 def _find_held_frequencies_and_margins(
     open_modes: Modes,
-    peak_amplitudes: PeakAmplitudeFunction,
+    peak_amplitude_function: PeakAmplitudeFunction,
     rest_state: np.ndarray,
     is_bonded: np.ndarray,
     n_bonded_modes: int,
@@ -709,4 +716,6 @@ def _find_held_frequencies_and_margins(
                 (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
             )[0]
         )
-    return modes.omega, (rest_state[:, None] - peak_amplitudes(modes) * pair_changes).min(axis=0)
+    return modes.omega, (rest_state[:, None] - peak_amplitude_function(modes) * pair_changes).min(
+        axis=0
+    )

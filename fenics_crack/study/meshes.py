@@ -78,8 +78,8 @@ def make_coarser_scene(scene: Scene) -> Scene | str:
     if scene.mesh.layout == "file":
         if scene.mesh.coarser is None:
             return "mesh.coarser is not given"
-        changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
-        return scene.replace(changes | _patch_changes(scene, 0.5))
+        key_changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
+        return scene.replace(key_changes | _patch_changes(scene, 0.5))
     with suppress(InputError):  # the grid's lines miss the crack
         if (coarser_scene := refine_scene(scene, 0.5)) is not None:
             return coarser_scene
@@ -107,12 +107,15 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
     Area and centroid of the faces may differ by an element of the coarser mesh.
     """
-    faces, coarser_faces = _crack_face_pairs(structure), _crack_face_pairs(coarser_structure)
-    if len(faces) != len(coarser_faces):
-        counts_text = f"{len(coarser_faces)} instead of {len(faces)}"
+    crack_pairs, coarser_crack_pairs = (
+        _crack_face_pairs(structure),
+        _crack_face_pairs(coarser_structure),
+    )
+    if len(crack_pairs) != len(coarser_crack_pairs):
+        counts_text = f"{len(coarser_crack_pairs)} instead of {len(crack_pairs)}"
         return f"mesh.coarser has another number of cracks, {counts_text}"
     for crack_number, ((areas, points), (coarser_areas, coarser_points)) in enumerate(
-        zip(faces, coarser_faces, strict=True), 1
+        zip(crack_pairs, coarser_crack_pairs, strict=True), 1
     ):
         area, coarser_area = areas.sum(), coarser_areas.sum()
         centroid_shift = areas @ points / area - coarser_areas @ coarser_points / coarser_area
@@ -139,8 +142,8 @@ def _crack_face_pairs(structure: Structure) -> list[tuple[np.ndarray, np.ndarray
     return [(pairs.areas[pair_mask], pairs.points[pair_mask]) for pair_mask in pair_masks]
 
 
-def refine_scene(scene: Scene, factor: float) -> Scene | None:
-    """Return a scene with elements ``factor`` times as short; None without such a mesh.
+def refine_scene(scene: Scene, refinement_factor: float) -> Scene | None:
+    """Return a scene with elements ``refinement_factor`` times as short; None without such a mesh.
 
     The number of elements along crack faces is rounded up; sizes and patches follow it, so that the
     mesh stays similar. In a solid or a disk's sector, three or more elements along a face change
@@ -152,43 +155,53 @@ def refine_scene(scene: Scene, factor: float) -> Scene | None:
     mesh_table = scene.mesh
     if mesh_table is None or mesh_table.layout == "file":
         return None
-    changes: dict[str, Any] = {}
+    key_changes: dict[str, Any] = {}
     n_face_elements, element_size = mesh_table.lip_elements, mesh_table.size
-    if scene.has_element_lengths and element_size is not None and factor > 1.0:
+    if scene.has_element_lengths and element_size is not None and refinement_factor > 1.0:
         element_size = min([element_size, *scene.geometry.sides])
     if scene.has_element_lengths and n_face_elements is not None and n_face_elements > 2:
-        n_new_elements, grading, factor = _similar_grading(
-            n_face_elements, mesh_table.grading, factor
+        n_new_elements, grading, refinement_factor = _similar_grading(
+            n_face_elements, mesh_table.grading, refinement_factor
         )
-        changes |= {"mesh.lip_elements": n_new_elements, "mesh.grading": grading}
+        key_changes |= {"mesh.lip_elements": n_new_elements, "mesh.grading": grading}
     elif n_face_elements is not None:
-        n_new_elements = changes["mesh.lip_elements"] = math.ceil(factor * n_face_elements)
-        factor = factor if n_new_elements == n_face_elements else n_new_elements / n_face_elements
+        n_new_elements = key_changes["mesh.lip_elements"] = math.ceil(
+            refinement_factor * n_face_elements
+        )
+        refinement_factor = (
+            refinement_factor
+            if n_new_elements == n_face_elements
+            else n_new_elements / n_face_elements
+        )
     if element_size is not None:
-        changes["mesh.size"] = element_size / factor
+        key_changes["mesh.size"] = element_size / refinement_factor
     for key in ("columns", "rows"):
         n_cells = getattr(mesh_table, key)
         if n_cells is not None:
-            changes[f"mesh.{key}"] = math.ceil(factor) * n_cells if factor > 1.0 else n_cells // 2
-            if factor < 1.0 and n_cells % 2:
+            key_changes[f"mesh.{key}"] = (
+                math.ceil(refinement_factor) * n_cells if refinement_factor > 1.0 else n_cells // 2
+            )
+            if refinement_factor < 1.0 and n_cells % 2:
                 return None
-    return scene.replace(changes | _patch_changes(scene, factor))
+    return scene.replace(key_changes | _patch_changes(scene, refinement_factor))
 
 
-def _patch_changes(scene: Scene, factor: float) -> dict[str, int]:
-    """Return the change of the scene's key for patches ``factor`` times as short.
+def _patch_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
+    """Return the change of the scene's key for patches ``refinement_factor`` times as short.
 
     Their error then is part of the mesh's error. Empty without patches.
     """
     n_patches = scene.mesh.patches
     return (
-        {"mesh.patches": max(1, round(n_patches * factor ** (scene.dimension - 1)))}
+        {"mesh.patches": max(1, round(n_patches * refinement_factor ** (scene.dimension - 1)))}
         if n_patches
         else {}
     )
 
 
-def _similar_grading(n_elements: int, grading: float, factor: float) -> tuple[int, float, float]:
+def _similar_grading(
+    n_elements: int, grading: float, refinement_factor: float
+) -> tuple[int, float, float]:
     """Refine a solid's graded elements along a crack face, so that the mesh stays similar.
 
     The n elements are h_0 r^k long, k = 0 to n - 1, with the grading r^(n - 1). Neighbouring
@@ -199,13 +212,13 @@ def _similar_grading(n_elements: int, grading: float, factor: float) -> tuple[in
     -------
     n_new_elements : int
     grading : float
-    factor : float
-        Actual ratio of old to new element lengths, near ``factor``.
+    refinement_factor : float
+        Actual ratio of old to new element lengths, near the requested one.
     """
     # log r^n; equal elements count as hardly graded, since r must exceed 1
     log_growth = math.log(grading) * n_elements / (n_elements - 1) or 1e-9
     growth_rate = math.expm1(log_growth / n_elements)
-    n_new_elements = round(log_growth / math.log1p(growth_rate / factor))
+    n_new_elements = round(log_growth / math.log1p(growth_rate / refinement_factor))
     return (
         n_new_elements,
         math.exp(log_growth * (n_new_elements - 1) / n_new_elements),

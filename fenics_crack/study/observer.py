@@ -116,15 +116,17 @@ class ClampReactions(NamedTuple):
 def compute_clamp_reactions(record: Record) -> ClampReactions:
     """Compute clamp reactions over time from a record of :func:`clamp_inertia_rows`."""
     whole_structure, omega = record.structure.whole, record.omega
-    clamp, drag = _clamp_and_drag(whole_structure)
+    clamp, drag_factor = _clamp_and_drag(whole_structure)
     if record.steps:
-        return ClampReactions(*clamp.reaction_of_record(record.time, record.motion, omega, drag))
+        return ClampReactions(
+            *clamp.reaction_of_record(record.time, record.motion, omega, drag_factor)
+        )
     base_omega = omega / record.subharmonic
     wave_arguments = (
         record.coefficients,
         base_omega,
         record.subharmonic,
-        drag,
+        drag_factor,
         base_omega * record.time,
     )
     return ClampReactions(*clamp.reaction_of_waves(*wave_arguments))
@@ -151,8 +153,11 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     known_modes = structure.known_modes(
         is_bonded=False
     )  # with mass, where not all coordinates have it
-    shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
-    whole_rows = whole_structure.sum_over_ranks(structure.expand(shapes.T) @ inertia.T).T @ shapes.T
+    mode_shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
+    whole_rows = (
+        whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
+        @ mode_shapes.T
+    )
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
     return np.asarray(whole_rows @ mass)
 
@@ -232,15 +237,15 @@ def compute_tip_histories(
     force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
         Factors of the contact forces.
     """
-    intensities = (record.motion + record.force[:, : record.n_pairs] @ force_rows.T).T
+    tip_intensities = (record.motion + record.force[:, : record.n_pairs] @ force_rows.T).T
     is_without_clearance = not np.any(record.structure.clearance)
     tip_histories = []
     for tip, (K_I, K_II, *K_III) in zip(
-        tips, intensities.reshape(len(tips), -1, intensities.shape[1]), strict=True
+        tips, tip_intensities.reshape(len(tips), -1, tip_intensities.shape[1]), strict=True
     ):
-        stated_K_I, adjacent_pairs = K_I, tip.adjacent_pairs
-        if is_without_clearance and len(adjacent_pairs):
-            is_closed = np.all(record.force[:, adjacent_pairs] > 0.0, axis=1)
+        stated_K_I, adjacent_pair_indices = K_I, tip.adjacent_pairs
+        if is_without_clearance and len(adjacent_pair_indices):
+            is_closed = np.all(record.force[:, adjacent_pair_indices] > 0.0, axis=1)
             stated_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
         closed_front_error = float(np.abs(K_I - stated_K_I).max())
         tip_histories.append(
@@ -259,8 +264,8 @@ def compute_tip_histories(
 class EllipseHistories(NamedTuple):
     """Stress intensity over time at the deepest station of a half-ellipse, and at its ends."""
 
-    deepest: TipHistory
-    ends: list[TipHistory]
+    deepest_history: TipHistory
+    end_histories: list[TipHistory]
 
 
 def estimate_front_errors(
@@ -280,28 +285,32 @@ def estimate_front_errors(
         vary along a front; then there are no errors of closed fronts.
     """
     requested_names = set(asked_quantities(study.scene))
-    names = sorted(requested_names.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
-    if study.scene.dimension == 2 or not names:
+    quantity_names = sorted(requested_names.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
+    if study.scene.dimension == 2 or not quantity_names:
         return {}, {}
     if not requested_names.intersection(asked_quantities(coarser_study.scene)):
-        return {}, dict.fromkeys(names, math.inf)
+        return {}, dict.fromkeys(quantity_names, math.inf)
     fronts, coarser_fronts = (
         _collect_fronts(study, motion),
         _collect_fronts(coarser_study, coarser_motion),
     )
     if min(len(positions) for positions, *_ in coarser_fronts.values()) < MIN_FRONT_STATIONS:
-        return {}, dict.fromkeys(names, math.inf)
+        return {}, dict.fromkeys(quantity_names, math.inf)
     difference_by_name = {}
-    for name in names:
-        base_name = name.removesuffix("_deepest").removesuffix("_surface")
+    for quantity_name in quantity_names:
+        base_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
         differences = [
-            np.interp(positions, coarser_fronts[front][0], coarser_fronts[front][1][base_name])
+            np.interp(
+                positions, coarser_fronts[front_name][0], coarser_fronts[front_name][1][base_name]
+            )
             - values_by_name[base_name]
-            for front, (positions, values_by_name, _) in fronts.items()
+            for front_name, (positions, values_by_name, _) in fronts.items()
         ]
-        difference_by_name[name] = max(float(np.abs(values).max()) for values in differences)
+        difference_by_name[quantity_name] = max(
+            float(np.abs(difference).max()) for difference in differences
+        )
     closed_error = max(front_error for _, _, front_error in fronts.values())
-    return dict.fromkeys(names, closed_error), difference_by_name
+    return dict.fromkeys(quantity_names, closed_error), difference_by_name
 
 
 def _collect_fronts(
@@ -315,8 +324,8 @@ def _collect_fronts(
         Positions (n,) over the front's length, each number at these positions (n,), and the error
         of K_I while the front is closed [Pa m^1/2].
     """
-    stations, rows, force_rows = make_tips_and_rows(study)
-    [record] = motion.records(rows)
+    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    [record] = motion.records(displacement_rows)
     tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
     front_by_name, station_names = {}, [station.name for station in stations]
     for front_name, station_indices in station_indices_by_front(station_names).items():
@@ -400,17 +409,19 @@ class _TipsAndRowsOfScene:
             if not tips_and_rows[0]:
                 raise InputError("crack", "a crack without a tip", "one that ends in the structure")
             return tips_and_rows
-        tips, rows, force_rows = structure.whole.compute_once(self)
+        tips, displacement_rows, force_rows = structure.whole.compute_once(self)
         unit_vectors, block_size = (
             np.eye(structure.n_dofs),
             max(1, MAX_EXPANDED_VALUES // structure.whole.n_dofs),
         )
-        blocks = [
-            unit_vectors[start : start + block_size]
-            for start in range(0, len(unit_vectors), block_size)
+        unit_blocks = [
+            unit_vectors[start_index : start_index + block_size]
+            for start_index in range(0, len(unit_vectors), block_size)
         ]
-        products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
-        return tips, structure.whole.sum_over_ranks(products).T, force_rows
+        row_products = np.vstack(
+            [structure.expand(unit_block) @ displacement_rows.T for unit_block in unit_blocks]
+        )
+        return tips, structure.whole.sum_over_ranks(row_products).T, force_rows
 
 
 def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
@@ -424,15 +435,15 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
     periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
     turning_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
-    open_values: list[float] = []
+    unpaired_values: list[float] = []
     cycles = []
     for value in periodic_values[[0, *turning_indices, -1]].tolist():
-        open_values.append(value)
-        while len(open_values) > 2 and abs(open_values[-1] - open_values[-2]) >= abs(
-            open_values[-2] - open_values[-3]
+        unpaired_values.append(value)
+        while len(unpaired_values) > 2 and abs(unpaired_values[-1] - unpaired_values[-2]) >= abs(
+            unpaired_values[-2] - unpaired_values[-3]
         ):
-            cycles.append((max(open_values[-3:-1]), min(open_values[-3:-1])))
-            del open_values[-3:-1]
+            cycles.append((max(unpaired_values[-3:-1]), min(unpaired_values[-3:-1])))
+            del unpaired_values[-3:-1]
     return np.array(cycles).reshape(-1, 2)
 
 
@@ -441,7 +452,7 @@ def _make_tip_rows(study: Study) -> ExtraRows:
 
     K_max of a solid is the largest K_I of all stations, by which it breaks.
     """
-    tips, rows, force_rows = make_tips_and_rows(study)
+    tips, displacement_rows, force_rows = make_tips_and_rows(study)
 
     def leading_tip_values(record: Record) -> dict[str, float]:
         tip_histories = compute_tip_histories(record, tips, force_rows, study.scene.growth)
@@ -452,36 +463,43 @@ def _make_tip_rows(study: Study) -> ExtraRows:
             )
         return value_by_name
 
-    return ExtraRows(rows, leading_tip_values)
+    return ExtraRows(displacement_rows, leading_tip_values)
 
 
 def _make_ellipse_rows(study: Study) -> ExtraRows:
     """Make the rows of a half-ellipse's front, for the numbers of its deepest station and ends."""
-    stations, rows, force_rows = make_tips_and_rows(study)
-    points, crack = np.array([station.point for station in stations]), study.scene.given("crack")
-    heights = points[:, 2]
+    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    station_positions, crack = (
+        np.array([station.point for station in stations]),
+        study.scene.given("crack"),
+    )
+    station_heights = station_positions[:, 2]
     if crack.point is not None:
-        heights = -np.abs((points - crack.point) @ crack.frame[1])
-    middle_height = 0.5 * (heights.min() + heights.max())
+        station_heights = -np.abs((station_positions - crack.point) @ crack.frame[1])
+    middle_height = 0.5 * (station_heights.min() + station_heights.max())
     end_indices = [
-        end_index for end_index in (0, len(stations) - 1) if heights[end_index] > middle_height
+        end_index
+        for end_index in (0, len(stations) - 1)
+        if station_heights[end_index] > middle_height
     ]
 
     def ellipse_values(record: Record) -> dict[str, float]:
         tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
-        ellipse = EllipseHistories(
-            tip_histories[int(heights.argmin())],
+        ellipse_histories = EllipseHistories(
+            tip_histories[int(station_heights.argmin())],
             [tip_histories[end_index] for end_index in end_indices],
         )
-        return read_at(Place.ELLIPSE, ellipse)
+        return read_at(Place.ELLIPSE, ellipse_histories)
 
-    return ExtraRows(rows, ellipse_values)
+    return ExtraRows(displacement_rows, ellipse_values)
 
 
 def _make_clamp_rows(study: Study) -> ExtraRows:
     """Make the rows of the clamp, for its largest force and moment (collective)."""
-    rows = study.structure.compute_once(clamp_inertia_rows)
-    return ExtraRows(rows, lambda record: read_at(Place.CLAMP, compute_clamp_reactions(record)))
+    inertia_rows = study.structure.compute_once(clamp_inertia_rows)
+    return ExtraRows(
+        inertia_rows, lambda record: read_at(Place.CLAMP, compute_clamp_reactions(record))
+    )
 
 
 _MAKE_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {

@@ -139,8 +139,8 @@ def find_key_figures(study: Study) -> KeyFigures:
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
         _solve_modes_and_statics(structure)
     )
-    damping = damping_ratios(structure, modes.omega)
-    bilinear = BilinearFrequencies(
+    modal_damping_ratios = damping_ratios(structure, modes.omega)
+    bilinear_frequencies = BilinearFrequencies(
         modes.omega, bonded_modes.omega[match_bonded_modes(modes, bonded_modes)]
     )
     static_gaps = structure.apply_bt(static_displacements)
@@ -161,8 +161,8 @@ def find_key_figures(study: Study) -> KeyFigures:
     for omega in _requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
         watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = (
             _amplitude_bounds(
-                structure, modes, damping, harmonic_amplitudes, face_compliance, modal_gaps,
-                is_closed, watched_dofs, omega,
+                structure, modes, modal_damping_ratios, harmonic_amplitudes, face_compliance,
+                modal_gaps, is_closed, watched_dofs, omega,
             )
         )  # fmt: skip
         peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
@@ -187,8 +187,8 @@ def find_key_figures(study: Study) -> KeyFigures:
         n_face_elements=_count_face_elements(scene, structure),
         omega_open=modes.omega,
         omega_tied=bonded_modes.omega,
-        omega_bilinear=bilinear.omega_bilinear,
-        damping_ratios=damping,
+        omega_bilinear=bilinear_frequencies.omega_bilinear,
+        damping_ratios=modal_damping_ratios,
         speed_slopes=_speed_slopes(modes),
         face_stiffness=face_stiffness,
         stiffness_ratio=None if contact_stiffness is None else contact_stiffness / face_stiffness,
@@ -241,7 +241,7 @@ def _solve_modes_and_statics(
 def _amplitude_bounds(
     structure: Structure,
     modes: Modes,
-    damping: np.ndarray,
+    modal_damping_ratios: np.ndarray,
     harmonic_amplitudes: Sequence[np.ndarray],
     face_compliance: np.ndarray,
     modal_gaps: np.ndarray,
@@ -253,7 +253,7 @@ def _amplitude_bounds(
 
     Parameters
     ----------
-    damping : (n_modes,)
+    modal_damping_ratios : (n_modes,)
         Ratios of critical damping.
     harmonic_amplitudes : three arrays of complex
         Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads
@@ -274,7 +274,9 @@ def _amplitude_bounds(
     for harmonic, (static_displacement, static_gap, modal_load) in enumerate(
         zip(*harmonic_amplitudes, strict=True), 1
     ):
-        receptance_increase = _receptance_increase(modes.omega, damping, harmonic * omega)
+        receptance_increase = _receptance_increase(
+            modes.omega, modal_damping_ratios, harmonic * omega
+        )
         modal_amplitudes = receptance_increase * modal_load
         displacement = static_displacement + modal_amplitudes @ modes.shapes.T
         watched_parts = structure.values_at(
@@ -333,10 +335,12 @@ def _speed_slopes(modes: Modes) -> np.ndarray:
         return slopes
     second_stiffness, third_stiffness = rotation.displaced_stiffness
     for mode_index, shape in enumerate(modes.shapes.T):
-        shapes = np.vstack(list(structure.sector_displacements(shape[None]))).T
-        force = multiply(rotation.stiffness, shapes) + multiply(second_stiffness, shapes)
-        force += 2.0 * rotation.speed**2 * multiply(third_stiffness, shapes)
-        slopes[mode_index] = structure.sum_over_ranks((shapes * force).sum())
+        sector_shapes = np.vstack(list(structure.sector_displacements(shape[None]))).T
+        stiffness_products = multiply(rotation.stiffness, sector_shapes) + multiply(
+            second_stiffness, sector_shapes
+        )
+        stiffness_products += 2.0 * rotation.speed**2 * multiply(third_stiffness, sector_shapes)
+        slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 
 
@@ -392,16 +396,16 @@ def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
     ``omega`` (n,) [rad/s] are the natural frequencies. Modes without damping, and all modes of a
     structure with a damping matrix, have 0.
     """
-    damping = whole_structure.damping
-    if isinstance(damping, RayleighDamping):
+    damping_rule = whole_structure.damping
+    if isinstance(damping_rule, RayleighDamping):
         doubled_omega = 2.0 * omega
         return np.divide(
-            damping.rate(omega**2), doubled_omega, out=np.zeros_like(omega), where=omega > 0.0
+            damping_rule.rate(omega**2), doubled_omega, out=np.zeros_like(omega), where=omega > 0.0
         )
     ratios = np.zeros(len(omega))
-    if isinstance(damping, ModalDamping):
+    if isinstance(damping_rule, ModalDamping):
         n_damped_modes = min(check_damped_modes(whole_structure), len(omega))
-        given_ratio = np.asarray(damping.ratio)
+        given_ratio = np.asarray(damping_rule.ratio)
         ratios[:n_damped_modes] = (
             given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
         )
@@ -409,14 +413,14 @@ def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
 
 
 def _receptance_increase(
-    natural_omegas: np.ndarray, damping: np.ndarray, omega: float
+    natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
 ) -> np.ndarray:
     """Return d_j(w) - 1 / w_j^2 of each mode: (n,) [s^2].
 
     For rigid-body modes it is d_j(w), since static responses do not contain them.
     """
     squared_omegas = natural_omegas**2
-    denominators = squared_omegas - omega**2 + 2j * damping * natural_omegas * omega
+    denominators = squared_omegas - omega**2 + 2j * modal_damping_ratios * natural_omegas * omega
     static_receptance = np.divide(
         1.0, squared_omegas, out=np.zeros_like(squared_omegas), where=squared_omegas > 0.0
     )
@@ -513,11 +517,11 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
     if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
-    crossing_parameter = partial(
+    find_crossing_parameter = partial(
         _crossing_parameter, scene, parameter, slope=figures.speed_slopes[mode_index]
     )
     lowest_resonance, highest_resonance, start, stop = map(
-        crossing_parameter,
+        find_crossing_parameter,
         (open_omega, bonded_omega, open_omega / bandwidth_factor, bonded_omega * bandwidth_factor),
     )
     if not resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
@@ -542,8 +546,8 @@ def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
 
 def _round_to_three_digits(value: float, round_function: Callable[[float], int]) -> float:
     """Round a positive value to three digits, by ``round_function`` (floor or ceil)."""
-    scale = 10.0 ** (2 - math.floor(math.log10(value)))
-    return round_function(value * scale) / scale
+    digit_factor = 10.0 ** (2 - math.floor(math.log10(value)))
+    return round_function(value * digit_factor) / digit_factor
 
 
 def _crossing_parameter(
@@ -658,18 +662,20 @@ def _find_remarks(
     body_kind = "structure" if geometry is None else geometry.kind
     for rule in rules:
         for key, value in _given_keys_and_values(scene, rule.keys_text):
-            result = rule.compute_number(value, scene, *rule_arguments)
-            number, *further_values = result if isinstance(result, tuple) else (result,)
+            number_and_values = rule.compute_number(value, scene, *rule_arguments)
+            number, *further_values = (
+                number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
+            )
             if number is None or rule.lower_limit <= number <= rule.upper_limit:
                 continue
-            text = rule.text_template.format(
+            remark_text = rule.text_template.format(
                 number, *further_values, kind=body_kind, faces=faces_in_words(scene)
             )
             for unit, factor in rule.factor_by_unit.items():
                 if rule.lower_limit <= factor * number <= rule.upper_limit:
-                    text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+                    remark_text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
                     break
-            yield Remark(key, list(value) if isinstance(value, tuple) else value, text)
+            yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
 def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
@@ -677,7 +683,7 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
 
     A key of "crack" yields a pair for each crack that has it. The list is empty if no key is given.
     """
-    candidates: list[list[tuple[str, object]]] = []
+    entry_lists: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
         table_name, field_name = dotted_key.split(".")
         table_by_name = (
@@ -687,16 +693,16 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
             f"{path}.{field_name}": getattr(table, field_name, None)
             for path, table in table_by_name.items()
         }
-        candidates.append(
+        entry_lists.append(
             [(path, value) for path, value in value_by_key.items() if value is not None]
         )
-    given_candidates = [candidate for candidate in candidates if candidate]
-    nonzero_candidates = [
-        candidate
-        for candidate in given_candidates
-        if any(np.any(np.asarray(value) != 0) for _, value in candidate)
+    given_entry_lists = [entry_list for entry_list in entry_lists if entry_list]
+    nonzero_entry_lists = [
+        entry_list
+        for entry_list in given_entry_lists
+        if any(np.any(np.asarray(value) != 0) for _, value in entry_list)
     ]
-    return (nonzero_candidates or given_candidates or [[]])[0]
+    return (nonzero_entry_lists or given_entry_lists or [[]])[0]
 
 
 # --- numbers of rules -----------------------------------------------------------------------------
@@ -788,7 +794,9 @@ def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, 
     return abs(clamp_height) / float(np.ptp(points, axis=0).max()), clamp_height
 
 
-def _clamp_bending(_: object, scene: Scene, structure: Structure) -> tuple[float, float] | None:
+def _clamp_bending_stress(
+    _: object, scene: Scene, structure: Structure
+) -> tuple[float, float] | None:
     """Return the bending stress in a solid's clamp if the axis is not below its middle.
 
     Returns
@@ -823,9 +831,9 @@ def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | No
     """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
-    rotation_vector = structure.rotation.speed * scene.axis[1]
+    angular_velocity = structure.rotation.speed * scene.axis[1]
     modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
-    return float(np.abs(coriolis_shifts(modes, rotation_vector)).max())
+    return float(np.abs(coriolis_shifts(modes, angular_velocity)).max())
 
 
 def describe_coriolis(relative_changes: np.ndarray) -> str:
@@ -841,7 +849,7 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
     )
 
 
-def _pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
+def _count_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
     """Return the number of rigid contact pairs with mass; None if there is no rigid contact."""
     reduction, contact = reduction_of(scene, structure), scene.contact
     is_massless = reduction is not None and reduction.method == "massless"
@@ -850,7 +858,7 @@ def _pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None
     )
 
 
-def _frequency_check_in_other_unit(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
+def _make_unit_check(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
     """Return a function that detects a load frequency in another unit.
 
     It applies if the load frequency is near no natural frequency, but ``unit_factor`` times the
@@ -858,7 +866,9 @@ def _frequency_check_in_other_unit(unit_factor: float) -> Callable[..., tuple[fl
     first natural frequency, and the latter in Hz and rad/s.
     """
 
-    def frequency_ratio(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, ...] | None:
+    def compare_in_other_unit(
+        _: float, scene: Scene, figures: KeyFigures
+    ) -> tuple[float, ...] | None:
         first_omega, omega = float(figures.omega_open[0]), scene.excitation.omega
         natural_omegas = np.concatenate([figures.omega_open, figures.omega_tied])
         first_omegas = natural_omegas[[0, len(figures.omega_open)]]
@@ -871,7 +881,7 @@ def _frequency_check_in_other_unit(unit_factor: float) -> Callable[..., tuple[fl
             else None
         )
 
-    return frequency_ratio
+    return compare_in_other_unit
 
 
 def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
@@ -879,7 +889,7 @@ def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
-def _frequency_without_resonance(
+def _missed_first_frequency(
     _: float, scene: Scene, figures: KeyFigures
 ) -> tuple[float, str] | None:
     """Return the first natural frequency [rad/s] if a curve meets no resonance; else None.
@@ -891,19 +901,19 @@ def _frequency_without_resonance(
     curve = scene.curve
     if curve is None or curve.parameter not in CURVE_UNIT_BY_PARAMETER:
         return None
-    crossing_parameters = np.vectorize(
+    find_crossing_parameters = np.vectorize(
         partial(_crossing_parameter, scene, curve.parameter, slope=figures.speed_slopes[0])
     )
     curve_start, curve_end = sorted(curve.followed[1:])
     natural_omegas = figures.omega_open, figures.omega_tied
     for harmonic in (0.5, 1.0, 2.0, 3.0):
         open_parameters, bonded_parameters = (
-            crossing_parameters(omega, harmonic=harmonic) for omega in natural_omegas
+            find_crossing_parameters(omega, harmonic=harmonic) for omega in natural_omegas
         )
         if np.any((curve_start <= bonded_parameters) & (curve_end >= open_parameters)):
             return None
     # Modes above the last one are not computed.
-    if curve_end >= crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
+    if curve_end >= find_crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
         return None
     curve_proposal = propose_curve(scene, figures)
     unit = CURVE_UNIT_BY_PARAMETER[curve.parameter][1]
@@ -916,7 +926,7 @@ def _frequency_without_resonance(
     return float(first_range[0]), text
 
 
-def _rotation_and_displacement(
+def _peak_rotation_and_displacement(
     _: object, scene: Scene, figures: KeyFigures
 ) -> tuple[float, float] | None:
     """Return peak rotation [rad] and displacement [m] under the force of [excitation] alone.
@@ -1106,7 +1116,7 @@ STRUCTURE_RULES = (
         "the axis is not below the middle of "
         "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
         "{0:.2g} of its direct stress",
-        _clamp_bending,
+        _clamp_bending_stress,
     ),
 )
 FIGURE_RULES = (
@@ -1115,25 +1125,23 @@ FIGURE_RULES = (
         1.0,
         0.0,
         FIRST_FREQUENCY_TEMPLATE + "Hz? then use excitation.frequency",
-        _frequency_check_in_other_unit(TURN),
+        _make_unit_check(TURN),
     ),
     RemarkRule(
         "excitation.frequency",
         1.0,
         0.0,
         FIRST_FREQUENCY_TEMPLATE + "rad/s? then use excitation.omega",
-        _frequency_check_in_other_unit(1.0 / TURN),
+        _make_unit_check(1.0 / TURN),
     ),
-    RemarkRule(
-        "curve.start", 1.0, 0.0, "no resonance from there to {1}", _frequency_without_resonance
-    ),
+    RemarkRule("curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_frequency),
     RemarkRule(
         LOAD_KEYS,
         0.0,
         MAX_SMALL_ROTATION,
         "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
         "rad about the clamp: beyond small displacements; in N?",
-        _rotation_and_displacement,
+        _peak_rotation_and_displacement,
     ),
     RemarkRule(
         "mesh.patches mesh.lip_elements mesh.file",
@@ -1209,6 +1217,6 @@ MODEL_RULES = (
         "rigid contact of pairs that keep their mass: solve gives no "
         "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
         "'massless'",
-        _pairs_with_mass,
+        _count_pairs_with_mass,
     ),
 )

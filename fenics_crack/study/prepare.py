@@ -180,11 +180,11 @@ def _find_watched_displacements(
         point_key = f"output.points.{point.key}"
         if sector_structure.nodes is None:
             raise InputError(point_key, point.values, "left out: the structure has no positions")
-        node_position, dofs = sector_structure.nodes.find_nearest(
+        node_position, node_dofs = sector_structure.nodes.find_nearest(
             sector_structure.comm, point_key, point.values
         )
         distance = float(np.linalg.norm(node_position - point.values).round(12))
-        for axis, dof in zip(AXES, dofs, strict=False):
+        for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
                 displacement_name, global_dof = (
                     f"{point.key}.u{axis}",
@@ -208,21 +208,23 @@ def _structure_from_reference_study(scene: Scene, reference_study: Study) -> Str
     """
     reference_scene, reference_structure = reference_study.scene, reference_study.structure.whole
     if reference_scene.disk is not None:
-        neutral_changes = dict.fromkeys(LOOKED_AT) | {
+        ignored_key_changes = dict.fromkeys(LOOKED_AT) | {
             f"disk.{disk_key}": None for disk_key in ("mistuning", "deviation", "seed")
         }
-        neutral_changes["excitation.omega"] = 1.0
-        if scene.disk is None or scene.replace(neutral_changes) != reference_scene.replace(
-            neutral_changes
+        ignored_key_changes["excitation.omega"] = 1.0
+        if scene.disk is None or scene.replace(ignored_key_changes) != reference_scene.replace(
+            ignored_key_changes
         ):
             return None
         return reference_structure.mistuned(scene.disk.deviations)
     rotation = reference_structure.rotation
     if rotation is None or scene.speed == 0.0:
         return None
-    neutral_changes = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
-    neutral_changes["reduction"] = None
-    if scene.replace(neutral_changes) != reference_scene.replace(neutral_changes):
+    ignored_key_changes = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(
+        LOOKED_AT
+    )
+    ignored_key_changes["reduction"] = None
+    if scene.replace(ignored_key_changes) != reference_scene.replace(ignored_key_changes):
         return None
     return rotation.at(scene.speed)
 
@@ -273,23 +275,24 @@ def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
     unless the scene names another method, there are none, all modes are kept, or the structure
     would not be reduced on one rank.
     """
-    table = scene.reduction
+    reduction_table = scene.reduction
     if scene.disk is not None:
         n_modes = scene.disk.families * scene.disk.sectors + scene.disk.modes
         return ModalReduction("massless" if structure.n_pairs else "free_interface", n_modes)
-    if table is None:
+    if reduction_table is None:
         is_small = structure.n_dofs <= MAX_UNREDUCED_DOFS
         if is_small and structure.comm.size == 1:
             return None
-        table = Reduction("free_interface" if is_small else None)
-    if table.method == "off":
+        reduction_table = Reduction("free_interface" if is_small else None)
+    if reduction_table.method == "off":
         return None
-    n_kept_modes = table.modes or scene.damped_modes
+    n_kept_modes = reduction_table.modes or scene.damped_modes
     if isinstance(n_kept_modes, str):  # "all"
         n_kept_modes = min(DEFAULT_LARGE_MODES, structure.n_dofs)
     has_massless_faces = structure.n_pairs > 0 and n_kept_modes < structure.n_dofs
     return ModalReduction(
-        table.method or ("massless" if has_massless_faces else "free_interface"), n_kept_modes
+        reduction_table.method or ("massless" if has_massless_faces else "free_interface"),
+        n_kept_modes,
     )
 
 
@@ -307,21 +310,23 @@ def estimate_checked_memory(
         _estimate_needed_memory(scene, structure, is_run_up),
         machine_memory(),
     )
-    max_bytes = 0.8 * machine_bytes
-    if needed_bytes > max_bytes:
+    byte_limit = 0.8 * machine_bytes
+    if needed_bytes > byte_limit:
         release_freed_memory()  # only now: later steps must allocate it again
         needed_bytes = _estimate_needed_memory(scene, structure, is_run_up)
-    if needed_bytes > max_bytes:
+    if needed_bytes > byte_limit:
         memory_text = (
             f"{needed_bytes / 2**30:.3g} GiB of this machine's {machine_bytes / 2**30:.3g}"
         )
         size_text = f"{structure.n_dofs} degrees of freedom need {memory_text}"
         if scene.structure is not None:
-            mass = scene.structure.mass
-            raise InputError("structure.mass", mass, f"that of a smaller structure: {size_text}")
+            mass_path = scene.structure.mass
+            raise InputError(
+                "structure.mass", mass_path, f"that of a smaller structure: {size_text}"
+            )
         mesh_key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        value = getattr(scene.mesh, mesh_key)
-        raise InputError(f"mesh.{mesh_key}", value, f"that of a coarser mesh: {size_text}")
+        mesh_value = getattr(scene.mesh, mesh_key)
+        raise InputError(f"mesh.{mesh_key}", mesh_value, f"that of a coarser mesh: {size_text}")
     return needed_bytes
 
 
@@ -527,13 +532,13 @@ def _normal_law(contact: Contact, structure: Structure | None) -> ContactLaw:
     """Make the normal contact law of a contact table, without friction."""
     if contact.law == "unilateral":
         return UnilateralConstraint()
-    stiffness: float | np.ndarray | None = contact.stiffness
+    pair_stiffness: float | np.ndarray | None = contact.stiffness
     if (stiffness_per_area := contact.stiffness_per_area) is not None:
-        stiffness = stiffness_per_area * _required_pair_areas(
+        pair_stiffness = stiffness_per_area * _required_pair_areas(
             "stiffness_per_area", stiffness_per_area, structure
         )
-    assert stiffness is not None
+    assert pair_stiffness is not None
     if contact.law == "smoothed":
         assert contact.sharpness is not None
-        return SmoothedPenalty(stiffness, contact.sharpness)
-    return UnilateralPenalty(stiffness)
+        return SmoothedPenalty(pair_stiffness, contact.sharpness)
+    return UnilateralPenalty(pair_stiffness)

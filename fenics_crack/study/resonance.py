@@ -127,14 +127,16 @@ def order_crossing_speed(
     return math.sqrt(speed_squared) if speed_squared > 0.0 else math.nan
 
 
-def find_study_resonance(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> LoadResonance:
+def find_study_resonance(
+    study: Study, estimated_omegas: np.ndarray, speed_slopes: np.ndarray
+) -> LoadResonance:
     """Find the resonance of an unreduced study at its own load (collective).
 
     Parameters
     ----------
-    estimates : (m,) [rad/s]
+    estimated_omegas : (m,) [rad/s]
         Estimated resonance frequencies of the modes, at the study's rotor speed.
-    slopes : (m,)
+    speed_slopes : (m,)
         S of each mode, for an engine order.
 
     Returns
@@ -149,20 +151,21 @@ def find_study_resonance(study: Study, estimates: np.ndarray, slopes: np.ndarray
     n_modes = min(
         N_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
     )
-    mode_index = int(np.argmin(np.abs(estimates - scene.excitation.omega)))
-    estimated_omega = float(estimates[mode_index])
+    mode_index = int(np.argmin(np.abs(estimated_omegas - scene.excitation.omega)))
+    estimated_omega = float(estimated_omegas[mode_index])
     try:
         if engine_order is not None and whole_structure.rotation is not None and scene.disk is None:
-            speed = order_crossing_speed(
-                engine_order, scene.speed, estimated_omega, slopes[mode_index]
+            crossing_speed = order_crossing_speed(
+                engine_order, scene.speed, estimated_omega, speed_slopes[mode_index]
             )
-            if math.isnan(speed):
+            if math.isnan(crossing_speed):
                 raise ConvergenceError(f"engine order {engine_order} does not meet it")
             run_up_structure = RunUpStructure(
-                Ritz.of_range(whole_structure, speed, speed, n_modes), speed
+                Ritz.of_range(whole_structure, crossing_speed, crossing_speed, n_modes),
+                crossing_speed,
             )
             return find_load_resonance(
-                scene, law, run_up_structure, engine_order * speed, "speed", with_rest=True
+                scene, law, run_up_structure, engine_order * crossing_speed, "speed", with_rest=True
             )
         if scene.disk is not None or (reduction is None and is_small(whole_structure)):
             structure = reduce_study(study, with_reference=False).structure

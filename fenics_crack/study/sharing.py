@@ -89,14 +89,19 @@ def assemble_or_reuse(
         last_entries.append(SharedStructure(assemble(scene, comm), comm, dependencies))
     elif (last_entry := last_entries[0]).dependencies != dependencies:
         pairs = last_entry.structure.pairs
-        changes = {"clearance": clearance_of(scene, pairs), "damping": damping_of(scene.damping)}
+        setting_changes = {
+            "clearance": clearance_of(scene, pairs),
+            "damping": damping_of(scene.damping),
+        }
         if last_entry.dependencies[1] != dependencies[1]:
             from fenics_crack.fem.build import assemble_loads_on
 
-            changes |= assemble_loads_on(scene, last_entry.structure)
+            setting_changes |= assemble_loads_on(scene, last_entry.structure)
         last_entries[:] = [
             SharedStructure(
-                last_entry.structure._in_setting(DEFAULT_SETTING, **changes), comm, dependencies
+                last_entry.structure._in_setting(DEFAULT_SETTING, **setting_changes),
+                comm,
+                dependencies,
             )
         ]
     for structure_file in structure_files:

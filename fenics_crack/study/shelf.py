@@ -34,7 +34,7 @@ from fenics_crack.study.sharing import (
     structure_dependencies,
 )
 
-KIND = "structure of a command"
+FILE_KIND = "structure of a command"
 MAX_DATASET_BYTES = 500 * 10**6
 """Maximum size of the arrays in a file [byte]; a larger structure is not kept."""
 
@@ -63,16 +63,16 @@ class StructureFile:
     """
 
     def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
-        self._path, self._print_line, self._n_bytes = path, print_line, 0
+        self._path, self._print_line, self._n_file_bytes = path, print_line, 0
         self._cached_files: list[PreparedFile | None] = [] if is_read else [None]
-        self._entries: list[tuple[SharedStructure, Scene]] = []
+        self._noted_entries: list[tuple[SharedStructure, Scene]] = []
 
     def read_structure(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
         """Return the structure of a scene from the file; None without it (collective)."""
         try:
             if not self._cached_files:
                 stored_file = read(self._path, comm)
-                stored_file.fitting_argument(KIND)
+                stored_file.fitting_argument(FILE_KIND)
                 with stored_file.taken() as datasets:
                     self._cached_files.append(unpacked(PreparedFile, datasets))
             prepared_file = self._cached_files[0]
@@ -87,19 +87,25 @@ class StructureFile:
             self._cached_files[:] = [None]
             self._print_line(f"{self._path}: not used, {error}")
             return None
-        self._entries[:], self._n_bytes = [(entry, scene)], _count_bytes(packed(prepared_file))
-        source_text = f"the structure is taken from here ({self._n_bytes / 1e6:.3g} MB)"
+        self._noted_entries[:], self._n_file_bytes = (
+            [(entry, scene)],
+            _count_bytes(packed(prepared_file)),
+        )
+        source_text = f"the structure is taken from here ({self._n_file_bytes / 1e6:.3g} MB)"
         self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
         return entry
 
     def note_structure(self, entry: SharedStructure, scene: Scene) -> None:
         """Note a structure for the file; one of another mesh than the first is ignored."""
-        if not self._entries or self._entries[0][0].dependencies[0] == entry.dependencies[0]:
-            self._entries[:] = [(entry, scene)]
+        if (
+            not self._noted_entries
+            or self._noted_entries[0][0].dependencies[0] == entry.dependencies[0]
+        ):
+            self._noted_entries[:] = [(entry, scene)]
 
     def write_structure(self, comm: MPI.Comm) -> None:
         """Write the noted structure unless the file has as much (collective)."""
-        for entry, scene in self._entries:
+        for entry, scene in self._noted_entries:
             if entry.comm.size < comm.size and comm.rank:
                 return  # each rank has a structure for itself
             coarser_entries = entry.structure.compute_once(
@@ -118,14 +124,14 @@ class StructureFile:
                     )
                 )
             )
-            if not self._n_bytes < (n_bytes := _count_bytes(datasets)):
+            if not self._n_file_bytes < (n_bytes := _count_bytes(datasets)):
                 return
             try:
                 if n_bytes > MAX_DATASET_BYTES:
                     raise InputError(
                         "path", str(self._path), f"of at most {MAX_DATASET_BYTES / 1e6:g} MB"
                     )
-                write(datasets, self._path, KIND, scene, entry.comm, is_compressed=False)
+                write(datasets, self._path, FILE_KIND, scene, entry.comm, is_compressed=False)
             except InputError as error:
                 self._print_line(f"the structure is not kept: {error}")
 
