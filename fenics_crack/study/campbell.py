@@ -463,10 +463,8 @@ def campbell(
     kind_changes = tuple(
         (mode_index + 1, speed, kind)
         for mode_index in range(count)
-        for speed_interval in pairwise(speed_array.tolist())
-        for speed, kind in _find_state_changes(
-            find_frequencies_and_margins, *speed_interval, mode_index
-        )
+        for interval in pairwise(speed_array.tolist())
+        for speed, kind in _find_state_changes(find_frequencies_and_margins, *interval, mode_index)
     )
     frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
     projected_modes = solve_modes(projection.at_speed(speed_array[-1]), count)

@@ -267,7 +267,7 @@ class Cases:
         return self.at_resonance(case) if asked.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
-        """The solution of a case; one of :data:`REFUSALS` where there is none."""
+        """The solution of a case; one of :data:`REFUSAL_EXCEPTIONS` where there is none."""
         omega, table = case.excitation.omega, case.harmonic_balance
         self._take(case)
         structure, law = self._structure, self._law

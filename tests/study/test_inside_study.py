@@ -165,9 +165,9 @@ def test_against_dense_algebra() -> None:
 def test_lips_that_never_meet_or_part(share: float) -> None:
     """One pair: a clearance, or a preload, just below and just above what the load moves."""
     free = figures_of(PAPER)
-    assert free.breathes and free.closed == 0
+    assert free.breathes and free.n_closed_pairs == 0
     law = fc.UnilateralPenalty(1e11)
-    away = PAPER.replace({"crack.clearance": share * free.gap_motion})
+    away = PAPER.replace({"crack.clearance": share * free.peak_gap_motion})
     found = fc.solve_harmonic_balance(fc.build_structure(away), 2000.0, law)
     touching = np.abs(found.force_coefficients).max() > 1e-6
     assert figures_of(away).breathes == touching == (share < 1.0)
@@ -179,7 +179,7 @@ def test_lips_that_never_meet_or_part(share: float) -> None:
     depth = np.ptp(force) / 2.0 / force.mean()  # clearance of -1 m: where the force just vanishes
     near = PAPER.replace({"crack.clearance": -float(depth) / share})
     orbit = fc.solve_harmonic_balance(fc.build_structure(near), 2000.0, law)
-    assert figures_of(near).closed == 1
+    assert figures_of(near).n_closed_pairs == 1
     assert figures_of(near).breathes == (orbit.contact_force(times).min() <= 0.0) == (share > 1.0)
 
 
@@ -276,7 +276,7 @@ def test_proportional_to_the_load() -> None:
 def test_a_rotor_that_keeps_its_crack_open() -> None:
     """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
-    open_by_speed = replace(figures, breathes=False, closed=0)
+    open_by_speed = replace(figures, breathes=False, n_closed_pairs=0)
     turning = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
     [remark] = remarks_on_scene(turning, figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
@@ -289,7 +289,7 @@ def test_elements_along_each_lip() -> None:
     scene = PAPER.replace(changes | {"mesh.size": 0.05, "mesh.lip_elements": 4})
     inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     for one in (scene, scene.replace(inside)):
-        assert figures_of(one).elements == 4
+        assert figures_of(one).n_face_elements == 4
         remarks = remarks_on_scene(one, figures=figures_of(one))
         assert not any("elements" in str(remark) for remark in remarks)
 
