@@ -77,10 +77,10 @@ LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is line
 
 
 def describe_linearity(closed_share: np.ndarray) -> list[str]:
-    """Return a sentence if the vibration is linear: no pair opens and closes in any solution.
+    """Return a sentence if the vibration is linear, else an empty list.
 
-    ``closed_share`` (...) is the share of the period with closed pairs; nan without pairs. The list
-    is empty if a pair breathes or there are no pairs.
+    It is linear if no pair opens and closes in any solution. ``closed_share`` (...) is the share of
+    the period with closed pairs; nan without pairs, for which the list is empty.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))
@@ -114,7 +114,7 @@ def explain_unknown_error(run: StudyWithResult) -> str:
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
-    """Return why the error of a solution is unknown, by its report or the stated errors."""
+    """Return why a solution's error is unknown, by its report or stated errors."""
     error_report = run.result.report
     return not_estimated(error_report) if error_report.unknown else explain_unknown_error(run)
 

@@ -108,7 +108,7 @@ class PreparedStructure:
     force, clearance, watched, nodes, pairs, clamp
         As in :class:`Structure`, with the rows of all ranks.
     receptances : tuple of Receptance
-        Receptances under this load; those with the tangents of a solid come last.
+        Receptances under this load; with a solid's tangents last.
     mass, stiffness : SparseRows or None
         Matrices, if they are kept.
     key : str
@@ -277,7 +277,7 @@ class PreparedStructure:
 
 @dataclass(frozen=True)
 class PreparedFile:
-    """Datasets of a file: a structure, and the structure of its coarser mesh if there is one."""
+    """Datasets of a file: the structures of a mesh and, if any, of a coarser mesh."""
 
     structure: PreparedStructure
     coarser_structure: PreparedStructure | None = None
@@ -285,9 +285,9 @@ class PreparedFile:
     def make_structures(
         self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm
     ) -> SharedStructure:
-        """Make a scene's structure, and attach that of its coarser mesh (collective).
+        """Make a scene's structure with its coarser structure, if any (collective).
 
-        ``load_weights`` are those of :meth:`PreparedStructure.make_structure`.
+        ``load_weights`` are as in :meth:`PreparedStructure.make_structure`.
         """
         structure = self.structure.make_structure(scene, load_weights, comm)
         scene_or_reason, single_rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
@@ -459,7 +459,7 @@ def loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
-    """Return the matrix from the load rows of one scene to those of another.
+    """Return the matrix from a file's load rows to a scene's load rows.
 
     Raises as :func:`load_weights_from_rows`.
     """
@@ -470,7 +470,7 @@ def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
 
 
 def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the matrix from a file's load rows to those of a scene.
+    """Return the matrix from a file's load rows to a scene's load rows.
 
     Parameters
     ----------
@@ -484,7 +484,7 @@ def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarr
     Raises
     ------
     InputError
-        The scene's excitation is no linear combination of these rows, or it changes beside other
+        The scene's excitation is no linear combination of the file's rows, or changes beside other
         loads.
     """
     scene_load_rows = np.array(force_parts(scene), dtype=float)

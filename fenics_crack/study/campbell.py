@@ -139,7 +139,7 @@ class Campbell(Saved):
 
     @classmethod
     def of(cls, stored: Stored) -> Campbell:
-        """Return the diagram of a file that has been read; its mesh must not have changed."""
+        """Return the diagram of a file; its mesh must not have changed."""
         diagram = super().of(stored)
         stored.check_files(diagram.scene)
         return diagram
@@ -182,8 +182,8 @@ class Campbell(Saved):
         order : int
             Engine order n.
         kind : "open", "tied", "partly", "bilinear" or "real"
-            Kind of the frequencies; "real" are those that the crack has at each speed. If the
-            frequency falls across the order's line when the crack's state changes, they meet there.
+            Kind of the frequencies; "real" follows the crack's state at each speed. If a change of
+            the state drops the frequency across the order's line, the change is a crossing.
 
         Raises
         ------
@@ -227,7 +227,7 @@ class Campbell(Saved):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _kinds_around(self, mode: int, speed: float) -> tuple[str, str]:
-        """Return the kind of the crack's frequency just below a speed, and from the speed on."""
+        """Return the kinds of a mode's frequency just below and from a speed on."""
         kinds_at_speeds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
         changed_kinds = [
             (start, kind) for changed_mode, start, kind in self.changes if changed_mode == mode
@@ -238,16 +238,16 @@ class Campbell(Saved):
         return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
 
     def _state_frequency(self, mode: int, speed: float, kind: str) -> float:
-        """Return the natural frequency of a kind at a speed [rad/s], for a mode (from 1)."""
+        """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
         omega = self._frequency_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
         return float(omega[HELD_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
-        """Return the line of a mode (from 1): speeds [rad/s], frequencies [rad/s] and kinds.
+        """Return speeds, frequencies [rad/s] and kinds along a mode's line.
 
-        The frequency is that of the crack's state. A change of the state gives two points.
+        Modes count from 1. The frequency is that of the crack's state. A change of the state gives two points.
         """
         speeds = {
             *self.speed.tolist(),
@@ -260,7 +260,7 @@ class Campbell(Saved):
         ]
 
     def _crossing_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
-        """Return mode, speed and resonance at the load for each crossing of an engine order.
+        """Return mode, speed and resonance for each crossing of an engine order.
 
         Only the load's own engine order has known resonances.
         """
@@ -303,9 +303,9 @@ class Campbell(Saved):
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
-        """Return d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s].
+        """Return d ln w / d ln W of the mode nearest to a frequency [rad/s].
 
-        The frequency is of the kind that the crack has at the nearest speed of the diagram. Between
+        The mode's frequency is of the kind that the crack has at the nearest speed of the diagram. Between
         two speeds and beyond them, w^2 is linear in W^2 (Southwell). For :func:`find_passages`.
         """
         nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
@@ -318,7 +318,7 @@ class Campbell(Saved):
         return float(slopes[mode_index] * speed**2 / squares[mode_index])
 
     def between(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return frequencies with open and with bonded crack at a speed: (m,) [rad/s] each.
+        """Return open and bonded frequencies at a speed: (m,) [rad/s] each.
 
         They are interpolated as in :meth:`stiffening`.
         """
@@ -558,11 +558,10 @@ def _find_state_changes(
     upper_speed: float,
     mode_index: int,
 ) -> Iterator[tuple[float, str]]:
-    """Yield each change of a crack's state between two speeds: speed and kind from there on.
+    """Yield speed and new kind of each change of a crack's state.
 
-    From held to breathing the state changes where the margin is zero. From one held state to
-    another it changes by way of breathing, in however narrow a range of speeds. ``mode_index``
-    counts from 0.
+    ``lower_speed`` and ``upper_speed`` [rad/s] limit the search. Between held and breathing, the state changes at zero margin. Between two held states the crack
+    breathes in a range of speeds, however narrow. ``mode_index`` counts from 0.
     """
     lower_kind, upper_kind = (
         str(_classify_states(find_frequencies_and_margins(speed)[1])[mode_index])

@@ -2,8 +2,8 @@
 
 Elements of the coarser mesh are about twice as long; if the mesh is a file, the coarser mesh is the
 file ``mesh.coarser``. The ratio of element lengths follows from the numbers of elements. For a
-solid or a disk's sector that is meshed here, it is the ratio of the given sizes: at crack fronts,
-tips and corners.
+solid or a disk's sector that is meshed here, the given sizes at crack fronts, tips and corners are
+compared.
 """
 
 from __future__ import annotations
@@ -91,9 +91,9 @@ def _element_length_ratio(
 ) -> float:
     """Return the element length of a coarser mesh over that of a scene's mesh.
 
-    It follows from the numbers of elements. For a solid with cracks or a disk's sector it is the
-    ratio of the given sizes, which hold where the error is largest. A size above the shortest side
-    of a solid does not count, because elements cannot be longer than the solid is thick.
+    The ratio follows from the numbers of elements. For a solid with cracks or a disk's sector the
+    given sizes are compared, because they hold where the error is largest. A size above a solid's
+    shortest side does not count, because elements cannot be longer than the solid is thick.
     """
     element_size, is_plane = scene.mesh.size, scene.dimension == 2
     if scene.has_element_lengths and element_size is not None and (scene.all_cracks or is_plane):
@@ -103,7 +103,7 @@ def _element_length_ratio(
 
 
 def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure) -> str:
-    """Describe how the cracks of a coarser mesh differ from a structure's; "" if they agree.
+    """Describe how cracks differ in a coarser mesh; "" if they agree.
 
     Area and centroid of the faces may differ by an element of the coarser mesh.
     """
@@ -134,7 +134,7 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
 
 def _crack_face_pairs(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return areas (n,) [m^2] and positions (n, d) [m] of the pairs of each crack."""
+    """Return areas (n,) [m^2] and positions (n, d) [m] of each crack's pairs."""
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
         return []
@@ -202,7 +202,7 @@ def _patch_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
 def _similar_grading(
     n_elements: int, grading: float, refinement_factor: float
 ) -> tuple[int, float, float]:
-    """Refine a solid's graded elements along a crack face, so that the mesh stays similar.
+    """Refine graded elements along a solid's crack face to a similar mesh.
 
     The n elements are h_0 r^k long, k = 0 to n - 1, with the grading r^(n - 1). Neighbouring
     elements are h_0 + (r - 1) d long at the distance d from the front. If r^n stays the same, so

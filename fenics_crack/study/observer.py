@@ -45,9 +45,9 @@ expansion factors the structure again."""
 
 
 def make_requested_rows(study: Study) -> list[ExtraRows]:
-    """Make the rows of crack tips and clamp whose quantities the scene requests (collective).
+    """Make the rows for requested quantities of crack tips and clamp (collective).
 
-    They are made once for the study's structure.
+    Rows are made once for the study's structure.
     """
     requested_places = {QUANTITIES[name].of for name in asked_quantities(study.scene)}
     return [
@@ -273,16 +273,16 @@ def estimate_front_errors(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Estimate errors of a solid's stress intensities, by closed fronts and a coarser mesh.
 
-    Collective. Both are empty for a plate, or without requested numbers of the fronts.
+    Collective. Both dicts are empty for a plate, or if no numbers of fronts are requested.
 
     Returns
     -------
     closed_error_by_name : dict of str to float [Pa m^1/2]
         For each requested number, the largest error of K_I while a front is closed.
     difference_by_name : dict of str to float [Pa m^1/2]
-        Largest difference between the meshes along the fronts; at a single station it may vanish
-        by chance. Infinite if the coarser mesh has no such numbers, or too few stations for K to
-        vary along a front; then there are no errors of closed fronts.
+        Largest difference between the meshes along the fronts; at a single station the difference
+        may vanish by chance. Infinite if the coarser mesh lacks the numbers or has too few stations
+        for K to vary along a front; the first dict then is empty.
     """
     requested_names = set(asked_quantities(study.scene))
     quantity_names = sorted(requested_names.intersection(names_of(Place.TIPS, Place.ELLIPSE)))
@@ -360,11 +360,11 @@ def leading_tip_index(tip_histories: list[TipHistory]) -> int:
 
 
 def make_tips_and_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
-    """Make the rows of K at crack tips, or at the stations of crack fronts (collective).
+    """Make the rows of K at crack tips or front stations (collective).
 
-    They are made once for a structure and all that share its matrices. The rows of a reduced
-    structure act on everything that its coordinates expand to, including static responses to load
-    and contact. K thus converges as these responses, not as a sum over modes.
+    The rows are made once for a structure and all structures with the same matrices. In a reduced
+    structure the rows act on the expanded displacement, including static responses to load and
+    contact. K thus converges with the static responses, not as a sum over modes.
 
     Returns
     -------
@@ -448,9 +448,9 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
 
 
 def _make_tip_rows(study: Study) -> ExtraRows:
-    """Make the rows of the crack tips, for the numbers of the leading tip (collective).
+    """Make the rows of crack tips, for the numbers at the leading tip (collective).
 
-    K_max of a solid is the largest K_I of all stations, by which it breaks.
+    In a solid K_max is the largest K_I of all stations, which decides on fracture.
     """
     tips, displacement_rows, force_rows = make_tips_and_rows(study)
 
@@ -467,7 +467,10 @@ def _make_tip_rows(study: Study) -> ExtraRows:
 
 
 def _make_ellipse_rows(study: Study) -> ExtraRows:
-    """Make the rows of a half-ellipse's front, for the numbers of its deepest station and ends."""
+    """Make the rows of a half-ellipse's front (collective).
+
+    The numbers are taken at the deepest station and at the ends.
+    """
     stations, displacement_rows, force_rows = make_tips_and_rows(study)
     station_positions, crack = (
         np.array([station.point for station in stations]),

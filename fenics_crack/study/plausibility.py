@@ -654,9 +654,10 @@ def remarks_on_scene(
 def _find_remarks(
     rules: Iterable[RemarkRule], scene: Scene, *rule_arguments: object
 ) -> Iterator[Remark]:
-    """Yield the remarks of some rules, with the first unit in which a value would be usual.
+    """Yield the remarks of some rules on a scene.
 
-    ``rule_arguments`` are the structure or the key figures.
+    ``rule_arguments`` are the structure or the key figures. A remark names the first unit in which
+    the value would be usual.
     """
     geometry = scene.geometry
     body_kind = "structure" if geometry is None else geometry.kind
@@ -679,9 +680,9 @@ def _find_remarks(
 
 
 def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
-    """Return the first given key with a nonzero value, and the value; else the first given key.
+    """Return the first given key with a nonzero value, and the value.
 
-    A key of "crack" yields a pair for each crack that has it. The list is empty if no key is given.
+    If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack that has it. The list is empty if no key is given.
     """
     entry_lists: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
@@ -709,13 +710,13 @@ def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
 
 
 def _longest_side(value: float, scene: Scene) -> float | None:
-    """Return the value if it is the longest side of a plate [m], else None."""
+    """Return a plate's side [m] if it is the longest one, else None."""
     geometry = scene.geometry
     return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
 
 
 def _length_ratio(length: float, side: float | None) -> float | None:
-    """Return a crack's length over a side of a plate or box; None without a side."""
+    """Return a crack's length over a side; None without a side."""
     return None if side is None else length / side
 
 
@@ -726,9 +727,9 @@ def _shorter_side(scene: Scene) -> float:
 
 
 def _thickness_ratio(value: float, scene: Scene) -> float | None:
-    """Return a thickness over the shorter side; None for a unit plane problem or a disk.
+    """Return a thickness over the shorter side, or None.
 
-    In plane problems 1 m is usual.
+    It is None for plane problems of 1 m, which is usual, and for disks.
     """
     is_unscaled = scene.geometry.kind == "plate" and (value == 1.0 or scene.disk is not None)
     return None if is_unscaled else value / _shorter_side(scene)
@@ -737,9 +738,9 @@ def _thickness_ratio(value: float, scene: Scene) -> float | None:
 def _distance_to_node(
     load_point: object, scene: Scene, structure: Structure
 ) -> tuple[float, str] | None:
-    """Return the distance from a load to the nearest node over the mesh's size, and the node.
+    """Return relative distance and position of the node nearest to a load.
 
-    It applies to files of parts and models; None if the load acts inside a cell (collective).
+    The distance is over the mesh's size. It applies to files of parts and models; None if the load acts inside a cell (collective).
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -782,7 +783,7 @@ def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None
 
 
 def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, float] | None:
-    """Return how far a mesh file's clamp is off y = 0: over the mesh's size, and y [m]."""
+    """Return a clamp's offset from y = 0: over the mesh's size, and y [m]."""
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
         return None
@@ -797,7 +798,7 @@ def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, 
 def _clamp_bending_stress(
     _: object, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return the bending stress in a solid's clamp if the axis is not below its middle.
+    """Return the bending stress in a solid's clamp by an eccentric axis.
 
     Returns
     -------
@@ -850,7 +851,7 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
 
 
 def _count_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
-    """Return the number of rigid contact pairs with mass; None if there is no rigid contact."""
+    """Return the number of rigid contact pairs with mass, or None."""
     reduction, contact = reduction_of(scene, structure), scene.contact
     is_massless = reduction is not None and reduction.method == "massless"
     return (
@@ -892,7 +893,7 @@ def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
 def _missed_first_frequency(
     _: float, scene: Scene, figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the first natural frequency [rad/s] if a curve meets no resonance; else None.
+    """Return the first natural frequency [rad/s] if a curve meets no resonance.
 
     Resonances are sought between the open and bonded frequencies of the first modes, with the
     harmonics 1/2, 1, 2 and 3. The second output is a text with the curve's end and a proposed
@@ -938,7 +939,10 @@ def _peak_rotation_and_displacement(
 
 
 def _elements_along_faces(_: object, scene: Scene, figures: KeyFigures) -> int | None:
-    """Return the number of elements along each crack face; None for grids and mouth pairs."""
+    """Return the number of elements along each crack face.
+
+    None for grids, which choose it, and for contact at the mouth alone.
+    """
     has_mouth_pair = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
     return None if has_mouth_pair or is_grid else figures.n_face_elements
@@ -947,7 +951,10 @@ def _elements_along_faces(_: object, scene: Scene, figures: KeyFigures) -> int |
 def _motion_without_contact_change(
     _: object, scene: Scene, figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the motion of the faces [m] if it opens or closes no pair, with a verb; else None."""
+    """Return the motion of the crack faces [m] if no pair opens or closes.
+
+    The second output is the verb for the remark: "opens" or "closes". None if a pair breathes.
+    """
     if scene.contact is None or scene.structure is not None or figures.breathes:
         return None
     return figures.peak_gap_motion, "opens" if figures.n_closed_pairs else "closes"

@@ -1,4 +1,4 @@
-"""Preparation of a scene: its structure, the reduction of the structure, and its contact law.
+"""Preparation of a scene: structure, reduction and contact law.
 
 The memory for the solution is estimated before it is allocated. Modes are counted by a second
 factor while the first factor is held.
@@ -161,8 +161,8 @@ def _find_watched_displacements(
 ) -> tuple[WatchedDisplacement, ...]:
     """Find the watched displacements of a scene's whole structure (collective).
 
-    They are the free directions of the points in ``[output.points]``, x before y. Without points it
-    is the structure's watched dof, by default the dof with most of the load.
+    The points in ``[output.points]`` are watched in their free directions, x before y. Without
+    points the structure's watched dof is used, by default the dof with most of the load.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def _structure_from_reference_study(scene: Scene, reference_study: Study) -> Str
 
 
 def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
-    """Reduce a study as its scene says, unless it is reduced already (collective).
+    """Reduce a study as the scene says, unless already reduced (collective).
 
     The reduced structure has a reference of more modes if ``with_reference``.
 
@@ -270,10 +270,11 @@ class ModalReduction(NamedTuple):
 def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
     """Return the reduction of a scene's structure; None if it is not reduced.
 
-    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
-    all modes are damped and no number of modes is given, 50 are kept. Crack faces lose their mass
-    unless the scene names another method, there are none, all modes are kept, or the structure
-    would not be reduced on one rank.
+    Without the table ``[reduction]``, a structure with at most 100 dofs is not reduced on one rank.
+    If all modes are damped and no number of modes is given, 50 are kept.
+
+    Crack faces lose their mass by default. They keep it if the scene names another method, if all
+    modes are kept, or in a structure with at most 100 dofs and without the table.
     """
     reduction_table = scene.reduction
     if scene.disk is not None:
@@ -347,7 +348,7 @@ def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool)
 def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -> float:
     """Estimate the peak memory of :func:`reduce_structure` [byte] (collective).
 
-    It is the sum over all ranks, including the memory that they hold already.
+    The estimate is a sum over all ranks and includes the memory held already.
     """
     n_dofs, n_columns = structure.n_dofs, structure.n_pairs + 1
     n_reference_modes = n_modes + max(n_modes // 2, 10) if method == "massless" else n_modes
@@ -367,8 +368,8 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
 def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     """Estimate the peak memory of :func:`reduce_wheel` [byte] (collective).
 
-    ``n_families`` is the number of modes of each nodal diameter in the basis. It is the sum over
-    all ranks, including the memory that they hold already.
+    ``n_families`` is the number of modes per nodal diameter in the basis. The estimate is a sum
+    over all ranks and includes the memory held already.
     """
     sector = wheel.sector
     n_real_dofs, n_dofs = 2 * len(sector.dofs.own_members), sector.structure.n_dofs
@@ -414,7 +415,7 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
 def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the memory to find modes, beside a factor [byte] (collective).
 
-    It is that of Krylov vectors, or of a second factor with a matrix and its copy.
+    Krylov vectors, or a second factor with a matrix and a copy of the matrix, take the memory.
     """
     krylov_bytes = 8.0 * structure.n_dofs * krylov_size(n_modes)
     return max(
@@ -436,7 +437,7 @@ def _estimate_factor_memory(structure: Structure) -> float:
 
 
 def release_freed_memory() -> None:
-    """Return freed memory of the C library to the system; it would count as held."""
+    """Return freed memory to the system; it would count as held."""
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -518,7 +519,7 @@ def _required_pair_areas(
 ) -> np.ndarray:
     """Return the areas of a structure's pairs (n_pairs,) [m^2].
 
-    Raises InputError if they are unknown; it names the stiffness per area and its key.
+    Raises InputError for the stiffness per area if the areas are unknown.
     """
     if structure is None or structure.pair_areas is None:
         requirement = (

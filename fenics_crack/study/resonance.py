@@ -103,7 +103,7 @@ UNSOUGHT_RESONANCE = LoadResonance(unknown="not sought")
 def order_crossing_speed(
     engine_order: float, reference_speed: float, omega: float, slope: float
 ) -> float:
-    """Return the rotor speed W [rad/s] at which an engine order meets a natural frequency.
+    """Return the speed W at which an engine order meets a natural frequency.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def order_crossing_speed(
 
     Returns
     -------
-    float
+    float [rad/s]
         W; nan if the order never meets the frequency.
     """
     speed_squared = (

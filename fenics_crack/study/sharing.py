@@ -23,7 +23,7 @@ from fenics_crack.scene.scene import Scene
 
 
 class SharedStructure(NamedTuple):
-    """A structure with the values of the scene's keys that determine it.
+    """A structure with the scene's values on which it depends.
 
     Attributes
     ----------
@@ -60,12 +60,11 @@ STRUCTURE_FILES: list[Any] = []
 def assemble_or_reuse(
     scene: Scene, comm: MPI.Comm, last_entries: list[SharedStructure] = LAST_STRUCTURES
 ) -> Structure:
-    """Return the structure of a scene, reused if possible (collective).
+    """Return a scene's structure, reused if possible (collective).
 
-    The crack length of the scene must be known. The structure in ``last_entries``, or in a file, is
-    reused if it has the same mesh. ``last_entries`` then holds the result alone.
-
-    Other parameters and errors are those of :func:`fenics_crack.build_structure`.
+    The scene's crack length must be known. A structure with the same mesh in ``last_entries``, or
+    in a file, is reused. ``last_entries`` then holds the result alone. Errors are as for
+    :func:`fenics_crack.build_structure`.
     """
     dependencies = structure_dependencies(scene, comm)
     needs_all_equal = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
@@ -135,12 +134,12 @@ def _can_reuse(
 
 
 def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
-    """Return the values of a scene's keys on which a structure depends (collective).
+    """Return the values in a scene on which a structure depends (collective).
 
     Returns
     -------
     mesh_dependencies : tuple
-        Keys of mesh and matrices, and digests of files.
+        Tables for mesh and matrices, and digests of files.
     loads : tuple
         As :func:`load_dependencies` returns them.
     clearances_and_damping : tuple
@@ -161,12 +160,12 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
 
 
 def load_dependencies(scene: Scene) -> tuple[Any, ...]:
-    """Return the tables of a scene that determine its load: excitation, other loads, base."""
+    """Return the scene's tables for the load: excitation, other loads, base."""
     return _values_without_keys(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 
 
 def _values_without_keys(table: Any, *omitted_keys: str) -> Any:
-    """Return the values of a table by key, without some keys; None without the table."""
+    """Return a table's values by key, without some keys; None without a table."""
     return table and {
         field.name: getattr(table, field.name)
         for field in fields(table)

@@ -42,8 +42,8 @@ MAX_DATASET_BYTES = 500 * 10**6
 def dependencies_key(dependencies: tuple[Any, ...]) -> str:
     """Return the SHA-256 digest of a structure's dependencies, without load amplitudes.
 
-    ``dependencies`` are those of :func:`structure_dependencies`. Clearances and damping do not
-    count; the files of the program and of its libraries do.
+    ``dependencies`` come from :func:`structure_dependencies`. Clearances and damping do not count;
+    the program's and the libraries' files do.
     """
     key_dependencies = dependencies[0], loads_without_amplitudes(dependencies[1]), fingerprint()
     return hashlib.sha256(repr(key_dependencies).encode()).hexdigest()
@@ -96,7 +96,7 @@ class StructureFile:
         return entry
 
     def note_structure(self, entry: SharedStructure, scene: Scene) -> None:
-        """Note a structure for the file; one of another mesh than the first is ignored."""
+        """Note a structure for the file, if it has the first one's mesh."""
         if (
             not self._noted_entries
             or self._noted_entries[0][0].dependencies[0] == entry.dependencies[0]

@@ -54,9 +54,9 @@ def solve_study(
 ) -> SolvedStudy:
     """Solve a study for its steady vibration, reduced as its scene says (collective).
 
-    With a tolerance, the number of modes is chosen unless the scene gives it. Without a tolerance,
-    the search starts from ``initial_solution``, of the same structure, if there is one.
-    ``omega`` [rad/s] replaces the scene's load frequency if there is no tolerance.
+    With a tolerance, the number of modes is chosen unless given by the scene. Without a tolerance,
+    Newton's method starts from ``initial_solution`` (same structure), and ``omega`` [rad/s]
+    replaces the scene's load frequency.
     """
     make_requested_rows(study)  # before anything is solved: this may raise InputError
     scene, law = study.scene, study.contact
@@ -194,12 +194,12 @@ def reduce_with_more_modes(
 ) -> Iterator[Study]:
     """Yield a study reduced with more and more modes, on demand (collective).
 
-    The numbers are those of :func:`candidate_mode_counts`. Without any, the study is reduced once,
-    as its scene says.
+    :func:`candidate_mode_counts` gives the numbers. If the list is empty, the study is reduced
+    once, as the scene says.
 
-    The modes of the first two numbers and of their references are computed together. Separately
-    they take two more factors, and for a plate 67 steps beside 106. At a tolerance of 1 %, six of
-    ten plates took the second number or more.
+    The first two numbers and their references share one computation of modes. Separate computations
+    take two more factors, and for a plate 67 steps beside 106. At a tolerance of 1 %, six of ten
+    plates took the second number or more.
     """
     candidate_counts, structure = candidate_mode_counts(study, max_modes), study.structure
     if candidate_counts[:1] == [FIRST_MODES] and structure.has_matrices:
