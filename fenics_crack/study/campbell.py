@@ -247,7 +247,8 @@ class Campbell(Saved):
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Return speeds, frequencies [rad/s] and kinds along a mode's line.
 
-        Modes count from 1. The frequency is that of the crack's state. A change of the state gives two points.
+        Modes count from 1. The frequency is that of the crack's state. A change of the state gives
+        two points.
         """
         speeds = {
             *self.speed.tolist(),
@@ -305,8 +306,9 @@ class Campbell(Saved):
     def stiffening(self, speed: float, omega: float) -> float:
         """Return d ln w / d ln W of the mode nearest to a frequency [rad/s].
 
-        The mode's frequency is of the kind that the crack has at the nearest speed of the diagram. Between
-        two speeds and beyond them, w^2 is linear in W^2 (Southwell). For :func:`find_passages`.
+        The mode's frequency is of the kind that the crack has at the nearest speed of the diagram.
+        Between two speeds and beyond them, w^2 is linear in W^2 (Southwell). For
+        :func:`find_passages`.
         """
         nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
@@ -560,8 +562,9 @@ def _find_state_changes(
 ) -> Iterator[tuple[float, str]]:
     """Yield speed and new kind of each change of a crack's state.
 
-    ``lower_speed`` and ``upper_speed`` [rad/s] limit the search. Between held and breathing, the state changes at zero margin. Between two held states the crack
-    breathes in a range of speeds, however narrow. ``mode_index`` counts from 0.
+    ``lower_speed`` and ``upper_speed`` [rad/s] limit the search. Between held and breathing, the
+    state changes at zero margin. Between two held states the crack breathes in a range of speeds,
+    however narrow. ``mode_index`` counts from 0.
     """
     lower_kind, upper_kind = (
         str(_classify_states(find_frequencies_and_margins(speed)[1])[mode_index])

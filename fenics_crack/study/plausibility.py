@@ -682,7 +682,8 @@ def _find_remarks(
 def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first given key with a nonzero value, and the value.
 
-    If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack that has it. The list is empty if no key is given.
+    If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
+    that has it. The list is empty if no key is given.
     """
     entry_lists: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
@@ -740,7 +741,8 @@ def _distance_to_node(
 ) -> tuple[float, str] | None:
     """Return relative distance and position of the node nearest to a load.
 
-    The distance is over the mesh's size. It applies to files of parts and models; None if the load acts inside a cell (collective).
+    The distance is over the mesh's size. It applies to files of parts and models; None if the load
+    acts inside a cell (collective).
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
