@@ -121,24 +121,20 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
         return ClampReactions(
             *clamp.reaction_of_record(record.time, record.motion, omega, drag_factor)
         )
-    base_omega = omega / record.subharmonic
-    wave_arguments = (
-        record.coefficients,
-        base_omega,
-        record.subharmonic,
-        drag_factor,
-        base_omega * record.time,
+    subharmonic, base_omega = record.subharmonic, omega / record.subharmonic
+    phases = base_omega * record.time
+    reactions = clamp.reaction_of_waves(
+        record.coefficients, base_omega, subharmonic, drag_factor, phases
     )
-    return ClampReactions(*clamp.reaction_of_waves(*wave_arguments))
+    return ClampReactions(*reactions)
 
 
 def _clamp_and_drag(whole_structure: Structure) -> tuple[Clamp, float]:
     """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
     check_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
-    return whole_structure.clamp, whole_structure.damping.mass if isinstance(
-        whole_structure.damping, RayleighDamping
-    ) else 0.0
+    clamp, damping = whole_structure.clamp, whole_structure.damping
+    return clamp, damping.mass if isinstance(damping, RayleighDamping) else 0.0
 
 
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
@@ -150,16 +146,12 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     whole_structure, inertia = structure.whole, _clamp_and_drag(structure.whole)[0].inertia
     if structure is whole_structure:
         return inertia
-    known_modes = structure.known_modes(
-        is_bonded=False
-    )  # with mass, where not all coordinates have it
+    # These modes have mass, even if some coordinates have none.
+    known_modes = structure.known_modes(is_bonded=False)
     mode_shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
-    whole_rows = (
-        whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
-        @ mode_shapes.T
-    )
+    modal_inertia = whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
-    return np.asarray(whole_rows @ mass)
+    return np.asarray(modal_inertia @ mode_shapes.T @ mass)
 
 
 # --- the tips -------------------------------------------------------------------------------------

@@ -172,33 +172,20 @@ def _find_watched_displacements(
     if not scene.points:
         dof = structure.watched_dof
         return (WatchedDisplacement("", structure.dof_name(dof), dof),)
-    watched_displacements, sector_structure = (
-        [],
-        structure.sector_structure,
-    )  # points are those of a blade
+    displacements, sector = [], structure.sector_structure  # the points belong to a blade
     for point in scene.points:
         point_key = f"output.points.{point.key}"
-        if sector_structure.nodes is None:
+        if sector.nodes is None:
             raise InputError(point_key, point.values, "left out: the structure has no positions")
-        node_position, node_dofs = sector_structure.nodes.find_nearest(
-            sector_structure.comm, point_key, point.values
-        )
+        node_position, node_dofs = sector.nodes.find_nearest(sector.comm, point_key, point.values)
         distance = float(np.linalg.norm(node_position - point.values).round(12))
         for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
-                displacement_name, global_dof = (
-                    f"{point.key}.u{axis}",
-                    structure.dof_of(structure.watched_sector + 1, int(dof)),
-                )
-                watched_displacements.append(
-                    WatchedDisplacement(
-                        displacement_name,
-                        scene.point_names[displacement_name],
-                        global_dof,
-                        distance,
-                    )
-                )
-    return tuple(watched_displacements)
+                name = f"{point.key}.u{axis}"
+                words, watched_sector = scene.point_names[name], structure.watched_sector
+                global_dof = structure.dof_of(watched_sector + 1, int(dof))
+                displacements.append(WatchedDisplacement(name, words, global_dof, distance))
+    return tuple(displacements)
 
 
 def _structure_from_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
