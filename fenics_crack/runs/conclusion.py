@@ -1,4 +1,4 @@
-"""Conclusion of a run: the last sentence of the program, of a report and of Python's ``str``.
+"""Conclusion of a run: the last sentence in the program, in a report and in Python's ``str``.
 
 It says the answer, its accuracy, doubts that numbers alone do not show, and remarks.
 """
@@ -104,7 +104,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
 
 
 def explain_unknown_error(run: StudyWithResult) -> str:
-    """Return why the error of the watched amplitude is unknown, by the stated errors.
+    """Return why the watched amplitude's error is unknown, by the stated errors.
 
     Empty if the error is known or no errors are stated, and for large structures.
     """
@@ -131,7 +131,7 @@ def make_conclusion(run: StudyWithResult) -> Said:
 
 
 def _conclude_modes(run: StudyWithResult) -> Said:
-    """Return the conclusion of modes: the first natural frequency and its error."""
+    """Return the conclusion for modes: the first natural frequency and its error."""
     first_omega = float(run.result.omega[0])
     answer_text = f"the first natural frequency with the crack open is {first_omega / TURN:.5g} Hz "
     answer_text += (
@@ -152,7 +152,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
 
 
 def _conclude_solution(run: StudyWithResult) -> Said:
-    """Return the conclusion of a solution: amplitude, error, crack and stability."""
+    """Return the conclusion for a solution: amplitude, error, crack and stability."""
     solution: PeriodicSolution = run.result
     unknown_error_reason = explain_unknown_solution_error(run)
     if not solution.converged:
@@ -212,7 +212,7 @@ def _describe_crack_and_verdict(
 
 
 def _conclude_curve(run: StudyWithResult) -> Said:
-    """Return the conclusion of a curve: its largest response, errors and verdicts."""
+    """Return the conclusion for a curve: its largest response, errors and verdicts."""
     curve: ResponseCurve = run.result
     largest_response = curve.top(run.watched_dof)
     curve_axis = parameter_axis(curve.parameter, run.scene.in_hertz)
@@ -253,7 +253,7 @@ def _conclude_curve(run: StudyWithResult) -> Said:
 
 
 def _conclude_history(run: StudyWithResult) -> Said:
-    """Return the conclusion of a motion in time: amplitudes, and whether it has settled."""
+    """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
     history: TimeHistory = run.result
     integration_table, displacement_name = run.scene.integration or Integration(), run.watched_name
     if integration_table.free:
