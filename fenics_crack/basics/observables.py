@@ -6,7 +6,8 @@ the columns of sweeps, ``[output] quantities``, stated errors and the list in th
 from this table.
 
 A function to read a number takes the object at the place. :mod:`fenics_crack.motion.motions` has
-the classes ``Point`` and ``Faces``, :mod:`fenics_crack.study.observer` has ``AtTip`` and ``Held``.
+the classes ``Point`` and ``Faces``, :mod:`fenics_crack.study.observer` a ``TipHistory`` and ``ClampReactions`` of
+:mod:`fenics_crack.study.observer`.
 """
 
 from __future__ import annotations
@@ -165,26 +166,26 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "over_tied": _make_mode_row("load frequency / natural frequency, crack bonded", "1"),
     "over_bilinear": _make_mode_row("load frequency / bilinear frequency", "1",
         flags=IN_PRINTED_TABLE | IN_SPECIAL_POINTS_TABLE),
-    "K_max": _make_tip_row("largest stress intensity K_I", "Pa m^0.5", lambda tip: tip.one.max()),
-    "K_min": _make_tip_row("smallest K_I", "Pa m^0.5", lambda tip: tip.one.min()),
-    "delta_K": _make_tip_row("range of K_I", "Pa m^0.5", lambda tip: np.ptp(tip.one)),
+    "K_max": _make_tip_row("largest stress intensity K_I", "Pa m^0.5", lambda tip: tip.K_I.max()),
+    "K_min": _make_tip_row("smallest K_I", "Pa m^0.5", lambda tip: tip.K_I.min()),
+    "delta_K": _make_tip_row("range of K_I", "Pa m^0.5", lambda tip: np.ptp(tip.K_I)),
     "delta_K_effective": _make_tip_row("range of K_I while the crack tip is open", "Pa m^0.5",
-        lambda tip: np.ptp(tip.one.clip(0.0))),
+        lambda tip: np.ptp(tip.K_I.clip(0.0))),
     "K_II_max": _make_tip_row("largest stress intensity K_II, of either sign", "Pa m^0.5",
-        lambda tip: np.abs(tip.two).max()),
+        lambda tip: np.abs(tip.K_II).max()),
     "K_III_max": _make_tip_row("largest stress intensity K_III, of either sign", "Pa m^0.5",
-        lambda tip: np.abs(tip.three).max(), REQUIRES_SOLID),
+        lambda tip: np.abs(tip.K_III).max(), REQUIRES_SOLID),
     "delta_K_equivalent": _make_tip_row("range of K_I, R = 0, that makes the crack grow as much",
-        "Pa m^0.5", lambda tip: tip.equivalent, REQUIRES_GROWTH_LAW),
+        "Pa m^0.5", lambda tip: tip.equivalent_range, REQUIRES_GROWTH_LAW),
     "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
-        read_number=lambda ellipse: np.ptp(ellipse.deepest.one.clip(0.0))),
+        read_number=lambda ellipse: np.ptp(ellipse.deepest_history.K_I.clip(0.0))),
     "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
-        read_number=lambda ellipse: np.mean([np.ptp(end.one.clip(0.0)) for end in ellipse.ends])),
+        read_number=lambda ellipse: np.mean([np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
     "delta_K_equivalent_deepest": _make_ellipse_row("range that makes it grow as much in depth",
-        read_number=lambda ellipse: ellipse.deepest.equivalent),
+        read_number=lambda ellipse: ellipse.deepest_history.equivalent_range),
     "delta_K_equivalent_surface": _make_ellipse_row(
         "range that makes it grow as much along the face",
-        read_number=lambda ellipse: np.mean([end.equivalent for end in ellipse.ends])),
+        read_number=lambda ellipse: np.mean([end.equivalent_range for end in ellipse.end_histories])),
     "reaction_force": _make_clamp_row("largest force of the clamp", "N",
         lambda reaction: _max_vector_norm(reaction.force)),
     "reaction_moment": _make_clamp_row("largest moment of the clamp, about its centre", "N m",

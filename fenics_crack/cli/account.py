@@ -17,7 +17,7 @@ from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import SMALL_MOTION, from_clamp
+from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
 
 MAX_TRANSVERSE_SLIDING_RATIO = 0.3
 """Maximum sliding across the lines of friction, relative to sliding along them.
@@ -85,11 +85,11 @@ def describe_large_motion(run: Run[Any], max_displacements: Sequence[float]) -> 
     list of str
         At most one warning.
     """
-    clamp_distances = from_clamp(
+    clamp_distances = distances_from_clamp(
         run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
     )
     worst_index = int(np.argmax(rotation_angles := np.asarray(max_displacements) / clamp_distances))
-    if not rotation_angles[worst_index] > SMALL_MOTION:
+    if not rotation_angles[worst_index] > MAX_SMALL_ROTATION:
         return []
     return [
         f"{format_quantity(max_displacements[worst_index], 'm')} of "

@@ -321,27 +321,29 @@ def _call_command(
     from fenics_crack.basics.ranks import on_root
     from fenics_crack.cli.given import STRUCTURE_FILE_NAME, make_writable
     from fenics_crack.study.plausibility import remarks_on_scene
-    from fenics_crack.study.sharing import SHELVES
+    from fenics_crack.study.sharing import STRUCTURE_FILES
 
     assert console is not None
     if arguments.command not in ("check", "clean"):
         make_writable(inputs.folder, console.comm)
     if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
-        from fenics_crack.study.shelf import Shelf
+        from fenics_crack.study.shelf import StructureFile
 
         structure_path = inputs.folder / STRUCTURE_FILE_NAME
         can_read_structure = on_root(
             console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
         )
-        SHELVES[:] = [
-            Shelf(structure_path, console.print_notes, is_read=can_read_structure and not is_fresh)
+        STRUCTURE_FILES[:] = [
+            StructureFile(
+                structure_path, console.print_notes, is_read=can_read_structure and not is_fresh
+            )
         ]
     if arguments.command != "clean":  # before the mesh, which may take minutes
         console.print_remarks(*remarks_on_scene(inputs.scene))
     try:
         return command_function(arguments, inputs, console)
     finally:
-        SHELVES.clear()
+        STRUCTURE_FILES.clear()
 
 
 # --- arguments ------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from fenics_crack.cli.given import (
 from fenics_crack.cli.kinds import RESULT_KINDS, build_report, draw_result
 from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.sharing import SHELVES
+from fenics_crack.study.sharing import STRUCTURE_FILES
 
 if TYPE_CHECKING:
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
@@ -125,8 +125,8 @@ def write_and_print_report(
         Exit code.
     """
     replacement_note = ""
-    for shelf in SHELVES:
-        shelf.keep(console.comm)
+    for structure_file in STRUCTURE_FILES:
+        structure_file.write_structure(console.comm)
     if result is not None:
         replacement_note = keep_previous_result(
             Path(f"{stem_path}.json"), report.table.formatted("json"), console.comm

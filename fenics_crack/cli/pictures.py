@@ -33,13 +33,13 @@ from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded
 from fenics_crack.model.structure import Structure
 from fenics_crack.monitoring.identification.report import Identified
 from fenics_crack.monitoring.timing import Timing, largest_blade
-from fenics_crack.runs.conclusion import describe_error, frequency_in_words
+from fenics_crack.runs.conclusion import describe_stated_error, frequency_in_words
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
-from fenics_crack.study.campbell import ORDERS, Campbell
+from fenics_crack.study.campbell import MAX_REPORTED_ORDER, Campbell
 from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep.plan import FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
@@ -83,7 +83,7 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     """Draw a solution: waveforms, harmonics, orbits and the moving mesh."""
     solution, watched_dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, solution.omega)}, H = {solution.harmonics}"
-    if error_text := describe_error(run):
+    if error_text := describe_stated_error(run):
         title += f", error {error_text.partition(',')[0]}"
     elif solution.gap_coefficients.size and solution.report.estimated:
         error_text = format_percent(solution.report.total)
@@ -497,7 +497,7 @@ def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
 def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> None:
     """Draw a Campbell diagram in the scene's units."""
     scene = campbell.scene
-    engine_orders = sorted({*range(1, ORDERS + 1), scene.excitation.order or 1})
+    engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
     caption = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
     unit_options: dict[str, Any] = {
         "in_hertz": scene.in_hertz or scene.in_rpm,

@@ -42,7 +42,7 @@ from fenics_crack.scene.words import (
     key_in_words,
     value_in_words,
 )
-from fenics_crack.study.shelf import KIND as KEPT_KIND
+from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
 from fenics_crack.sweep.result import is_partial_sweep
 from fenics_crack.version import VERSION, packaged
 

@@ -49,13 +49,17 @@ from fenics_crack.model.modes import (
     bilinear_frequencies,
 )
 from fenics_crack.model.rotation import RunUpStructure
-from fenics_crack.runs.conclusion import conclusion_of, unknown_error, unknown_of_solution
+from fenics_crack.runs.conclusion import (
+    explain_unknown_error,
+    explain_unknown_solution_error,
+    make_conclusion,
+)
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.scene import quantities_on_request
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import observe
-from fenics_crack.study.plausibility import highest_omega
+from fenics_crack.study.observer import observe_quantities
+from fenics_crack.study.plausibility import highest_harmonic_omega
 from fenics_crack.time.march import TimeHistory
 
 ERROR_COLUMN_HEADING = "error [%]"
@@ -103,12 +107,12 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
     ]
     report_fields["warnings"] = [*report_fields.get("warnings", ()), *friction_warnings]
     if table.columns[0] != "name":
-        return Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
+        return Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
     report_fields |= {
         "shown": account.select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
         "tables": _number_tables_by_heading(run, table),
     }
-    report = Report(table, conclusion_of(run), remarks=run.remarks, **report_fields)
+    report = Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
     conclusion_row = [
         "conclusion",
         OTHER_QUANTITIES_BY_NAME["conclusion"][0],
@@ -147,7 +151,9 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     table = _tabulate_quantities(
         run, solution.omega, solution.to_dict() | _collect_doubts_by_name(run)
     )
-    note_texts = [describe_undamped_harmonics(run.structure, highest_omega(scene, "solve"))]
+    note_texts = [
+        describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "solve"))
+    ]
     is_error_requested = scene.harmonic_balance.error
     if (
         solution.converged
@@ -203,7 +209,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         warnings=warning_texts,
         further=_blade_tables_by_heading(run, "Blades") | _front_tables_by_heading(run),
         done=solution.converged,
-        missed=is_tolerance_missed or bool(unknown_of_solution(run)),
+        missed=is_tolerance_missed or bool(explain_unknown_solution_error(run)),
     )
 
 
@@ -252,7 +258,7 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
     the error is unknown, its parts in :data:`ERRORS_NAN_IF_UNKNOWN` are nan.
     """
     stability = run.result.stability
-    doubts_by_name: dict[str, object] = {"unknown_error": unknown_of_solution(run)}
+    doubts_by_name: dict[str, object] = {"unknown_error": explain_unknown_solution_error(run)}
     doubts_by_name["remarks"] = "; ".join(map(str, run.remarks))
     if stability is not None:
         doubts_by_name |= {
@@ -377,7 +383,7 @@ def _tabulate_quantities(
         (name, name, value, UNIT_BY_NAME[name])
         for name, value in add_frequency_entries({"omega": omega}).items()
     ]
-    quantity_rows += [observation[:4] for observation in observe(run, run.result)]
+    quantity_rows += [observation[:4] for observation in observe_quantities(run, run.result)]
     if not run.structure.n_pairs:  # no errors were estimated
         values_by_name = {
             name: value
@@ -538,7 +544,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
     note_texts = [
         _describe_unstable_peak(run),
-        describe_undamped_harmonics(run.structure, highest_omega(scene, "curve")),
+        describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "curve")),
     ]
     if n_hidden_points:
         note_texts.insert(
@@ -587,7 +593,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         },
         further=_blade_tables_by_heading(run, "Blades, each at its largest response"),
         done=bool(curve.complete) and curve.status != INTERRUPTED_STATUS,
-        missed=bool(unknown_error(run)),
+        missed=bool(explain_unknown_error(run)),
     )
 
 
@@ -841,7 +847,7 @@ def _indicator_columns_by_heading(
     """
     columns_by_heading = {
         heading_with_unit(observation.column, observation.unit): observation.value
-        for observation in observe(run, curve)
+        for observation in observe_quantities(run, curve)
     }
     frequencies_by_name = _solve_natural_frequencies(run, curve.omega).nearest(curve.omega)
     return columns_by_heading | {

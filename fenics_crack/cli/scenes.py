@@ -30,24 +30,24 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, quantities_on_request
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
-    CURVE_UNITS,
+    CURVE_UNIT_BY_PARAMETER,
     KeyFigures,
     find_key_figures,
-    highest_omega,
-    proposed_curve,
+    highest_harmonic_omega,
+    propose_curve,
     remarks_on_scene,
     scales_with_load,
 )
 from fenics_crack.study.prepare import (
     Study,
-    check_memory_of,
-    give_back_freed,
+    estimate_checked_memory,
     prepare,
     reduction_of,
+    release_freed_memory,
 )
-from fenics_crack.study.resonance import resonance_of
-from fenics_crack.study.sharing import SHELVES
-from fenics_crack.study.solve import modes_chosen
+from fenics_crack.study.resonance import find_study_resonance
+from fenics_crack.study.sharing import STRUCTURE_FILES
+from fenics_crack.study.solve import candidate_mode_counts
 
 
 def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
@@ -56,29 +56,31 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
         if quantities_on_request(scene):  # which may be refused
-            from fenics_crack.study.observer import rows_requested  # the solver
+            from fenics_crack.study.observer import make_requested_rows  # the solver
 
-            rows_requested(study)
+            make_requested_rows(study)
     structure, n_harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(structure, n_harmonics)
     is_run_up = scene.curve is not None and scene.curve.continuation_range[0] == "speed"
-    give_back_freed()
-    memory_bytes = check_memory_of(scene, structure, run_up=is_run_up)
+    release_freed_memory()
+    memory_bytes = estimate_checked_memory(scene, structure, is_run_up=is_run_up)
     with console.report_stage("natural frequencies"):
         key_figures = find_key_figures(study)
     with console.report_stage("resonance at the load"):
-        load_resonance = resonance_of(study, key_figures.omega_bilinear, key_figures.slopes)
+        load_resonance = find_study_resonance(
+            study, key_figures.omega_bilinear, key_figures.speed_slopes
+        )
     with console.report_stage("errors due to the mesh"):
         bonded_frequencies = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
         frequencies_by_kind = {"open": key_figures.omega_open} | bonded_frequencies
         mesh_errors = errors_of_natural(
-            study, frequencies_by_kind, load_resonance, key_figures.slopes
+            study, frequencies_by_kind, load_resonance, key_figures.speed_slopes
         )
         vibration_mesh_error = (
             0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]
         )
         key_figures = replace(
-            key_figures, at_load=replace(load_resonance, mesh_error=vibration_mesh_error)
+            key_figures, load_resonance=replace(load_resonance, mesh_error=vibration_mesh_error)
         )
     values_by_label: dict[str, object] = {
         **({} if structure.nodes is None else _mesh_size_rows(key_figures)),
@@ -97,9 +99,12 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
     if scene.curve is not None:
         range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
-    if (curve_proposal := proposed_curve(study.scene, key_figures)) is not None:
+    if (curve_proposal := propose_curve(study.scene, key_figures)) is not None:
         unit = CURVE_UNITS[curve_proposal.parameter][1]
-        values_by_label["proposed curve.parameter"] = curve_proposal.parameter
+        values_by_label["proposed curve.parameter"] = (
+            curve.parameter,
+            CURVE_UNIT_BY_PARAMETER[curve.parameter][1],
+        )
         values_by_label[f"proposed curve.start [{unit}]"] = curve_proposal.start
         values_by_label[f"proposed curve.stop [{unit}]"] = curve_proposal.stop
     if scene.sweep is not None:
@@ -110,10 +115,12 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
         values_by_label["invalid cases"] = on_root(
             console.comm, lambda: _describe_invalid_cases(scene)
         )
-    damping_remark = _describe_undamped_after_reduction(scene, structure, highest_omega(scene))
+    damping_remark = _describe_undamped_after_reduction(
+        scene, structure, highest_harmonic_omega(scene)
+    )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
-    for shelf in SHELVES:
-        shelf.keep(console.comm)
+    for structure_file in STRUCTURE_FILES:
+        structure_file.write_structure(console.comm)
     console.print_table(Table(("what", "value"), [*values_by_label.items()]))
     console.print_notes(damping_remark)
     console.print_remarks(*scene_remarks)
@@ -128,16 +135,16 @@ def missing_curve_error(scene: Scene, console: Console) -> InputError:
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
-        if curve_proposal := proposed_curve(study.scene, find_key_figures(study)):
+        if curve_proposal := propose_curve(study.scene, find_key_figures(study)):
             error.example = curve_proposal.as_toml()
     return error
 
 
 def _mesh_size_rows(key_figures: KeyFigures) -> dict[str, object]:
     """Return the lengths of the mesh's sides as a row."""
-    side_names = ("width", "height", "thickness")[: len(key_figures.size)]
+    side_names = ("width", "height", "thickness")[: len(key_figures.extents)]
     return {
-        " x ".join(side_names) + " [m]": " x ".join(f"{extent:g}" for extent in key_figures.size)
+        " x ".join(side_names) + " [m]": " x ".join(f"{extent:g}" for extent in key_figures.extents)
     }
 
 
@@ -157,7 +164,7 @@ def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         f", {faces_text} open": key_figures.omega_open,
         f", {faces_text} bonded": key_figures.omega_tied,
     }
-    if key_figures.elements is None:
+    if key_figures.n_face_elements is None:
         frequencies_by_condition = {"": key_figures.omega_open}
     frequencies_by_condition = {
         condition_text: frequencies[np.isfinite(frequencies)]
@@ -169,7 +176,7 @@ def _frequency_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         if len(frequencies)
     }
     values_by_label: dict[str, object] = {}
-    if key_figures.elements is not None and scene.structure is None and scene.dimension == 2:
+    if key_figures.n_face_elements is not None and scene.structure is None and scene.dimension == 2:
         values_by_label["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
     for condition_text, frequencies in frequencies_by_condition.items():
         values_by_label[f"first natural frequency{condition_text} [Hz]"] = (
@@ -213,8 +220,8 @@ def _mesh_error_rows(mesh_errors: Verification) -> dict[str, str]:
 
 def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     """Return rows on the resonance at the load, or why it is unknown."""
-    load_resonance, engine_order = key_figures.at_load, scene.excitation.order
-    if key_figures.elements is None:
+    load_resonance, engine_order = key_figures.load_resonance, scene.excitation.order
+    if key_figures.n_face_elements is None:
         return {}
     label = "resonance at the load"
     if scene.contact is not None and scene.contact.friction:
@@ -232,7 +239,7 @@ def _resonance_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
             load_resonance.value / RAD_PER_S_PER_RPM,
         )
     is_not_proportional = (
-        key_figures.closed or key_figures.mean_opening or not scales_with_load(scene)
+        key_figures.n_closed_pairs or key_figures.mean_opening or not scales_with_load(scene)
     )
     values_by_label["vibration there" if values_by_label else label] = load_resonance.in_words
     if not (is_not_proportional or load_resonance.unknown):
@@ -248,7 +255,7 @@ def _rotation_rows(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
         "rotor speed [rad/s]": scene.speed,
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
-    if key_figures.elements is not None:
+    if key_figures.n_face_elements is not None:
         values_by_label["crack opened by rotation and mean load [m]"] = key_figures.mean_opening
     return values_by_label
 
@@ -278,7 +285,7 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
         values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
         values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
     faces_text = word_for_crack_faces(study.scene)
-    static_stiffness = format_range(key_figures.own_stiffness, ".3g")
+    static_stiffness = format_range(key_figures.face_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = static_stiffness
     if key_figures.stiffness_ratio is not None:
         values_by_label["contact stiffness / static stiffness"] = format_range(
@@ -286,7 +293,7 @@ def _crack_and_contact_rows(study: Study, key_figures: KeyFigures) -> dict[str, 
         )
     values_by_label["static opening, mean load [m]"] = key_figures.mean_opening
     values_by_label[f"static motion of the {faces_text}, amplitude of the load [m]"] = (
-        key_figures.static_motion
+        key_figures.static_gap_motion
     )
     return values_by_label
 
@@ -302,10 +309,13 @@ def describe_harmonics(scene: Scene) -> int | str:
 def _describe_reduction(study: Study) -> str:
     """Describe the reduction of a structure in words."""
     scene = study.scene
-    scene_reduction, mode_counts = reduction_of(scene, study.structure), modes_chosen(study)
+    scene_reduction, mode_counts = (
+        reduction_of(scene, study.structure),
+        candidate_mode_counts(study),
+    )
     if scene_reduction is None:
         return "none"
-    modes_text = format_count(scene_reduction.modes, "mode")
+    modes_text = format_count(scene_reduction.n_modes, "mode")
     if mode_counts:
         modes_text = f"{format_count(mode_counts[0], 'mode')} or more, for an error of "
         modes_text += f"{scene.harmonic_balance.tolerance:g}"

@@ -391,7 +391,7 @@ def draw_campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     >>> figure = fc.draw_campbell(diagram, orders=[1, 2, 3], path="campbell.png")
     """
-    from fenics_crack.study.campbell import STATES  # loaded with the diagram
+    from fenics_crack.study.campbell import STATE_TEXT_BY_KIND  # loaded with the diagram
 
     for order in orders:
         check_count("orders", order, 1)
@@ -406,7 +406,7 @@ def draw_campbell(
         along, line, kinds = zip(*diagram.real_line(mode + 1), strict=True)
         colour, label = colours[mode % len(colours)], f"mode {mode + 1}"
         if diagram.cracked:
-            label = ", ".join([label, *dict.fromkeys(STATES[kind] for kind in kinds)])
+            label = ", ".join([label, *dict.fromkeys(STATE_TEXT_BY_KIND[kind] for kind in kinds)])
         panel.plot(pace * np.array(along), factor * np.array(line), color=colour, label=label)
         if diagram.cracked:
             ends = (factor * ends[:, mode] for ends in (diagram.omega_open, diagram.omega_tied))

@@ -45,7 +45,7 @@ from fenics_crack.model.contact import CoulombFriction, friction_of
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.prepare import REFUSALS, Study, law_of
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, scene_contact_law
 
 FRICTION_MODES = 20, 10
 """Modes of the structures that show the effect of friction, and how it depends on modes.
@@ -176,7 +176,7 @@ class Case:
             whole_structure, modes=count, method="massless", reference=False
         )
         orbits, numbers = list[PeriodicOrbit](), list[dict[str, float]]()
-        for law in (study.contact, law_of(study.scene.replace(keys), reduced_structure)):
+        for law in (study.contact, scene_contact_law(study.scene.replace(keys), reduced_structure)):
             assert law is not None
             contact_law = law_along_lines(reduced_structure, law, lambda _: orbits[0])
             problem = Problem(
@@ -231,7 +231,7 @@ def vary(errors: Verification, causes: Mapping[str, Callable[[], Varied]]) -> Ve
     for cause, find_part in causes.items():
         try:
             errors = errors.with_part(cause, find_part())
-        except REFUSALS as error:
+        except REFUSAL_EXCEPTIONS as error:
             other_run = RUN_WORDS_BY_CAUSE.get(cause, f"a run with more {cause}")
             errors = errors.with_unknown(cause, reason_of_failure(other_run, error))
             if cause == "mesh":

@@ -41,7 +41,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import Faces, Harmonics, ObservedMotion, Record, rows_of
 from fenics_crack.motion.orbit import INSTANTS_PER_PERIOD, PeriodicOrbit
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import observe
+from fenics_crack.study.observer import observe_quantities
 from fenics_crack.study.prepare import Study
 
 
@@ -90,7 +90,9 @@ def numbers_of(
     rounding = NEGLIGIBLE * min(  # of closed pairs
         indicators.amplitude + abs(indicators.mean) for indicators in displacements
     )
-    requested_numbers = (number for number in observe(study, motion) if number.name in quantities)
+    requested_numbers = (
+        number for number in observe_quantities(study, motion) if number.name in quantities
+    )
     for number in sorted(requested_numbers, key=lambda number: quantities.index(number.name)):
         place, value = OBSERVABLES_BY_NAME[number.name].place, float(number.value)
         min_size = {"1": ROUNDING_SPREAD, "m": rounding * (place is Place.FACES)}.get(

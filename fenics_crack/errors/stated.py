@@ -99,10 +99,10 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.meshes import coarser
-from fenics_crack.study.observer import errors_along_fronts, rows_requested
-from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced
-from fenics_crack.study.resonance import NOT_SOUGHT, AtLoad, resonance_of
+from fenics_crack.study.meshes import prepare_coarser_study
+from fenics_crack.study.observer import estimate_front_errors, make_requested_rows
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
+from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
 STATED_CAUSES = (*REDUCED_STRUCTURE_CAUSES, "friction")
 """Causes of stated errors."""
@@ -176,7 +176,7 @@ def _errors_at_speed(
 def errors_of_natural(
     study: Study,
     natural_frequencies: Mapping[str, np.ndarray],
-    at_load: AtLoad = NOT_SOUGHT,
+    at_load: LoadResonance = UNSOUGHT_RESONANCE,
     slopes: np.ndarray | None = None,
 ) -> Verification:
     """Return mesh errors of natural frequencies and of the resonance at the load (collective).
@@ -187,10 +187,10 @@ def errors_of_natural(
         Of the whole structure.
     natural_frequencies : dict of str to (m,) [rad/s]
         With crack faces "open" and "tied".
-    at_load : AtLoad
+    at_load : LoadResonance
         Of the same structure; its ``numbers`` are among those of the result.
     slopes : (m,), optional
-        S of each mode (:func:`resonance_of`).
+        S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
     factor, _, unit = frequency_axis(scene.in_hertz)
@@ -204,7 +204,7 @@ def errors_of_natural(
         }
 
     def mesh_error() -> Varied:
-        coarse_mesh = coarser(study)
+        coarse_mesh = prepare_coarser_study(study)
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         twin, counts, ratio = coarse_mesh
@@ -215,7 +215,9 @@ def errors_of_natural(
         coarse_mesh_numbers = by_name(coarse_frequencies)
         if at_load.numbers and slopes is not None:
             estimates = BilinearFrequencies(coarse_frequencies["open"], coarse_frequencies["tied"])
-            coarse_mesh_numbers |= resonance_of(twin, estimates.omega_bilinear, slopes).numbers
+            coarse_mesh_numbers |= find_study_resonance(
+                twin, estimates.omega_bilinear, slopes
+            ).numbers
         levels = zip(counts, (values, coarse_mesh_numbers), strict=True)
         return part_of("mesh", [*levels], scene, ratio=ratio)
 
@@ -257,7 +259,7 @@ def stated_errors(
         return errors.with_unknown("harmonics", not_estimated(answer.report))
     try:
         wave = solve_again(study, answer.omega, answer.harmonics, answer)
-    except REFUSALS as error:
+    except REFUSAL_EXCEPTIONS as error:
         if answer.orbit is None:
             reason = reason_of_failure("harmonic balance from it", error)
             return errors.with_unknown("harmonics", reason)
@@ -409,7 +411,9 @@ class StatedCase(Case):
         if len(structure.omega) <= MESH_MODES:
             return self
         scene = scene.replace({scene.modes_key: MESH_MODES})
-        study = reduced(replace(study, scene=scene, structure=structure.whole), judged=False)
+        study = reduce_study(
+            replace(study, scene=scene, structure=structure.whole), with_reference=False
+        )
         start = self.wave if structure.light_lips else None  # else it has other coordinates
         wave = solve_again(study, self.wave.omega, self.wave.harmonics, start)
         numbers = numbers_of(study, wave, self.numbers.mode)
@@ -422,7 +426,7 @@ class StatedCase(Case):
         of a peak; the place where crack faces part; and the dent under a force.
         """
         study, wave = self.study, self.wave
-        coarse_mesh = coarser(study)
+        coarse_mesh = prepare_coarser_study(study)
         if isinstance(coarse_mesh, str):
             return coarse_mesh
         coarse_study, counts, ratio = coarse_mesh
@@ -440,7 +444,7 @@ class StatedCase(Case):
         numbers_by_shift = self._values_at_shifts(factors * (1.0 - frequency_ratio))
         numbers_with_clearance_shift = self._values_with_shifted_clearance()
         dents = dict.fromkeys(observable_names(Place.POINT), self._relative_dent)
-        closed_errors, front_changes = errors_along_fronts(study, wave, coarse_study, coarse_wave)
+        closed_errors, front_changes = estimate_front_errors(study, wave, coarse_study, coarse_wave)
         for name, part in parts.items():
             value, coarse_mesh_number = part.values
             shape_errors = factors * (value - coarse_mesh_number)
@@ -531,7 +535,7 @@ class StatedCase(Case):
 def _with_known_numbers(study: Study) -> Study:
     """Drop stress intensities from a study if its elements are too long."""
     try:
-        rows_requested(study)
+        make_requested_rows(study)
     except InputError:
         refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
         names = [name for name in study.scene.quantities or () if name not in refused_names]

@@ -33,9 +33,15 @@ from fenics_crack.errors.numbers import accepted_orbit, add_changes, bilinear_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import finer_mesh, is_even, n_elements
-from fenics_crack.study.prepare import REFUSALS, Study, prepare, reduced, reduction_of
-from fenics_crack.study.solve import Solved, solve_prepared
+from fenics_crack.study.meshes import can_refine_evenly, count_elements, refine_scene
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    prepare,
+    reduce_study,
+    reduction_of,
+)
+from fenics_crack.study.solve import SolvedStudy, solve_study
 
 REFINEMENT_FACTORS = (1, 2, 4)
 """Factors of counts in the answer and in both finer runs."""
@@ -83,9 +89,9 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     """
     with prefix_stages(SCENE_CHOICE):
         whole_study = prepare(scene, comm, whole=True)
-        run = solve_prepared(whole_study)
+        run = solve_study(whole_study)
         if scene.harmonic_balance.tolerance is not None and run.result.converged:
-            run = solve_prepared(replace(run, scene=_settled_scene(run)), run.result)
+            run = solve_study(replace(run, scene=_settled_scene(run)), run.result)
     answer = run.result
     if not answer.converged:
         raise ConvergenceError(f"{SCENE_CHOICE}: {answer.status}")
@@ -106,7 +112,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     return replace(errors, failures=tuple(case.failures), verdicts=case.verdicts)
 
 
-def _settled_scene(run: Solved) -> Scene:
+def _settled_scene(run: SolvedStudy) -> Scene:
     """Return the scene of a solution with what was chosen for it.
 
     If all modes are kept, it is not reduced, so that none is left out on a finer mesh.
@@ -119,10 +125,10 @@ def _settled_scene(run: Solved) -> Scene:
     if scene.disk is not None:
         return scene.replace(changes)
     reduction = reduction_of(scene, whole_structure)
-    if reduction is None or reduction.modes >= whole_structure.n_dofs:
+    if reduction is None or reduction.n_modes >= whole_structure.n_dofs:
         changes |= {"reduction.method": "off", "reduction.modes": None}
     else:
-        changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.modes}
+        changes |= {"reduction.method": reduction.method, "reduction.modes": reduction.n_modes}
     return scene.replace(changes)
 
 
@@ -134,7 +140,7 @@ def _kept_modes(study: Study) -> tuple[int, int] | str:
     if reduction is None:
         return "the structure is not reduced"
     max_modes = study.structure.n_dofs - study.structure.n_pairs
-    return "all are kept" if reduction.modes >= max_modes else (reduction.modes, max_modes)
+    return "all are kept" if reduction.n_modes >= max_modes else (reduction.n_modes, max_modes)
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,7 @@ class _VerifiedCase(Case):
     failures: list[str] = field(default_factory=list)
     verdicts: dict[str, str] = field(default_factory=dict)
 
-    def note_verdict(self, name: str, run: Solved) -> None:
+    def note_verdict(self, name: str, run: SolvedStudy) -> None:
         """Add the verdict of a run if it is not known to be stable."""
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
@@ -190,10 +196,10 @@ class _VerifiedCase(Case):
             with prefix_stages(name):
                 try:
                     run = self._run(scene, shared_study)
-                except REFUSALS as error:
+                except REFUSAL_EXCEPTIONS as error:
                     self.failures.append(f"{name}: {error}")
                     continue
-            level = finer_count or n_elements(run.structure), self._run_values(run, cause)
+            level = finer_count or count_elements(run.structure), self._run_values(run, cause)
             levels.insert(1, level)
             self.note_verdict(name, run)
         if len(levels) == 1:
@@ -204,7 +210,7 @@ class _VerifiedCase(Case):
             cause, levels, self.whole_study.scene, formal=formal, scheme_order=scheme_order
         )
 
-    def _run(self, scene: Scene, shared_study: Study | None) -> Solved:
+    def _run(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
         It begins at the answer if it shares its structure. On another mesh the load is as far from
@@ -213,16 +219,16 @@ class _VerifiedCase(Case):
         study, mode = self.study, self.numbers.mode
         initial, omega = self.answer if shared_study is study else None, self.answer.omega
         if shared_study is not None:
-            finer_study = reduced(replace(shared_study, scene=scene), judged=False)
+            finer_study = reduce_study(replace(shared_study, scene=scene), with_reference=False)
         else:
             finer_study = prepare(scene, study.structure.comm, judged=False)
             omega *= bilinear_of(finer_study.structure, mode) / bilinear_of(study.structure, mode)
-        run = solve_prepared(finer_study, initial, omega)
+        run = solve_study(finer_study, initial, omega)
         if not run.result.converged:
             raise ConvergenceError(run.result.status)
         return run
 
-    def _run_values(self, run: Solved, cause: str) -> dict[str, float]:
+    def _run_values(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return the numbers of a finer run (collective).
 
         With more modes they change as exact orbits do, if both runs have their own: to few
@@ -259,11 +265,11 @@ class _VerifiedCase(Case):
         scene = self.whole_study.scene
         if scene.structure is not None:
             return "[structure] has matrices, and not the mesh that they are of"
-        factors = (1.5, 2.0) if is_even(scene) else (2.0, 3.0)
+        factors = (1.5, 2.0) if can_refine_evenly(scene) else (2.0, 3.0)
         finer_scenes = [
             (f"a mesh {factor:g} times finer", None, finer_scene)
             for factor in factors
-            if (finer_scene := finer_mesh(scene, factor)) is not None
+            if (finer_scene := refine_scene(scene, factor)) is not None
         ]
         if not finer_scenes:
             return (
@@ -271,7 +277,7 @@ class _VerifiedCase(Case):
                 "fc.grid_convergence compares several"
             )
         formal = TIP_ORDER if self.whole_study.structure.n_pairs else CLAMP_ORDER
-        count, scheme_order = n_elements(self.study.structure), 2.0 * scene.mesh.order
+        count, scheme_order = count_elements(self.study.structure), 2.0 * scene.mesh.order
         return self._judge_by("mesh", finer_scenes, count, formal, scheme_order=scheme_order)
 
     def shift(self, errors: Verification) -> Varied:

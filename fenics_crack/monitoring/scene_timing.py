@@ -32,7 +32,7 @@ from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Rotation, TipTiming
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
-from fenics_crack.study.plausibility import FASTEST, TOO_FAST
+from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE
 
 TABLES_NOT_COMPARED = (*RESULT_TABLE_NAMES, "reduction")
 """Tables that may differ between a scene and a result: they choose results, or a run decides
@@ -157,8 +157,8 @@ def describe_scene_difference(scene: Scene, run: Run[Any]) -> str:
 def remarks_on_arrivals(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to be in another unit."""
     remarks, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
-    if not MIN_TIP_SPEED < tip_speed < FASTEST:
-        template = TOO_FAST if tip_speed > MIN_TIP_SPEED else TOO_SLOW
+    if not MIN_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
+        template = TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_TIP_SPEED else TOO_SLOW
         question = "are speed, or times, and tip_radius in the units of their headings?"
         remarks.append(f"{template.format(tip_speed)}: {question}")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < RAD_PER_TURN:

@@ -1,6 +1,6 @@
-"""Conclusion of a run: the sentence with which the program, a report and Python's ``str`` end.
+"""Conclusion of a run: the last sentence in the program, in a report and in Python's ``str``.
 
-It says the answer and how accurate it is, the doubts that numbers alone do not show, and remarks.
+It says the answer, its accuracy, doubts that numbers alone do not show, and remarks.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
-from fenics_crack.study.prepare import REFUSALS, Study
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study
 from fenics_crack.time.march import TimeHistory
 
 
-class Answer(Study):
+class StudyWithResult(Study):
     """Result with its study, the base of :class:`fenics_crack.runs.run.Run`.
 
     Attributes
@@ -45,7 +45,7 @@ class Answer(Study):
     result : object
         Result of the computation.
     stated : Verification or None
-        Its errors, where they were computed with it.
+        Errors of the result, if they were computed together.
     """
 
     result: Any
@@ -58,10 +58,10 @@ class Answer(Study):
 
     @cached_property
     def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on the scene and its structure, those of ``fenics-crack check`` (collective)."""
+        """Remarks on scene and structure, as ``fenics-crack check`` gives them (collective)."""
         try:
             figures = find_key_figures(self)
-        except REFUSALS:  # figures that cannot be found are no reason to lose the result
+        except REFUSAL_EXCEPTIONS:  # figures that cannot be found are no reason to lose the result
             figures = None
         return tuple(remarks_on_scene(self.scene, self.structure.whole, figures))
 
@@ -71,36 +71,40 @@ class Answer(Study):
         return self.watched[0].dof
 
 
-FRICTION_MATTERS = 0.01
-"""Smallest relative change by friction that is reported."""
-LINEAR = "no contact pair opens and closes: the vibration is linear"
+MIN_REPORTED_FRICTION_CHANGE = 0.01
+"""Minimum relative change of the amplitude by friction that is reported."""
+LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 
 
-def report_linearity(closed_share: np.ndarray) -> list[str]:
-    """Report a linear vibration: no pair opens and closes in any solution.
+def describe_linearity(closed_share: np.ndarray) -> list[str]:
+    """Return a sentence if the vibration is linear, else an empty list.
 
-    ``closed_share`` (...) is the share of the period with closed pairs; nan without pairs.
+    It is linear if no pair opens and closes in any solution. ``closed_share`` (...) is the share of
+    the period with closed pairs; nan without pairs, for which the list is empty.
     """
-    breathe = np.any((closed_share > 0.0) & (closed_share < 1.0))
-    return [] if breathe or not np.any(np.isfinite(closed_share)) else [LINEAR]
+    breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
+    has_pairs = np.any(np.isfinite(closed_share))
+    return [] if breathes or not has_pairs else [LINEAR_VIBRATION_TEXT]
 
 
-def describe_error(run: Answer, name: str = "") -> str:
+def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     """Return the stated error of a number in words: "2.4 %, mostly due to the mesh".
 
     By default it is that of the watched amplitude; empty if not stated, unknown, 0 or infinite.
     """
     if run.stated is None:
         return ""
-    error, cause = run.stated.stated(name or run.watched[0].column("amplitude"))
-    if not 0.0 < error < np.inf:  # of a plate at rest, or of what no cause changes; or unknown
+    quantity_name = quantity_name or run.watched[0].column("amplitude")
+    relative_error, main_cause = run.stated.stated(quantity_name)
+    if not 0.0 < relative_error < np.inf:  # zero at rest or without a cause; nan if unknown
         return ""
-    cause_words = f", mostly due to the {cause}" if error > 1e-4 else ""
-    return ", ".join(filter(None, (f"{format_error(error)}{cause_words}", run.stated.left_out)))
+    cause_text = f", mostly due to the {main_cause}" if relative_error > 1e-4 else ""
+    error_text = f"{error_in_words(relative_error)}{cause_text}"
+    return ", ".join(filter(None, (error_text, run.stated.left_out)))
 
 
-def unknown_error(run: Answer) -> str:
-    """Return why the error of the watched amplitude is unknown, by the stated errors.
+def explain_unknown_error(run: StudyWithResult) -> str:
+    """Return why the watched amplitude's error is unknown, by the stated errors.
 
     Empty if the error is known or no errors are stated, and for large structures.
     """
@@ -109,10 +113,10 @@ def unknown_error(run: Answer) -> str:
     return run.stated.doubt(run.watched[0].column("amplitude"))
 
 
-def unknown_of_solution(run: Answer) -> str:
-    """Return why the error of a solution is unknown, by its report or the stated errors."""
-    report = run.result.report
-    return not_estimated(report) if report.unknown else unknown_error(run)
+def explain_unknown_solution_error(run: StudyWithResult) -> str:
+    """Return why a solution's error is unknown, by its report or stated errors."""
+    error_report = run.result.report
+    return not_estimated(error_report) if error_report.unknown else explain_unknown_error(run)
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
@@ -120,153 +124,190 @@ def frequency_in_words(scene: Scene, omega: float) -> str:
     return format_in_unit(frequency_axis(scene.in_hertz), omega)
 
 
-def conclusion_of(run: Answer) -> Conclusion:
+def make_conclusion(run: StudyWithResult) -> Conclusion:
     """Return the parts of the last sentence on a run (collective)."""
     kind: str = run.result.KIND
-    return _CONCLUSIONS[kind](run) if kind in _CONCLUSIONS else Conclusion(kind)
+    return _CONCLUDE_BY_KIND[kind](run) if kind in _CONCLUDE_BY_KIND else Conclusion(kind)
 
 
-def _of_modes(run: Answer) -> Conclusion:
+def _conclude_modes(run: StudyWithResult) -> Conclusion:
+    """Return the conclusion for modes: the first natural frequency and its error."""
     first_omega = float(run.result.omega[0])
-    answer = (
+    answer_text = (
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
     )
-    answer += f"({first_omega:.5g} rad/s){_error_clause(run, natural_name(run.scene, 'open', 1))}"
-    return Conclusion("modes found", answer)
+    answer_text += (
+        f"({first_omega:.5g} rad/s){_error_clause(run, natural_name(run.scene, 'open', 1))}"
+    )
+    return Conclusion("modes found", answer_text)
 
 
-def _error_clause(run: Answer, name: str = "", fallback: str = "") -> str:
+def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: str = "") -> str:
     """Return ", estimated error 2.4 %", or a fallback if the error is not stated.
 
     The causes that the error does not include follow.
     """
-    if error_words := describe_error(run, name):
-        return f", estimated error {error_words}"
-    left_out = "" if run.stated is None else run.stated.left_out
-    return f"{fallback}, {left_out}" if left_out else fallback
+    if error_text := describe_stated_error(run, quantity_name):
+        return f", estimated error {error_text}"
+    missing_causes_text = "" if run.stated is None else run.stated.left_out
+    return f"{fallback_text}, {missing_causes_text}" if missing_causes_text else fallback_text
 
 
-def _of_solution(run: Answer) -> Conclusion:
+def _conclude_solution(run: StudyWithResult) -> Conclusion:
+    """Return the conclusion for a solution: amplitude, error, crack and stability."""
     solution: PeriodicSolution = run.result
-    doubt = unknown_of_solution(run)
+    unknown_error_reason = explain_unknown_solution_error(run)
     if not solution.converged:
-        return Conclusion("not converged", unknown_error_reason=doubt)
-    size, report = format_quantity(solution.amplitude(run.watched_dof), "m"), solution.report
-    error = f", estimated relative error of the gap {format_percent(report.total)}"
-    if not report.estimated:
-        error = ", its error is not estimated (harmonic_balance.error = false)"
+        return Conclusion("not converged", unknown_error_reason=unknown_error_reason)
+    error_report, amplitude = solution.report, solution.amplitude(run.watched_dof)
+    amplitude_text = quantity(amplitude, "m")
+    frequency_text = frequency_in_words(run.scene, solution.omega)
+    error_text = f", estimated relative error of the gap {format_percent(error_report.total)}"
+    if not error_report.estimated:
+        error_text = ", its error is not estimated (harmonic_balance.error = false)"
     elif not solution.gap_coefficients.size:
-        error = ""
-    error = "" if doubt else _error_clause(run, fallback=error)
-    tolerance, faces = run.scene.harmonic_balance.tolerance, word_for_crack_faces(run.scene)
-    misses_tolerance = tolerance is not None and report.total > tolerance
+        error_text = ""
+    error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=error_text)
+    tolerance, faces_text = run.scene.harmonic_balance.tolerance, word_for_crack_faces(run.scene)
+    misses_tolerance = tolerance is not None and error_report.total > tolerance
     return Conclusion(
         "solved, but the tolerance is missed" if misses_tolerance else "solved",
-        f"at {frequency_in_words(run.scene, solution.omega)} the {run.watched_name} is {size} half "
-        f"peak-to-peak{error}",
-        doubt,
+        f"at {frequency_text} the {run.watched_name} is {amplitude_text} half "
+        f"peak-to-peak{error_text}",
+        unknown_error_reason,
         ["nothing vibrates"]
         if solution.still
-        else _describe_crack_and_verdict(run, solution, faces),
+        else _describe_crack_and_verdict(run, solution, faces_text),
     )
 
 
-def _describe_crack_and_verdict(run: Answer, solution: PeriodicSolution, faces: str) -> list[str]:
+def _describe_crack_and_verdict(
+    run: StudyWithResult, solution: PeriodicSolution, faces_text: str
+) -> list[str]:
     """Describe the crack's opening, the effect of friction left out, and the stability."""
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
-        values, subject = solution.faces, "the crack opens" if faces != "pairs" else "contact opens"
-        share = run.stated.stated("opening")[0] if run.stated is not None else 0.0
-        error_words = f", estimated error {format_error(share)}," if 0.0 < share < np.inf else ""
-        sentences.append(
-            f"{subject} by {format_quantity(values['opening'], 'm')}{error_words} and is closed "
-            f"for {format_percent(values['closed_share'])} of the period"
-            if solution.breathes
-            else LINEAR
+        subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
+        opening_text = quantity(solution.faces["opening"], "m")
+        opening_error = run.stated.stated("opening")[0] if run.stated is not None else 0.0
+        error_text = (
+            f", estimated error {format_error(opening_error)},"
+            if 0.0 < opening_error < np.inf
+            else ""
         )
-    min_change = max(run.scene.harmonic_balance.tolerance or 0.0, FRICTION_MATTERS)
-    friction = {} if run.stated is None else run.stated.parts.get("friction", {})
-    part = friction.get(run.watched[0].column("amplitude"))
-    if part is not None and part.gci > min_change and not run.scene.has_friction:
-        sentences.append(f"friction left out: about {format_percent(part.gci)}")
+        sentences.append(
+            f"{subject_text} by {opening_text}{error_text} and is closed "
+            f"for {format_percent(solution.faces['closed_share'])} of the period"
+            if solution.breathes
+            else LINEAR_VIBRATION_TEXT
+        )
+    tolerance = run.scene.harmonic_balance.tolerance or 0.0
+    min_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
+    friction_error_by_name = {} if run.stated is None else run.stated.parts.get("friction", {})
+    friction_error = friction_error_by_name.get(run.watched[0].column("amplitude"))
+    if friction_error is not None and friction_error.gci > min_error and not run.scene.has_friction:
+        sentences.append(f"friction left out: about {format_percent(friction_error.gci)}")
     return [
         *sentences,
         *describe_stability(solution.stability, solution.amplitude(run.watched_dof)),
     ]
 
 
-def _of_curve(run: Answer) -> Conclusion:
+def _conclude_curve(run: StudyWithResult) -> Conclusion:
+    """Return the conclusion for a curve: its largest response, errors and verdicts."""
     curve: ResponseCurve = run.result
-    top, axis = curve.top(run.watched_dof), parameter_axis(curve.parameter, run.scene.in_hertz)
-    size, place = format_quantity(top.amplitude, "m"), format_in_unit(axis, top.value)
-    doubt = unknown_error(run)
-    error = "" if doubt else _error_clause(run, fallback=", its error is not estimated")
-    answer = f"the largest response of the {run.watched_name} is {size} half peak-to-peak"
-    if top.at_end and top.index == len(curve) - 1 and not curve.complete:
-        answer = (
-            f"the response of the {run.watched_name} grows up to where the curve ended, {size} "
+    largest_response = curve.top(run.watched_dof)
+    curve_axis = parameter_axis(curve.parameter, run.scene.in_hertz)
+    amplitude_text = format_quantity(largest_response.amplitude, "m")
+    location_text = format_in_unit(curve_axis, largest_response.value)
+    unknown_error_reason, fallback_text = explain_unknown_error(run), ", its error is not estimated"
+    error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=fallback_text)
+    answer_text = (
+        f"the largest response of the {run.watched_name} is {amplitude_text} half peak-to-peak"
+    )
+    if largest_response.at_end and largest_response.index == len(curve) - 1 and not curve.complete:
+        answer_text = f"the response of the {run.watched_name} grows up to where the curve ended, "
+        answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
+    elif largest_response.at_end:
+        answer_text += f", {RISING_AT_END}, {location_text}{error_text}"
+    else:
+        location_error = (
+            run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0
         )
-        answer += f"half peak-to-peak at {place}"
-    elif top.at_end:
-        answer += f", {RISING_AT_END}, {place}{error}"
-    else:
-        share = run.stated.stated(run.stated.resonance)[0] if run.stated is not None else 0.0
-        place_error_words = f" within {format_error(share)}" if 0.0 < share < np.inf else ""
-        answer += f" at {place}{place_error_words}{error}"
-    remarks = report_linearity(curve.indicators(run.watched_dof).closed_share)
+        location_error_text = (
+            f" within {format_error(location_error)}" if 0.0 < location_error < np.inf else ""
+        )
+        answer_text += f" at {location_text}{location_error_text}{error_text}"
+    sentences = describe_linearity(curve.indicators(run.watched_dof).closed_share)
     if curve.multipliers is not None:
-        names, counts = np.unique(curve.verdicts, return_counts=True)
-        shares = (f"{n} {name}" for n, name in zip(counts, names, strict=True))
-        remarks.append(f"{', '.join(shares)} of {len(curve)} points")
+        verdict_names, verdict_counts = np.unique(curve.verdicts, return_counts=True)
+        count_texts = (
+            f"{count} {verdict}"
+            for count, verdict in zip(verdict_counts, verdict_names, strict=True)
+        )
+        sentences.append(f"{', '.join(count_texts)} of {len(curve)} points")
     else:
-        remarks.append("stability not examined")
-    outcome = "curve complete" if curve.complete else "the curve ended early"
+        sentences.append("stability not examined")
+    outcome_text = "curve complete" if curve.complete else "the curve ended early"
     if curve.status == INTERRUPTED_STATUS:
-        outcome = "curve interrupted"
-    return Conclusion(outcome, answer, doubt, remarks)
+        outcome_text = "curve interrupted"
+    return Conclusion(outcome_text, answer_text, unknown_error_reason, sentences)
 
 
-def _of_history(run: Answer) -> Conclusion:
+def _conclude_history(run: StudyWithResult) -> Conclusion:
+    """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
     history: TimeHistory = run.result
-    table, name = run.scene.integration or Integration(), run.watched_name
-    if table.free:
+    integration_table, displacement_name = run.scene.integration or Integration(), run.watched_name
+    if integration_table.free:
         displacement = history.displacement([run.watched_dof])[:, 0]
-        sizes = np.ptp(history.by_period(displacement), axis=1) / 2.0
-        start_size, end_size = (format_quantity(float(size), "m") for size in sizes[[0, -1]])
-        answer = f"the {name} falls from {start_size} to {end_size} half peak-to-peak over "
-        early_end = [] if history.periods >= table.periods else ["the decay ended early"]
+        period_amplitudes = np.ptp(history.by_period(displacement), axis=1) / 2.0
+        start_text, end_text = (
+            format_quantity(float(amplitude), "m") for amplitude in period_amplitudes[[0, -1]]
+        )
+        answer_text = (
+            f"the {displacement_name} falls from {start_text} to {end_text} half peak-to-peak over "
+        )
+        early_end_texts = (
+            [] if history.periods >= integration_table.periods else ["the decay ended early"]
+        )
         return Conclusion(
             "integrated",
-            f"{answer}{history.periods} periods",
-            further_clauses=["free decay", *early_end],
+            f"{answer_text}{history.periods} periods",
+            further_clauses=["free decay", *early_end_texts],
         )
-    has_settled = history.settled <= table.settle
-    size = history.indicators(run.watched_dof).amplitude
-    place = frequency_in_words(run.scene, run.scene.excitation.omega)
-    answer = f"at {place} the {name} is {format_quantity(size, 'm')} half peak-to-peak"
-    change = f"{history.periods} of {table.periods} periods: one period shows no change"
+    has_settled = history.settled <= integration_table.settle
+    amplitude_text = quantity(history.indicators(run.watched_dof).amplitude, "m")
+    frequency_text = frequency_in_words(run.scene, run.scene.excitation.omega)
+    answer_text = (
+        f"at {frequency_text} the {displacement_name} is {amplitude_text} half peak-to-peak"
+    )
+    change_text = (
+        f"{history.periods} of {integration_table.periods} periods: one period shows no change"
+    )
     if np.isfinite(history.settled):
-        change = (
+        change_text = (
             f"{history.periods} periods: relative change over the last one {history.settled:.2g}"
         )
-    if (distance := history.distance) < 1.0:
-        change += f", estimated distance from the settled motion {distance:.2g}"
-    outcome = "settled" if has_settled else "the motion has not settled"
-    return Conclusion("integrated", answer, further_clauses=[f"{outcome} after {change}"])
+    if (settled_distance := history.distance) < 1.0:
+        change_text += f", estimated distance from the settled motion {settled_distance:.2g}"
+    outcome_text = "settled" if has_settled else "the motion has not settled"
+    return Conclusion(
+        "integrated", answer_text, further_clauses=[f"{outcome_text} after {change_text}"]
+    )
 
 
-_CONCLUSIONS: dict[str, Callable[[Answer], Conclusion]] = {
-    Modes.KIND: _of_modes,
-    PeriodicSolution.KIND: _of_solution,
-    ResponseCurve.KIND: _of_curve,
-    TimeHistory.KIND: _of_history,
+_CONCLUDE_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
+    Modes.KIND: _conclude_modes,
+    PeriodicSolution.KIND: _conclude_solution,
+    ResponseCurve.KIND: _conclude_curve,
+    TimeHistory.KIND: _conclude_history,
 }
 
 
 def describe_stability(stability: Stability | None, amplitude: float) -> list[str]:
-    """Describe the verdict on a solution, and the motion from rest if it is another.
+    """Describe the verdict on a solution, and the motion from rest if it differs.
 
-    ``amplitude`` [m] is the solution's.
+    ``amplitude`` [m] is the amplitude of the solution.
     """
     if stability is None:
         return ["stability not examined"]
@@ -276,11 +317,10 @@ def describe_stability(stability: Stability | None, amplitude: float) -> list[st
         )
     ]
     if stability.from_rest:
-        size = ""
+        amplitude_text = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
-            ratio = stability.rest_amplitude / amplitude
-            size = (
-                f", {ratio:.3g} times as large ({format_quantity(stability.rest_amplitude, 'm')})"
-            )
-        sentences.append(f"the motion from rest {stability.from_rest}{size}")
+            amplitude_ratio = stability.rest_amplitude / amplitude
+            rest_text = quantity(stability.rest_amplitude, "m")
+            amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_text})"
+        sentences.append(f"the motion from rest {stability.from_rest}{amplitude_text}")
     return sentences

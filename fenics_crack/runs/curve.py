@@ -24,15 +24,20 @@ from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE
 from fenics_crack.model.rotation import run_up_structure
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import rows_requested
-from fenics_crack.study.prepare import REFUSALS, Study, check_memory_of, reduction_of
+from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    estimate_checked_memory,
+    reduction_of,
+)
 from fenics_crack.study.solve import (
-    MOST_OF_MANY,
-    modes_chosen,
-    required_law,
-    whole_study,
-    with_lines,
-    with_more_modes,
+    MAX_MODES_FOR_MANY_SOLUTIONS,
+    candidate_mode_counts,
+    prepare_unreduced_study,
+    reduce_with_more_modes,
+    required_contact_law,
+    with_friction_lines,
 )
 
 
@@ -41,14 +46,14 @@ def curve(
 ) -> Run[ResponseCurve]:
     """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
 
-    Over the frequency (:func:`continue_frequency`), the speed of a rotor or another parameter
-    (:func:`continue_parameter`), or at resonance over the load (:func:`follow_resonance`);
-    collective.
+    The curve is followed over the frequency (:func:`continue_frequency`), over rotor speed or
+    another parameter (:func:`continue_parameter`), or at resonance over the load
+    (:func:`follow_resonance`). Collective.
 
     Parameters
     ----------
     scene : Scene or Study
-        Scene that vibrates, with its curve; or what :func:`load_prepared` returns.
+        Scene that vibrates, with its curve; or the result of :func:`load_prepared`.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
@@ -70,33 +75,40 @@ def curve(
     >>> run = fc.curve(scene.replace({f"curve.{key}": value for key, value in keys.items()}))
     >>> run.result.complete
     """
-    studies = studies_of_curve(scene, comm)
+    studies = iterate_curve_studies(scene, comm)
     study = next(studies)
     _check_curve(study)
-    rows_requested(study)  # before the curve: it may be refused
+    make_requested_rows(study)  # before the curve: this may raise InputError
     scene = scene.scene if isinstance(scene, Study) else scene
     parameter, start, stop = scene.given("curve").continuation_range
-    if friction_of(required_law(study)) is not None:
-        omega = _first_resonance(study, start, stop) if parameter == "omega" else None
-        study = with_lines(study, omega or scene.excitation.omega)
+    if friction_of(required_contact_law(study)) is not None:
+        resonance_omega = (
+            _lowest_bilinear_frequency(study, start, stop) if parameter == "omega" else None
+        )
+        study = with_friction_lines(study, resonance_omega or scene.excitation.omega)
     unreduced_study = replace(study, scene=scene, structure=study.structure.whole)
-    if parameter == "speed" or not modes_chosen(unreduced_study):
-        return Run(**vars(study), result=_follow(study, scene, progress))
+    if parameter == "speed" or not candidate_mode_counts(unreduced_study):
+        return Run(**vars(study), result=_follow_curve(study, scene, progress))
     if parameter == "omega":
-        study = _first_with_enough_modes(study, studies, start, stop)
+        study = _find_study_with_enough_modes(study, studies, start, stop)
     law, tolerance = study.contact, scene.harmonic_balance.given("tolerance")
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
-        response = _follow(study, scene, progress)
-        if response.status == INTERRUPTED_STATUS:
+        response_curve = _follow_curve(study, scene, progress)
+        if response_curve.status == INTERRUPTED_STATUS:
             break
-        indices = sorted({response.top(study.watched[0].dof).index, 0, len(response) - 1})
-        error = max(error_by_modes(study, response.solution(index)) for index in indices)
-        status = f"{response.status}; {_modes_in_words(study, error)}"
-        response = replace(response, status=status)
-        if error <= tolerance:
+        point_indices = sorted(
+            {response_curve.top(study.watched[0].dof).index, 0, len(response_curve) - 1}
+        )
+        mode_error = max(
+            error_by_modes(study, response_curve.solution(point_index))
+            for point_index in point_indices
+        )
+        status_text = f"{response_curve.status}; {_describe_mode_choice(study, mode_error)}"
+        response_curve = replace(response_curve, status=status_text)
+        if mode_error <= tolerance:
             break
-    return Run(**vars(study), result=response)
+    return Run(**vars(study), result=response_curve)
 
 
 def _check_curve(study: Study) -> None:
@@ -105,106 +117,121 @@ def _check_curve(study: Study) -> None:
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
         requirement = "one that changes in time, for a curve: nothing vibrates"
         raise InputError("load", "steady", requirement)
-    if is_rigid(required_law(study)) and not structure.light_lips:
+    if is_rigid(required_contact_law(study)) and not structure.light_lips:
         requirement = (
             "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         )
         raise InputError("contact.law", "unilateral", requirement)
 
 
-def _follow(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
+def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
     """Follow the curve of a study with given modes (collective)."""
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
     from fenics_crack.curves.resonance import follow_resonance
     from fenics_crack.curves.verdicts import judge_curve
 
-    structure, law, omega = study.structure, required_law(study), scene.excitation.omega
-    table, balance = scene.given("curve"), scene.harmonic_balance
-    parameter, start, stop = table.continuation_range
+    structure, law, load_omega = (
+        study.structure,
+        required_contact_law(study),
+        scene.excitation.omega,
+    )
+    curve_table, balance_table = scene.given("curve"), scene.harmonic_balance
+    parameter, start, stop = curve_table.continuation_range
     if parameter == "resonance":
-        problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
-        response = follow_resonance(
-            problem, start, stop, tolerance=balance.tolerance, progress=progress, throw=False
+        problem = Problem(
+            structure, load_omega, law, balance_table.harmonics, balance_table.samples
         )
-        return judge_curve(response) if table.stability else response
-    options: dict[str, Any] = {"stability": table.stability, "progress": progress, "throw": False}
-    if balance.tolerance is None:
-        options |= {"harmonics": balance.harmonics, "samples": balance.samples}
+        response_curve = follow_resonance(
+            problem, start, stop, tolerance=balance_table.tolerance, progress=progress, throw=False
+        )
+        return judge_curve(response_curve) if curve_table.stability else response_curve
+    curve_options: dict[str, Any] = {
+        "stability": curve_table.stability,
+        "progress": progress,
+        "throw": False,
+    }
+    if balance_table.tolerance is None:
+        curve_options |= {"harmonics": balance_table.harmonics, "samples": balance_table.samples}
     else:
-        options["tolerance"] = balance.tolerance
+        curve_options["tolerance"] = balance_table.tolerance
     if parameter == "omega":
-        return continue_frequency(structure, start, stop, law, **options)
+        return continue_frequency(structure, start, stop, law, **curve_options)
     if parameter == "speed":
-        omega *= start / scene.speed  # the structure is that of the start
-    return continue_parameter(structure, omega, law, parameter, start, stop, **options)
+        load_omega *= start / scene.speed  # the structure has the speed of the start
+    return continue_parameter(structure, load_omega, law, parameter, start, stop, **curve_options)
 
 
-def studies_of_curve(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
-    """Yield a scene prepared for its curve, with more and more modes.
+def iterate_curve_studies(source: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
+    """Yield a scene prepared for its curve, with more and more modes (collective).
 
-    A run-up has a basis for all speeds, and as many modes as a resonance at the scene's own speed
-    takes.
+    A run-up is yielded once. It has one basis for all speeds, with as many modes as the first
+    resonance of the curve needs at the scene's own speed.
     """
     scene = source.scene if isinstance(source, Study) else source
     parameter, start, stop = scene.given("curve").continuation_range
-    unreduced_study = whole_study(source, comm)
+    unreduced_study = prepare_unreduced_study(source, comm)
     if parameter != "speed":
-        yield from with_more_modes(unreduced_study, MOST_OF_MANY)
+        yield from reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
         requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
         scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
-    check_memory_of(scene, unreduced_study.structure, run_up=True)
-    if modes_chosen(unreduced_study):
-        order = scene.excitation.omega / scene.speed
-        studies = with_more_modes(unreduced_study, MOST_OF_MANY)
-        study = _first_with_enough_modes(next(studies), studies, order * start, order * stop)
+    estimate_checked_memory(scene, unreduced_study.structure, is_run_up=True)
+    if candidate_mode_counts(unreduced_study):
+        engine_order = scene.excitation.omega / scene.speed
+        candidate_studies = reduce_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
+        study = _find_study_with_enough_modes(
+            next(candidate_studies), candidate_studies, engine_order * start, engine_order * stop
+        )
         unreduced_study = replace(unreduced_study, scene=study.scene)
     reduction = reduction_of(unreduced_study.scene, unreduced_study.structure)
-    default_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, unreduced_study.structure.n_dofs)
-    n_modes = default_modes if reduction is None else reduction.modes
+    n_default_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, unreduced_study.structure.n_dofs)
+    n_modes = n_default_modes if reduction is None else reduction.n_modes
     structure = run_up_structure(unreduced_study.structure, start, stop, n_modes)
     yield replace(unreduced_study, structure=structure.at_speed(start))
 
 
-def _first_with_enough_modes(
+def _find_study_with_enough_modes(
     study: Study, studies: Iterator[Study], start: float, stop: float
 ) -> Study:
-    """Return the first of some studies with enough modes (collective).
+    """Return the first study with enough modes for a curve over the frequency (collective).
 
-    Their error is that of a solution next to the first resonance of a curve over the frequency, or
-    at its start.
+    ``studies`` follow ``study`` with more modes. The error due to modes is computed at the first
+    resonance of the curve, or at its start. If no study suffices, it is the last one.
     """
-    balance, law = study.scene.harmonic_balance, required_law(study)
+    balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
         study = replace(larger_study, contact=law)
-        omega = _first_resonance(study, start, stop)
-        problem = Problem(study.structure, omega, law, balance.harmonics)
-        error = 0.0
-        with suppress(*REFUSALS):  # the curve itself will tell
-            error = error_by_modes(study, solve_beside(problem, None, balance.tolerance))
-        if error <= balance.given("tolerance") or error == math.inf:
+        resonance_omega = _lowest_bilinear_frequency(study, start, stop)
+        problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
+        mode_error = 0.0
+        with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
+            mode_error = error_by_modes(study, solve_beside(problem, None, balance_table.tolerance))
+        if mode_error <= balance_table.given("tolerance") or mode_error == math.inf:
             break
     return study
 
 
-def _first_resonance(study: Study, start: float, stop: float) -> float:
-    """Return the lowest bilinear frequency of a range, or its start [rad/s] (collective)."""
+def _lowest_bilinear_frequency(study: Study, start: float, stop: float) -> float:
+    """Return the lowest bilinear frequency in a range [rad/s], else its start (collective)."""
     lower_bound, upper_bound = sorted((start, stop))
-    frequencies = bilinear_frequencies(study.structure).omega_bilinear
-    is_between = (frequencies > lower_bound) & (frequencies < upper_bound)
-    return float(min(frequencies[is_between], default=start))
+    bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear
+    is_between = (bilinear_omegas > lower_bound) & (bilinear_omegas < upper_bound)
+    return float(min(bilinear_omegas[is_between], default=start))
 
 
-def _modes_in_words(study: Study, error: float) -> str:
-    """Say whether the modes of a curve meet its tolerance, with their error."""
+def _describe_mode_choice(study: Study, mode_error: float) -> str:
+    """Describe in words whether the number of modes meets the tolerance of a curve.
+
+    ``mode_error`` is the relative error due to the number of modes.
+    """
     scene = study.scene
-    tolerance, modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
-    if error <= tolerance:
-        return f"chosen for an error of {tolerance:g}: {modes} modes"
-    size = (
-        f"error by {modes} modes {format_percent(error)}" if error < math.inf else "error unknown"
+    tolerance, n_modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes
+    if mode_error <= tolerance:
+        return f"chosen for an error of {tolerance:g}: {n_modes} modes"
+    error_text = (
+        f"error by {n_modes} modes {format_percent(mode_error)}"
+        if mode_error < math.inf
+        else "error unknown"
     )
-    return (
-        f"{size}, {format_percent(tolerance)} was asked; what helps: {scene.modes_key} {2 * modes}"
-    )
+    return f"{error_text}, {format_percent(tolerance)} was asked; what helps: {scene.modes_key} {2 * n_modes}"

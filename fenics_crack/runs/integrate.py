@@ -19,13 +19,17 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import multiply
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.load import free_study, run_of, structure_under_static_load
+from fenics_crack.runs.load import (
+    make_run_from_file,
+    structure_under_static_load,
+    study_under_mean_load,
+)
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.observer import rows_requested
+from fenics_crack.study.observer import make_requested_rows
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import required_law, with_lines
+from fenics_crack.study.solve import required_contact_law, with_friction_lines
 from fenics_crack.time.march import Initial, TimeHistory, initial_state
 
 
@@ -34,8 +38,8 @@ def integrate(
 ) -> Run[TimeHistory]:
     """Integrate a scene's motion in time, as ``fenics-crack integrate`` does (collective).
 
-    By the scheme, the steps, the periods and the initial values of the table ``[integration]``, or
-    the defaults: from rest, until the motion settles.
+    Scheme, steps, periods and initial values are those of the table ``[integration]``. By default
+    the motion starts from rest and is followed until it settles.
 
     Parameters
     ----------
@@ -62,60 +66,81 @@ def integrate(
     --------
     >>> fc.integrate(scene.replace({"integration.periods": 5})).result.settled
     """
-    table = scene.integration or Integration()
+    integration_table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
-    earlier_file = None if table.initial is None else _read_initial(table.initial, comm)
+    earlier_file = (
+        None
+        if integration_table.initial is None
+        else _read_initial_motion(integration_table.initial, comm)
+    )
     omega = scene.excitation.omega
-    study = with_lines(prepare(scene, comm), omega)
-    structure, law = study.structure, required_law(study)
-    method = _choose_method(study, table, law)
-    rows_requested(study)  # before the integration: it may be refused
-    initial: Initial = None
-    if table.deflection is not None:
-        static_structure = structure_under_static_load(structure, table.deflection)
+    study = with_friction_lines(prepare(scene, comm), omega)
+    structure, law = study.structure, required_contact_law(study)
+    method_name = _choose_method(study, integration_table, law)
+    make_requested_rows(study)  # before the integration: this may raise InputError
+    initial_motion: Initial = None
+    if integration_table.deflection is not None:
+        static_structure = structure_under_static_load(structure, integration_table.deflection)
         min_harmonics = least_harmonics(static_structure, 1)
-        initial = solve_harmonic_balance(static_structure, omega, law, harmonics=min_harmonics)
+        initial_motion = solve_harmonic_balance(
+            static_structure, omega, law, harmonics=min_harmonics
+        )
     elif earlier_file is not None:
-        state = _state_of(run_of(earlier_file, comm, with_reference=False), structure, table)
-        initial = state if friction_of(law) is not None else state[:2]
-    if table.free:
-        study = free_study(study)
-    options: dict[str, Any] = {
-        "periods": table.periods,
-        "settle": 0.0 if table.free else table.settle,
-        "record_periods": None if table.free else min(N_RECORDED_PERIODS, table.periods),
-        "initial": initial,
+        start_state = _start_state(
+            make_run_from_file(earlier_file, comm, with_reference=False),
+            structure,
+            integration_table,
+        )
+        initial_motion = start_state if friction_of(law) is not None else start_state[:2]
+    if integration_table.free:
+        study = study_under_mean_load(study)
+    march_options: dict[str, Any] = {
+        "periods": integration_table.periods,
+        "settle": 0.0 if integration_table.free else integration_table.settle,
+        "record_periods": None
+        if integration_table.free
+        else min(N_RECORDED_PERIODS, integration_table.periods),
+        "initial": initial_motion,
         "progress": progress,
     }
-    march, steps = _march_of(study, method, table.steps_per_period)
-    begin_stage(f"integration, {method}")
-    history = march(study.structure, omega, law, steps_per_period=steps, **options)
+    march_function, steps_per_period = _march_function_and_steps(
+        study, method_name, integration_table.steps_per_period
+    )
+    begin_stage(f"integration, {method_name}")
+    history = march_function(
+        study.structure, omega, law, steps_per_period=steps_per_period, **march_options
+    )
     return Run(**vars(study), result=history)
 
 
-def _march_of(
-    study: Study, method: str, steps: int | None
+def _march_function_and_steps(
+    study: Study, method_name: str, steps_per_period: int | None
 ) -> tuple[Callable[..., TimeHistory], int]:
-    """Return the function of a method and its steps per period, given or usual."""
+    """Return the integrating function of a method, and its steps per period.
+
+    The steps are those given, else the method's default.
+    """
     from fenics_crack.time.central_differences import (
         integrate_central_difference,
         stable_steps_per_period,
     )
     from fenics_crack.time.flows import integrate_events, integrate_exponential
 
-    if method == "events":
-        return integrate_events, steps or 256
-    if method == "exponential":
-        return integrate_exponential, steps or 512
-    if steps is None:
+    if method_name == "events":
+        return integrate_events, steps_per_period or 256
+    if method_name == "exponential":
+        return integrate_exponential, steps_per_period or 512
+    if steps_per_period is None:
         omega = study.scene.excitation.omega
-        steps = 2 * stable_steps_per_period(study.structure, omega, required_law(study))
-        steps = max(512, steps)
-    return integrate_central_difference, steps
+        steps_per_period = 2 * stable_steps_per_period(
+            study.structure, omega, required_contact_law(study)
+        )
+        steps_per_period = max(512, steps_per_period)
+    return integrate_central_difference, steps_per_period
 
 
-def _read_initial(path: str, comm: MPI.Comm) -> StoredFile:
+def _read_initial_motion(path: str, comm: MPI.Comm) -> StoredFile:
     """Read the file of an earlier motion, named by ``integration.initial`` (collective)."""
     try:
         motion_file = read_result_file(path, comm)
@@ -126,13 +151,13 @@ def _read_initial(path: str, comm: MPI.Comm) -> StoredFile:
     return motion_file
 
 
-def _state_of(
-    earlier_run: Run[Any], structure: Structure, table: Integration
+def _start_state(
+    earlier_run: Run[Any], structure: Structure, integration_table: Integration
 ) -> tuple[np.ndarray, ...]:
     """Return the state of an earlier motion of the same mesh for a structure (collective).
 
-    It is that of a solution at phase 0 of its load, of a motion in time at its end. Reduced
-    structures take it by their modes: q = Phi^T M u.
+    A solution gives the state at phase 0 of its load, a motion in time its final state. For a
+    reduced structure the state is projected on the modes: q = Phi^T M u.
 
     Returns
     -------
@@ -146,40 +171,44 @@ def _state_of(
     else:
         state = initial_state(motion.structure, motion.contact, motion)
     local_states = motion.structure.expand(np.array(state[:2]))
-    points = [
+    mesh_points = [
         np.zeros((mesh.n_local, 1)) if mesh.nodes is None else mesh.nodes.points
         for mesh in (whole_structure, motion.structure.whole)
     ]
-    is_same = local_states.shape[1] == whole_structure.n_local and np.array_equal(*points)
-    if not all(whole_structure.comm.allgather(is_same)):
-        table.require(False, "initial", "a result of the same mesh")
+    has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
+        *mesh_points
+    )
+    if not all(whole_structure.comm.allgather(has_same_mesh)):
+        integration_table.require(False, "initial", "a result of the same mesh")
     if isinstance(structure, ReducedStructure):
         momentum = multiply(whole_structure.mass, local_states.T).T
         modal_states = whole_structure.sum_over_ranks(momentum @ structure.basis)
-        n_missing = structure.n_dofs - modal_states.shape[1]
-        local_states = np.pad(modal_states, ((0, 0), (0, n_missing)))
+        n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
+        local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
     return local_states[0], local_states[1], *state[2:]
 
 
-def _choose_method(study: Study, table: Integration, law: ContactLaw) -> str:
-    """Return the integration method, the table's or the default; InputError if unusable."""
+def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:
+    """Return the name of the integration method; InputError if it cannot be used."""
     structure, contact, requirement = study.structure, study.scene.contact, ""
-    lips = structure.light_lips
-    method = table.method or ("exponential" if lips else "central_difference")
-    closed_form = method in ("events", "exponential")
-    if lips and not closed_form:
+    has_massless_faces = structure.light_lips
+    method_name = integration_table.method or (
+        "exponential" if has_massless_faces else "central_difference"
+    )
+    is_closed_form = method_name in ("events", "exponential")
+    if has_massless_faces and not is_closed_form:
         requirement = (
             "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
         )
         requirement += "'free_interface'"
-    elif closed_form and not is_small(structure):
+    elif is_closed_form and not is_small(structure):
         requirement = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
-    elif closed_form and is_rigid(law) and not lips:
+    elif is_closed_form and is_rigid(law) and not has_massless_faces:
         requirement = "'central_difference' with contact.law = 'unilateral', or reduction.method = "
         requirement += "'massless'"
     if requirement:
-        raise InputError("integration.method", method, requirement)
-    if closed_form and not is_unilateral(law):
-        requirement = f"'penalty' or 'unilateral' with integration.method = {method!r}"
+        raise InputError("integration.method", method_name, requirement)
+    if is_closed_form and not is_unilateral(law):
+        requirement = f"'penalty' or 'unilateral' with integration.method = {method_name!r}"
         raise InputError("contact.law", contact and contact.law, requirement)
-    return method
+    return method_name

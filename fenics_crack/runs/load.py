@@ -18,7 +18,7 @@ from fenics_crack.files.store import StoredFile, read_result_file
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.curve import studies_of_curve
+from fenics_crack.runs.curve import iterate_curve_studies
 from fenics_crack.runs.run import Run
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.time.march import TimeHistory
@@ -27,10 +27,9 @@ from fenics_crack.time.march import TimeHistory
 def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     """Read the result of a command with its scene, structure and law (collective).
 
-    The structure is built anew from the scene in the file; the result is only read. Files of the
-    mesh or of matrices that the scene names are opened if they are still those of the result, by
-    their SHA-256. With a structure at hand, :func:`fenics_crack.load` reads the same files; sweeps
-    are read by ``SweepResult.load``.
+    The structure is built anew from the scene in the file; the result is only read. Mesh and matrix
+    files that the scene names must have the SHA-256 digests of the result. If the structure exists
+    already, :func:`fenics_crack.load` reads the same files; ``SweepResult.load`` reads sweeps.
 
     Parameters
     ----------
@@ -48,40 +47,43 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     ------
     InputError
         The file is not a result with a scene, is a sweep, damaged or of an older version; or a file
-        that its scene names has changed.
+        that the scene names has changed.
 
     Examples
     --------
     >>> fc.solve(scene).save("solution.h5")
     >>> run = fc.load_run("solution.h5")
     """
-    return run_of(read_result_file(path, comm), comm)
+    return make_run_from_file(read_result_file(path, comm), comm)
 
 
-def run_of(
+def make_run_from_file(
     result_file: StoredFile, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
 ) -> Run[Result]:
-    """Return the run of a file that has been read (collective).
+    """Make the run of a result file that has been read (collective).
 
-    A reduction has its reference if ``with_reference``. Raises as :func:`load_run`.
+    A reduced structure has a reference of more modes if ``with_reference``. Raises as
+    :func:`load_run`.
     """
-    kind, scene = result_class(result_file), result_file.scene()
+    result_type, scene = result_class(result_file), result_file.scene()
     if scene is None:
-        raise InputError("path", str(result_file.path), f"a {kind.KIND} saved with its scene")
+        raise InputError(
+            "path", str(result_file.path), f"a {result_type.KIND} saved with its scene"
+        )
     on_root(comm, lambda: result_file.check_files(scene))
-    if issubclass(kind, ResponseCurve) and scene.curve is not None:
-        study = next(studies_of_curve(scene, comm))
+    if issubclass(result_type, ResponseCurve) and scene.curve is not None:
+        study = next(iterate_curve_studies(scene, comm))
     else:
-        study = prepare(scene, comm, whole=kind is Modes, judged=with_reference)
-    if kind is TimeHistory and scene.integration is not None and scene.integration.free:
-        study = free_study(study)
+        study = prepare(scene, comm, whole=result_type is Modes, judged=with_reference)
+    if result_type is TimeHistory and scene.integration is not None and scene.integration.free:
+        study = study_under_mean_load(study)
     try:
         result = unpack_result(result_file, study.structure, study.contact)
     except InputError as error:
         if error.key == "path":
             raise
-        difference = f"{error.key} {error.allowed}"
-        requirement = f"a result of this version's structure ({difference}); compute it again"
+        difference_text = f"{error.key} {error.allowed}"
+        requirement = f"a result of this version's structure ({difference_text}); compute it again"
         raise InputError("path", str(result_file.path), requirement) from None
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:
@@ -90,17 +92,17 @@ def run_of(
 
 
 def read_run(result_file: StoredFile) -> Run[Result]:
-    """Return the run of a file that one rank has read.
+    """Make the run of a result file on this rank alone.
 
-    A solution's structure gets no reference, as the stated errors are in the file.
+    A solution's structure gets no reference, because the file has the stated errors.
     """
-    return run_of(
+    return make_run_from_file(
         result_file, MPI.COMM_SELF, with_reference=result_file.kind != PeriodicSolution.KIND
     )
 
 
-def free_study(study: Study) -> Study:
-    """Return a study whose mean load acts alone."""
+def study_under_mean_load(study: Study) -> Study:
+    """Return a study whose load is the mean load alone."""
     structure = structure_under_static_load(study.structure, 0.0)
     return replace(study, structure=structure.watching(study.watched[0].dof))
 
@@ -108,7 +110,7 @@ def free_study(study: Study) -> Study:
 def structure_under_static_load(structure: Structure, fraction: float) -> Structure:
     """Return a structure under a static load.
 
-    It is the mean load, plus a fraction of the first harmonic's cosine part and of its sine part.
+    The load is the mean load, plus a fraction of the first harmonic's cosine and sine parts.
     """
     weights = np.zeros((len(structure.force),) * 2)
     weights[0, :3] = 1.0, fraction, fraction

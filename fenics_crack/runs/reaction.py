@@ -14,7 +14,7 @@ from fenics_crack.basics.tables import Tabular, format_quantity
 from fenics_crack.model.nodes import AXES
 from fenics_crack.runs.run import Run, check_motion
 from fenics_crack.scene.scene import reason_without_clamp_forces, refuse_for_reason
-from fenics_crack.study.observer import held, inertia_rows
+from fenics_crack.study.observer import clamp_inertia_rows, compute_clamp_reactions
 from fenics_crack.time.march import TimeHistory
 
 
@@ -25,13 +25,13 @@ class Reaction(Tabular):
     Attributes
     ----------
     time : (n,) [s]
-        Over one period of a solution, or the record of a motion in time.
+        Instants in one period of a solution, or in the record of a motion in time.
     center : (d,) [m]
-        Of the clamp: the moments are about it.
+        Centre of the clamp, about which the moments are taken.
     force : (n, d) [N]
-        Of the clamp on what it holds; of a plate through its whole thickness.
+        Force of the clamp on the body; for a plate through its whole thickness.
     moment : (n, 1) or (n, 3) [N m]
-        Likewise: about z of a plate; about x, y and z of a solid.
+        Moment of the clamp on the body: about z for a plate; about x, y and z for a solid.
     """
 
     time: np.ndarray
@@ -46,38 +46,38 @@ class Reaction(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return time, forces and moments as columns, a row for every instant."""
-        time_column = {"time": self.time.tolist()}
+        values_by_name = {"time": self.time.tolist()}
         force_axes, moment_axes = AXES[: self.force.shape[1]], AXES[-self.moment.shape[1] :]
-        names = [f"force_{axis}" for axis in force_axes] + [
+        column_names = [f"force_{axis}" for axis in force_axes] + [
             f"moment_{axis}" for axis in moment_axes
         ]
-        columns = np.hstack([self.force, self.moment]).T.tolist()
-        return time_column | dict(zip(names, columns, strict=True))
+        column_values = np.hstack([self.force, self.moment]).T.tolist()
+        return values_by_name | dict(zip(column_names, column_values, strict=True))
 
     def _units(self) -> Mapping[str, str]:
-        units = {"time": "s", "force": "N", "moment": "N m"}
-        return {name: units[name.partition("_")[0]] for name in self.to_dict()}
+        unit_by_prefix = {"time": "s", "force": "N", "moment": "N m"}
+        return {name: unit_by_prefix[name.partition("_")[0]] for name in self.to_dict()}
 
     def _title(self) -> str:
         force, moment = self.numbers.values()
-        place = ", ".join(f"{x:.4g}" for x in self.center)
+        center_text = ", ".join(f"{coordinate:.4g}" for coordinate in self.center)
         return (
             f"up to {format_quantity(force, 'N')} and {format_quantity(moment, 'N m')} "
-            f"about ({place}) m"
+            f"about ({center_text}) m"
         )
 
 
 def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     r"""Find the forces and moments of the clamp over a motion (collective).
 
-    By Newton's law of all that the clamp holds: with r the translations, and the rotations about
-    its centre,
+    Newton's law holds for the whole body. With the rigid-body motions r, translations and rotations
+    about the clamp's centre,
 
-    .. math:: r \cdot R = r^T M (\ddot u + \alpha \dot u) - r^T f,
+    .. math:: r \cdot R = r^T M (\ddot u + \alpha \dot u) - r^T f.
 
-    :math:`\alpha` that of Rayleigh's damping, a drag from outside; all other damping acts inside,
-    and adds no force. Contact forces on both faces cancel, and add none either. What modes leave
-    out has no inertia, but its share of the load is in it.
+    The factor :math:`\alpha` of Rayleigh damping is a drag from outside. All other damping acts
+    inside the body and adds no force. Contact forces on both faces cancel. Truncated modes have no
+    inertia, but their share of the load is included.
 
     Parameters
     ----------
@@ -88,13 +88,13 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     Returns
     -------
     Reaction
-        Over a period of a solution (1024 instants or more), or the record of a motion in time,
-        whose acceleration is that of a spline.
+        Reaction over a period of a solution (1024 instants or more), or over the record of a motion
+        in time, with the acceleration of a spline.
 
     Raises
     ------
     InputError
-        It is neither of them, or of matrices, which have no clamp, or of a structure that rotates.
+        The run is of another kind, of matrices, which have no clamp, or of a rotating structure.
 
     Examples
     --------
@@ -104,5 +104,5 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
     check_motion(run)
     refuse_for_reason(reason_without_clamp_forces(run.scene), "run", repr(run))
     structure = run.result.structure
-    [record] = run.result.records(structure.compute_once(inertia_rows))
-    return Reaction(record.time, structure.whole.clamp.center, *held(record))
+    [record] = run.result.records(structure.compute_once(clamp_inertia_rows))
+    return Reaction(record.time, structure.whole.clamp.center, *compute_clamp_reactions(record))

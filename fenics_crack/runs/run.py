@@ -20,7 +20,7 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.files.results import Result, save
 from fenics_crack.model.modes import Modes
 from fenics_crack.motion.motions import ObservedMotion
-from fenics_crack.runs.conclusion import Answer, conclusion_of
+from fenics_crack.runs.conclusion import StudyWithResult, make_conclusion
 from fenics_crack.time.march import TimeHistory
 
 ResultType = TypeVar("ResultType", bound=Result, covariant=True)
@@ -29,16 +29,16 @@ ResultType = TypeVar("ResultType", bound=Result, covariant=True)
 class ResultAttribute:
     """Attribute of a run's result, read through the run."""
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
+    def __set_name__(self, owner: type, attribute_name: str) -> None:
+        self.attribute_name = attribute_name
 
     def __get__(self, run: Any, owner: type | None = None) -> Any:
-        return self if run is None else getattr(run.result, self.name)
+        return self if run is None else getattr(run.result, self.attribute_name)
 
 
 @dataclass(frozen=True, repr=False)
-class Run(Answer, Generic[ResultType]):
-    """A study with its result, whose attributes are also its own: ``run.peak()``.
+class Run(StudyWithResult, Generic[ResultType]):
+    """A study with its result, and with the result's attributes: ``run.amplitude()``.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Run(Answer, Generic[ResultType]):
     result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result of the computation.
     stated : Verification or None
-        Its :attr:`errors`, where they were computed with it.
+        The :attr:`errors`, if they were computed together with the result.
     """
 
     result: ResultType
@@ -63,7 +63,7 @@ class Run(Answer, Generic[ResultType]):
         return self.stated or errors_of(self, self.result)
 
     def __str__(self) -> str:
-        return f"{self.result!r}: {conclusion_of(self).sentence()}"
+        return f"{self.result!r}: {make_conclusion(self).sentence()}"
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
@@ -81,8 +81,10 @@ class Run(Answer, Generic[ResultType]):
         peak, errors = self.result.peak(dof), self.errors
         if errors is None or not errors.parts or dof not in (None, self.watched_dof):
             return peak
-        names = self.watched[0].column("amplitude"), errors.resonance
-        amplitude_error, omega_error = (errors.stated(name)[0] for name in names)
+        quantity_names = self.watched[0].column("amplitude"), errors.resonance
+        amplitude_error, omega_error = (
+            errors.stated(quantity_name)[0] for quantity_name in quantity_names
+        )
         return replace(
             peak,
             error=amplitude_error,
@@ -91,20 +93,22 @@ class Run(Answer, Generic[ResultType]):
         )
 
     def motion(self) -> dict[str, np.ndarray]:
-        """Return the motion of what is watched [m], by its words (collective).
+        """Return the watched displacements [m] by their descriptions (collective).
 
-        A solution has coefficients (2H+1,), a curve (n, 2H+1), a motion in time displacements (n,),
-        and modes have none.
+        A solution has Fourier coefficients (2H+1,), a curve (n, 2H+1), a motion in time
+        displacements (n,), and modes have none.
         """
         result, dofs = self.result, [point.dof for point in self.watched]
-        columns: list[np.ndarray] = []
+        displacement_columns: list[np.ndarray] = []
         if isinstance(result, TimeHistory):
-            columns = list(result.displacement(dofs).T)
+            displacement_columns = list(result.displacement(dofs).T)
         elif isinstance(result, ObservedMotion):
-            columns = [
+            displacement_columns = [
                 displacement.real_fourier_coefficients for displacement in result.observe(dofs)[0]
             ]
-        return dict(zip((point.words for point in self.watched), columns, strict=False))
+        return dict(
+            zip((point.words for point in self.watched), displacement_columns, strict=False)
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the result with its scene, stated errors and watched motion (collective).
@@ -117,13 +121,15 @@ class Run(Answer, Generic[ResultType]):
         InputError
             The file cannot be written.
         """
-        errors = None if self.stated is None else self.stated.text()
-        write = partial(save, self.result, path, self.scene, watched=self.motion(), errors=errors)
-        is_shared = isinstance(self.result, PeriodicSolution | Modes)  # spread over ranks
-        if self.structure.comm.size > 1 and is_shared:
-            write()
+        errors_text = None if self.stated is None else self.stated.text()
+        write_file = partial(
+            save, self.result, path, self.scene, watched=self.motion(), errors=errors_text
+        )
+        is_distributed = isinstance(self.result, PeriodicSolution | Modes)  # spread over ranks
+        if self.structure.comm.size > 1 and is_distributed:
+            write_file()
         else:
-            on_root(self.structure.whole.comm, write)
+            on_root(self.structure.whole.comm, write_file)
 
     # --- attributes of the result, in alphabetical order ---
 

@@ -17,10 +17,10 @@ from fenics_crack.motion.attractors import MAX_SETTLED_CHANGE
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.solve import solve_prepared, whole_study
+from fenics_crack.study.solve import prepare_unreduced_study, solve_study
 
-DEFAULT_MODES = 6
-"""Number of modes that are found by default."""
+N_DEFAULT_MODES = 6
+"""Default number of modes that are found."""
 
 
 def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
@@ -50,21 +50,21 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
     >>> fc.modes(scene, 3).result.omega
     """
     study = prepare(scene, comm, whole=True)
-    n_modes = min(DEFAULT_MODES, study.structure.n_modes) if count is None else count
+    n_modes = min(N_DEFAULT_MODES, study.structure.n_modes) if count is None else count
     return Run(**vars(study), result=solve_modes(study.structure, n_modes))
 
 
 def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
-    Harmonic balance at the load's frequency (:func:`solve_harmonic_balance`), with its stability
-    (:func:`floquet`) if that is quick. With a tolerance the modes of the reduction are chosen, too,
-    if the scene does not give any.
+    The solution is found by harmonic balance at the load frequency
+    (:func:`solve_harmonic_balance`). Its stability (:func:`floquet`) is added if that is quick.
+    With a tolerance, the number of modes is chosen unless the scene gives it.
 
     Parameters
     ----------
     scene : Scene or Study
-        Scene with its load, contact and harmonic balance; or what :func:`load_prepared` returns.
+        Scene with its load, contact and harmonic balance; or the result of :func:`load_prepared`.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -83,17 +83,17 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run = fc.solve(scene)
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
-    solved_study = solve_prepared(whole_study(scene, comm))
+    solved_study = solve_study(prepare_unreduced_study(scene, comm))
     return _with_motion_from_rest(Run(**vars(solved_study)))
 
 
 def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Add the outcome of the motion from rest if the verdict needs it (collective).
 
-    An undecided verdict needs it, and one on a solution in which no pair opens and closes: its
-    multipliers know nothing of the contact that another motion meets.
+    It is needed if the verdict is undecided, or if no pair opens and closes in the solution. In the
+    latter case the multipliers ignore contact that another motion may meet.
     """
-    solution, dof = run.result, run.watched_dof
+    solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability
     if stability is None or solution.still:
         return run
@@ -101,17 +101,22 @@ def _with_motion_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     if is_decided and solution.breathes:
         return run
     begin_stage("the motion from rest")
-    motion = None
-    with suppress(KeyboardInterrupt):  # the solution stays what it is
-        motion = from_rest(solution)
-    if motion is None or not motion.periods:
+    rest_motion = None
+    with suppress(KeyboardInterrupt):  # the solution stays as it is
+        rest_motion = from_rest(solution)
+    if rest_motion is None or not rest_motion.periods:
         return run
     rest_amplitude = math.nan
-    outcome = f"has not settled after {format_count(motion.periods, 'period')} of the load"
-    if motion.orbit is not None:
-        outcome, rest_amplitude = motion.description, motion.orbit.amplitude(dof)
-        amplitude = solution.amplitude(dof)
+    outcome_text = (
+        f"has not settled after {format_count(rest_motion.periods, 'period')} of the load"
+    )
+    if rest_motion.orbit is not None:
+        outcome_text, rest_amplitude = (
+            rest_motion.description,
+            rest_motion.orbit.amplitude(watched_dof),
+        )
+        amplitude = solution.amplitude(watched_dof)
         if is_decided and abs(rest_amplitude - amplitude) <= MAX_SETTLED_CHANGE * amplitude:
             return run  # the same motion
-    stability = replace(stability, from_rest=outcome, rest_amplitude=rest_amplitude)
+    stability = replace(stability, from_rest=outcome_text, rest_amplitude=rest_amplitude)
     return replace(run, result=replace(solution, stability=stability))

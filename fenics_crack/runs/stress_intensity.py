@@ -16,7 +16,13 @@ from fenics_crack.errors.stated import errors_of
 from fenics_crack.errors.verification import Verification
 from fenics_crack.runs.run import Run, check_motion
 from fenics_crack.scene.scene import reason_without_stress_intensity, refuse_for_reason
-from fenics_crack.study.observer import AtTip, at_tips, leading, stations_of_fronts, tip_rows
+from fenics_crack.study.observer import (
+    TipHistory,
+    compute_tip_histories,
+    leading_tip_index,
+    make_tips_and_rows,
+    station_indices_by_front,
+)
 from fenics_crack.time.march import TimeHistory
 
 
@@ -29,24 +35,24 @@ class StressIntensity(Tabular):
     Attributes
     ----------
     time : (n,) [s]
-        Over one period of a solution, or the record of a motion in time.
+        Instants in one period of a solution, or in the record of a motion in time.
     tips : tuple of str
         Names: "the crack tip", "the left crack tip", "the crack tip of crack 2", "the crack front
         at 3.2 mm", from where that front begins.
     positions : (n_tips,) [m]
-        Distances along the crack; of a solid along the front, from where it begins.
+        Distances along the crack; in a solid along the front, from its beginning.
     points, ahead : (n_tips, d) [m], (n_tips, d)
-        Where they are, and where the cracks run straight on.
+        Positions of the tips, and directions in which the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
-        K_I, positive where the crack faces part, and K_II, positive where the face on the left of
-        who looks ahead moves ahead. At a front without clearance K_I is exactly zero while all
-        patches of the contact that touch it near a station are closed, and never negative.
+        K_I is positive if the crack faces part. K_II is positive if the face on the left, looking
+        ahead, moves ahead. At a front without clearance K_I is never negative, and exactly zero
+        while all contact patches next to the station are closed.
     three : (n, n_tips) [Pa m^1/2] or None
-        K_III, positive where the upper face moves along the front, in the direction e_3 = e_1 x e_2
-        with e_1 ahead and e_2 from the lower to the upper face; of a plate None.
+        K_III is positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2
+        with e_1 ahead and e_2 from the lower to the upper face. None for a plate.
     closed : (n_tips,) [Pa m^1/2]
-        Largest size of K_I of a solid as it is computed where it is zero by contact, while the
-        front is closed, or below zero while it is closed in part: its error.
+        Error of K_I in a solid: largest |K_I| computed while the front is closed, where it is zero
+        by contact, and largest negative K_I computed while the front is partly closed.
     """
 
     time: np.ndarray
@@ -59,20 +65,21 @@ class StressIntensity(Tabular):
     three: np.ndarray | None
     closed: np.ndarray
     _run: Run[Any] = field(compare=False)
-    _tip_histories: list[AtTip] = field(compare=False)
+    _tip_histories: list[TipHistory] = field(compare=False)
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
         """Largest and smallest values and ranges of each tip: (n_tips,) [Pa m^1/2].
 
         K_max, K_min, delta_K, delta_K_effective, K_II_max, and in a solid K_III_max. The effective
-        range is that while the tip is open, max(K_I, 0) - max(min K_I, 0). With a table
-        ``[growth]`` delta_K_equivalent, too: the range from 0 that makes the crack grow as much,
-        once a period of the load, as all cycles of K_I do, counted by rain flow.
+        range is the range while the tip is open, max(K_I, 0) - max(min K_I, 0). A table
+        ``[growth]`` adds delta_K_equivalent: the range from 0 that, once a period of the load, lets
+        the crack grow as much as all rainflow cycles of K_I.
         """
-        numbers = [tip.numbers() for tip in self._tip_histories]
+        tip_values = [tip_history.values_by_name() for tip_history in self._tip_histories]
         return {
-            name: np.array([tip_numbers[name] for tip_numbers in numbers]) for name in numbers[0]
+            name: np.array([value_by_name[name] for value_by_name in tip_values])
+            for name in tip_values[0]
         }
 
     @property
@@ -93,7 +100,7 @@ class StressIntensity(Tabular):
     @property
     def leading(self) -> int:
         """Index of the tip with the largest effective range."""
-        return leading(self._tip_histories)
+        return leading_tip_index(self._tip_histories)
 
     @property
     def comm(self) -> MPI.Comm:
@@ -102,19 +109,20 @@ class StressIntensity(Tabular):
 
     @property
     def fronts(self) -> dict[str, list[int]]:
-        """Indices of each front's tips, of a solid stations, by its name."""
-        return stations_of_fronts(self.tips)
+        """Indices of the tips or stations of each front, by the front's name."""
+        return station_indices_by_front(self.tips)
 
     @property
     def turn(self) -> np.ndarray:
         """Angle to the left by which each crack turns at its largest K_I: (n_tips,) [rad].
 
-        The hoop stress is largest there: K_I sin(theta) + K_II (3 cos(theta) - 1) = 0 (Erdogan,
-        Sih, Journal of Basic Engineering 85, 1963, 519); nan where K_I is never positive.
+        In this direction theta the hoop stress is largest: K_I sin(theta) + K_II (3 cos(theta) - 1)
+        = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519); nan if K_I is never
+        positive.
         """
-        place = self.one.argmax(axis=0)[None]
-        K_I = np.take_along_axis(self.one, place, axis=0)[0]
-        K_II = np.take_along_axis(self.two, place, axis=0)[0]
+        instant_indices = self.one.argmax(axis=0)[None]
+        K_I = np.take_along_axis(self.one, instant_indices, axis=0)[0]
+        K_II = np.take_along_axis(self.two, instant_indices, axis=0)[0]
         angles = -2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
         return np.where(K_I > 0.0, angles, np.nan)
 
@@ -130,32 +138,37 @@ class StressIntensity(Tabular):
     def to_dict(self) -> dict[str, Any]:
         """Return time and the stress intensities of each tip, a row for every instant."""
         columns = {"time": self.time.tolist()}
-        kinds = {"K_I": self.one, "K_II": self.two} | (
+        values_by_name = {"K_I": self.one, "K_II": self.two} | (
             {} if self.three is None else {"K_III": self.three}
         )
-        for number, tip in enumerate(self.tips):
-            columns |= {f"{name}, {tip}": rows[:, number].tolist() for name, rows in kinds.items()}
+        for tip_index, tip_name in enumerate(self.tips):
+            columns |= {
+                f"{name}, {tip_name}": values[:, tip_index].tolist()
+                for name, values in values_by_name.items()
+            }
         return columns
 
     def _units(self) -> Mapping[str, str]:
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
 
     def _title(self) -> str:
-        tip = self.leading
-        parts = [f"{name} = {values[tip]:.4g}" for name, values in self.numbers.items()]
-        return f"{', '.join(parts)} Pa m^0.5 at {self.tips[tip]}"
+        tip_index = self.leading
+        number_texts = [
+            f"{name} = {values[tip_index]:.4g}" for name, values in self.numbers.items()
+        ]
+        return f"{', '.join(number_texts)} Pa m^0.5 at {self.tips[tip_index]}"
 
 
 def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:
     r"""Find stress intensities at the tips of a plate's cracks over a motion (collective).
 
-    K_I and K_II of the displacement at each instant, by the interaction integral over a domain
-    around the tip or front, with the inertia in it and the contact on the crack faces. Along a
-    front K_III comes to them; each station has the mean over its neighbourhood, and those at the
-    surface are on the line through the two next to it (docs/solids.md). The error of K_I of a mesh
-    is of first order in its size; that of a closed front is stated (``closed``). Where a structure
-    is reduced the modes' statics are not summed up but solved for: with q_r the amplitudes of the
-    modes,
+    K_I and K_II follow at each instant from the displacement, by the interaction integral over a
+    domain around the tip or front, with inertia inside and contact on the crack faces. A front has
+    K_III, too. Each station has the mean over its neighbourhood; stations at the surface are
+    extrapolated linearly from the two next to them (docs/solids.md). The error of K_I due to the
+    mesh is of first order in the element size. The error at a closed front is stated (``closed``).
+    In a reduced structure the static part of the modes is not summed but solved for. With the
+    amplitudes q_r of the modes,
 
     .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
 
@@ -168,13 +181,14 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Returns
     -------
     StressIntensity
-        Over a period of a solution (1024 instants or more), or the record of a motion in time.
+        Stress intensities over a period of a solution (1024 instants or more), or over the record
+        of a motion in time.
 
     Raises
     ------
     InputError
-        It is neither of them, of matrices, a disk, with friction or a preload by its clearance, or
-        without a crack; or the elements at a crack tip or front are too long.
+        The run is of another kind, of matrices or a disk; it has friction, a preload by its
+        clearance, or no crack; or the elements at a crack tip or front are too long.
 
     Examples
     --------
@@ -183,20 +197,22 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     """
     check_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
-    tips, rows, of_forces = tip_rows(run)
-    [record] = run.result.records(rows)
-    tip_histories = at_tips(record, tips, of_forces, run.scene.growth)
-    three = [tip_history.three for tip_history in tip_histories if tip_history.three is not None]
+    tips, displacement_rows, force_rows = make_tips_and_rows(run)
+    [record] = run.result.records(displacement_rows)
+    tip_histories = compute_tip_histories(record, tips, force_rows, run.scene.growth)
+    K_III_columns = [
+        tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None
+    ]
     return StressIntensity(
         record.time,
         tuple(tip.name for tip in tips),
         np.array([tip.arc_length for tip in tips]),
         np.array([tip.point for tip in tips]),
         np.array([tip.growth_direction for tip in tips]),
-        np.column_stack([tip_history.one for tip_history in tip_histories]),
-        np.column_stack([tip_history.two for tip_history in tip_histories]),
-        np.column_stack(three) if three else None,
-        np.array([tip_history.closed for tip_history in tip_histories]),
+        np.column_stack([tip_history.K_I for tip_history in tip_histories]),
+        np.column_stack([tip_history.K_II for tip_history in tip_histories]),
+        np.column_stack(K_III_columns) if K_III_columns else None,
+        np.array([tip_history.closed_front_error for tip_history in tip_histories]),
         run,
         tip_histories,
     )

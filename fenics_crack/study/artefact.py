@@ -1,13 +1,12 @@
 """A prepared structure as a file.
 
-It holds what a mesh gives: modes and statics seen at pairs, loads and watched points, of the
-scene's mesh and of a coarser one, with places and areas of the pairs. What follows from it, another
-frequency, amplitude of the load, damping, clearance, law or tolerance, needs no mesh and no
-matrices.
+The file holds the modes and static responses at pairs, loads and watched points, for the scene's
+mesh and a coarser one, and the pairs' positions and areas. Another frequency, load amplitude,
+damping, clearance, law or tolerance then needs no mesh and no matrices.
 
-A file of ``reduce`` is its user's. :func:`load_prepared` makes a study of it, whose structure no
-scene shares: what needs matrices takes the scene itself. The file that a command keeps
-(:mod:`fenics_crack.study.shelf`) has the matrices, too.
+The command ``reduce`` writes a file for its user. :func:`load_prepared` makes a study from the
+file; no other scene shares the structure, and quantities that need matrices are refused. The file
+that a command keeps (:mod:`fenics_crack.study.shelf`) has the matrices, too.
 """
 
 from __future__ import annotations
@@ -44,74 +43,84 @@ from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import coarser, coarser_scene
-from fenics_crack.study.prepare import Study, prepare, reduced
-from fenics_crack.study.sharing import Made, kept, loads_of, parts_shared
-from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
+from fenics_crack.study.meshes import make_coarser_scene, prepare_coarser_study
+from fenics_crack.study.prepare import Study, prepare, reduce_study
+from fenics_crack.study.sharing import (
+    SharedStructure,
+    coarser_structure_cache,
+    load_dependencies,
+    structure_dependencies,
+)
+from fenics_crack.study.solve import (
+    MAX_MODES_FOR_MANY_SOLUTIONS,
+    candidate_mode_counts,
+    reduce_to_modes,
+)
 
-KIND = "prepared structure"
-VARIED = (
+FILE_KIND = "prepared structure"
+CHANGEABLE_KEYS_TEXT = (
     "a key that needs no mesh: the frequency, force_mean, force_cos and force_sin of the load, "
     "damping, clearances, the contact law and its friction, harmonics, the tolerance, [curve]; "
     "else the scene itself is solved"
 )
-"""What a file can vary, in words."""
-NODE_ARRAYS = ("points", "dofs", "cells")
+"""Keys that a prepared file can vary, in words."""
+NODE_ARRAY_NAMES = ("points", "dofs", "cells")
+"""Fields of :class:`Nodes` whose rows are spread over the ranks."""
 
 
 @dataclass(frozen=True)
-class Rows:
-    """A sparse matrix by its rows, those of all ranks."""
+class SparseRows:
+    """A sparse matrix in CSR format, with the rows of all ranks."""
 
     data: np.ndarray
     indices: np.ndarray
     indptr: np.ndarray
 
     @classmethod
-    def of(cls, rows: Any, comm: MPI.Comm) -> Any:
-        """Gather the rows of all ranks; None of None (collective)."""
-        if rows is None:
+    def gather(cls, matrix: Any, comm: MPI.Comm) -> Any:
+        """Gather the rows of all ranks; None without a matrix (collective)."""
+        if matrix is None:
             return None
-        lengths = gather_rows(comm, np.diff(rows.indptr))
-        starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
-        return cls(gather_rows(comm, rows.data), gather_rows(comm, rows.indices), starts)
+        row_lengths = gather_rows(comm, np.diff(matrix.indptr))
+        row_starts = np.concatenate([[0], np.cumsum(row_lengths)]).astype(np.int32)
+        return cls(gather_rows(comm, matrix.data), gather_rows(comm, matrix.indices), row_starts)
 
-    def matrix(self, *shape: int) -> sparse.csr_matrix:
-        """Return the matrix; ValueError unless it is one of this shape.
+    def to_matrix(self, *shape: int) -> sparse.csr_matrix:
+        """Return the matrix; ValueError unless the arrays make one of this shape.
 
-        SciPy looks at the starts of rows only if the last of them is above zero.
+        SciPy checks the order of row starts only if the last start is above zero.
         """
-        rows = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
-        if np.diff(rows.indptr).min(initial=0) < 0:
+        matrix = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
+        if np.diff(matrix.indptr).min(initial=0) < 0:
             raise ValueError("its rows do not follow one another")
-        rows.check_format(full_check=True)
-        return rows
+        matrix.check_format(full_check=True)
+        return matrix
 
 
 @dataclass(frozen=True)
 class PreparedStructure:
-    """Datasets of a whole structure and of the receptances that it holds.
+    """Datasets of a whole structure and of its receptances.
 
     Attributes
     ----------
-    gap, tangential, tangents, shares : Rows or None
-        As of :class:`Structure` and its pairs, which have none of their own here.
+    gap, tangential, tangents, shares : SparseRows or None
+        As in :class:`Structure` and its pairs. ``pairs`` has no tangents and shares here.
     force, clearance, watched, nodes, pairs, clamp
-        As of :class:`Structure`; arrays of all ranks.
+        As in :class:`Structure`, with the rows of all ranks.
     receptances : tuple of Receptance
-        Of this load; with the tangents of a solid at last.
-    mass, stiffness : Rows or None
-        Its matrices, where they are kept.
+        Receptances under this load; with a solid's tangents last.
+    mass, stiffness : SparseRows or None
+        Matrices, if they are kept.
     key : str
-        Digest of what the structure follows from.
+        Digest of the structure's dependencies (:func:`fenics_crack.study.shelf.dependencies_key`).
     excitation : (2K+1, d) [N]
-        Force of the excitation.
+        Force of the excitation: mean, cosine and sine parts of each harmonic.
     """
 
-    gap: Rows
-    tangential: Rows | None
-    tangents: Rows | None
-    shares: Rows | None
+    gap: SparseRows
+    tangential: SparseRows | None
+    tangents: SparseRows | None
+    shares: SparseRows | None
     force: np.ndarray
     clearance: np.ndarray
     watched: np.ndarray | None
@@ -119,208 +128,254 @@ class PreparedStructure:
     pairs: Pairs
     clamp: Clamp | None
     receptances: tuple[Receptance, ...]
-    mass: Rows | None = None
-    stiffness: Rows | None = None
+    mass: SparseRows | None = None
+    stiffness: SparseRows | None = None
     key: str = ""
     excitation: np.ndarray | None = None
 
     @classmethod
-    def of(cls, structure: Structure, vtk_type: int = 0, **datasets: Any) -> PreparedStructure:
-        """Gather the datasets of a structure, with further ones in ``datasets`` (collective)."""
+    def gather(cls, structure: Structure, vtk_type: int = 0, **datasets: Any) -> PreparedStructure:
+        """Gather the datasets of a structure; ``datasets`` are further fields (collective)."""
         structure, comm = structure.original, structure.comm
-        nodes, pairs, clamp, watched = (
+        nodes, pairs, clamp, watched_row = (
             structure.nodes,
             structure.pairs,
             structure.clamp,
             structure.watched,
         )
-        sources = [
-            structure,
-            *([] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]),
-        ]
-        places = NODE_ARRAYS if nodes else ()
-        arrays = {name: gather_rows(comm, getattr(nodes, name)) for name in places}
+        tangential_structures = (
+            [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
+        )
+        source_structures = [structure, *tangential_structures]
+        array_names = NODE_ARRAY_NAMES if nodes else ()
+        node_array_by_name = {name: gather_rows(comm, getattr(nodes, name)) for name in array_names}
         return cls(
-            gap=Rows.of(structure.gap, comm), tangential=Rows.of(structure.tangential, comm),
-            tangents=Rows.of(pairs.tangential_gap_matrix, comm),
-            shares=Rows.of(pairs.pressure_matrix, MPI.COMM_SELF),
+            gap=SparseRows.gather(structure.gap, comm),
+            tangential=SparseRows.gather(structure.tangential, comm),
+            tangents=SparseRows.gather(pairs.tangential_gap_matrix, comm),
+            shares=SparseRows.gather(pairs.pressure_matrix, MPI.COMM_SELF),
             force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
-            watched=None if watched is None else gather_rows(comm, watched),
-            nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **arrays),
+            watched=None if watched_row is None else gather_rows(comm, watched_row),
+            nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **node_array_by_name),
             pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
-            receptances=tuple(replace(known_receptance, force=np.zeros(0)) for source in sources
-                       for known_receptance in source.compute_once(make_empty_receptance_list)),
+            receptances=tuple(
+                replace(stored_receptance, force=np.zeros(0))
+                for source_structure in source_structures
+                for stored_receptance in source_structure.compute_once(make_empty_receptance_list)
+            ),
             **datasets,
         )  # fmt: skip
 
-    def structure(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Structure:
-        """Return the structure in the setting of a scene, its load's rows weighted.
+    def make_structure(self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm) -> Structure:
+        """Make the structure with a scene's damping and clearance (collective).
 
-        Rank 0 has all rows. An error of :data:`fenics_crack.files.codec.WRONG` where the datasets
-        are no structure (collective).
+        Rank 0 has all rows. Datasets that are no structure raise an error of
+        :data:`fenics_crack.files.codec.WRONG`.
+
+        Parameters
+        ----------
+        load_weights : (n, 2K+1)
+            Matrix from the load rows of the file to those of the scene.
         """
-        n_dofs, n_pairs = self._check(), len(self.clearance)
-        own = slice(None if comm.rank == 0 else 0)
+        n_dofs, n_pairs = self._check_and_count_dofs(), len(self.clearance)
+        local_slice = slice(None if comm.rank == 0 else 0)
 
-        def rows(part: Rows | None, columns: int) -> Any:
-            matrix: Any = part and part.matrix(n_dofs, columns)
+        def local_matrix(sparse_rows: SparseRows | None, n_columns: int) -> Any:
+            matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
         mass, stiffness = (
             AbsentMatrix(n_dofs, comm.rank)
-            if part is None
-            else square_matrix(rows(part, n_dofs), comm)
-            for part in (self.mass, self.stiffness)
+            if sparse_rows is None
+            else square_matrix(local_matrix(sparse_rows, n_dofs), comm)
+            for sparse_rows in (self.mass, self.stiffness)
         )
-        nodes, watched, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
+        nodes, watched_row, clamp, pairs = self.nodes, self.watched, self.clamp, self.pairs
         pairs = replace(
-            pairs, tangential_gap_matrix=rows(self.tangents, 2 * n_pairs),
+            pairs, tangential_gap_matrix=local_matrix(self.tangents, 2 * n_pairs),
             pressure_matrix=self.shares
-            and self.shares.matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
+            and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
-        arrays = {name: getattr(nodes, name)[own] for name in (NODE_ARRAYS if nodes else ())}
-        made = Structure(Body(
-            mass, stiffness, gap=rows(self.gap, n_pairs), force=self.force[:, own],
+        array_names = NODE_ARRAY_NAMES if nodes else ()
+        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in array_names}
+        structure = Structure(Body(
+            mass, stiffness, gap=local_matrix(self.gap, n_pairs), force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
-            damping=damping_of(scene.given("damping")), tangential=rows(self.tangential, n_pairs),
-            nodes=nodes and replace(nodes, **arrays), pairs=pairs,
-            watched=None if watched is None else watched[own],
-            clamp=clamp and replace(clamp, inertia=clamp.inertia[:, own]), comm=comm,
+            damping=damping_of(scene.given("damping")),
+            tangential=local_matrix(self.tangential, n_pairs),
+            nodes=nodes and replace(nodes, **node_array_by_name), pairs=pairs,
+            watched=None if watched_row is None else watched_row[local_slice],
+            clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip
-        for known_receptance in self.receptances:
-            sources = made, made.with_tangents()
-            n_sources = len(known_receptance.modal)
-            source = next(
-                candidate for candidate in sources if sources_of(candidate).shape[1] == n_sources
+        for stored_receptance in self.receptances:
+            source_structures = structure, structure.with_tangents()
+            n_sources = len(stored_receptance.modal)
+            source_structure = next(
+                candidate
+                for candidate in source_structures
+                if sources_of(candidate).shape[1] == n_sources
             )
-            loaded_receptance = replace(known_receptance, force=source.force)
-            source.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
-            made.compute_once(make_empty_shared_receptance_list, from_matrices=True)[:] = [
-                loaded_receptance
-            ]
-        if not np.array_equal(weights, np.eye(len(made.force))):
-            force, of_load = weights @ made.force, made.clamp and made.clamp.with_weights(weights)
-            made = made._in_setting(DEFAULT_SETTING, force=force, clamp=of_load)
+            loaded_receptance = replace(stored_receptance, force=source_structure.force)
+            source_structure.compute_once(make_empty_receptance_list)[:] = [loaded_receptance]
+            shared_receptances = structure.compute_once(
+                make_empty_shared_receptance_list, from_matrices=True
+            )
+            shared_receptances[:] = [loaded_receptance]
+        if not np.array_equal(load_weights, np.eye(len(structure.force))):
+            clamp = structure.clamp and structure.clamp.with_weights(load_weights)
+            force = load_weights @ structure.force
+            structure = structure._in_setting(DEFAULT_SETTING, force=force, clamp=clamp)
         if self.mass is None:
-            receptance(made, 1)
-        return made
+            receptance(structure, 1)
+        return structure
 
-    def _check(self) -> int:
-        """Return the number of dofs; ValueError unless all sizes, indices and numbers fit."""
-        nodes, places = self.nodes, np.array([*self.pairs.places.values()])
-        arrays = {name: array for name, array in pack_dataclass(self).items() if np.ndim(array)}
-        arrays |= {"pairs.places": places} | (
+    def _check_and_count_dofs(self) -> int:
+        """Return the number of dofs; ValueError unless all shapes and values are valid."""
+        nodes, watched_pair_indices = self.nodes, np.array([*self.pairs.places.values()])
+        array_by_name = {
+            name: array for name, array in pack_dataclass(self).items() if np.ndim(array)
+        }
+        array_by_name |= {"pairs.places": watched_pair_indices} | (
             {"free dofs": np.unique(nodes.dofs[nodes.dofs >= 0])} if nodes else {}
         )
-        n_dofs, n_pairs, n_parts = len(self.gap.indptr) - 1, len(self.clearance), len(self.force)
+        n_dofs, n_pairs = len(self.gap.indptr) - 1, len(self.clearance)
         n_nodes, dimension = nodes.points.shape if nodes else (0, 2)
-        n_rigid = len(self.clamp.inertia) if self.clamp else 0
-        shapes = {
-            "force": (n_parts, n_dofs), "watched": (n_dofs,), "excitation": (n_parts, dimension),
-            "nodes.dofs": (n_nodes, dimension), "nodes.cells": (-1, -1), "clearance": (n_pairs,),
+        n_load_rows, n_rigid_motions = len(self.force), len(self.clamp.inertia) if self.clamp else 0
+        shape_by_name = {
+            "force": (n_load_rows, n_dofs), "watched": (n_dofs,), "clearance": (n_pairs,),
+            "excitation": (n_load_rows, dimension), "nodes.dofs": (n_nodes, dimension),
+            "nodes.cells": (-1, -1),
             "pairs.points": (n_pairs, dimension), "pairs.nodes": (-1, dimension),
-            "clamp.center": (dimension,), "clamp.inertia": (n_rigid, n_dofs),
-            "clamp.load": (n_parts, n_rigid), "free dofs": (n_dofs,), "pairs.areas": (n_pairs,),
-            "pairs.cracks": (n_pairs,), "pairs.positions": (n_pairs,),
+            "clamp.center": (dimension,), "clamp.inertia": (n_rigid_motions, n_dofs),
+            "clamp.load": (n_load_rows, n_rigid_motions), "free dofs": (n_dofs,),
+            "pairs.areas": (n_pairs,), "pairs.cracks": (n_pairs,), "pairs.positions": (n_pairs,),
         }  # fmt: skip
-        ranges: dict[str, tuple[float, float]] = {
+        range_by_name: dict[str, tuple[float, float]] = {
             "nodes.dofs": (-1, n_dofs), "nodes.cells": (0, n_nodes), "pairs.cracks": (0, n_pairs),
             "pairs.places": (0, n_pairs),
         }  # fmt: skip
-        for place, known_receptance in enumerate(self.receptances):
-            name, (n_sources, n_modes) = f"receptances.{place}", known_receptance.modal.shape
-            sizes = {"squares": (n_modes,), "compliance": (n_sources,) * 2, "inertia": (n_pairs,)}
-            for dof in known_receptance.rows:
-                sizes |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
-            shapes |= {f"{name}.{key}": size for key, size in sizes.items()}
-            ranges |= {f"{name}.squares": (0, MAX_ALLOWED_MAGNITUDE), f"{name}.rows": (0, n_dofs)}
-            arrays[f"{name}.rows"] = np.array([*known_receptance.rows])
-        check_shapes(arrays, shapes)
-        for name, array in arrays.items():
-            start, end = ranges.get(name, (-MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE))
-            if array.size and not start <= array.min() <= array.max() < end:
+        for receptance_index, stored_receptance in enumerate(self.receptances):
+            receptance_prefix, (n_sources, n_modes) = (
+                f"receptances.{receptance_index}",
+                stored_receptance.modal.shape,
+            )
+            shape_by_field = {
+                "squares": (n_modes,),
+                "compliance": (n_sources,) * 2,
+                "inertia": (n_pairs,),
+            }
+            for dof in stored_receptance.rows:
+                shape_by_field |= {f"rows.{dof}.0": (n_modes,), f"rows.{dof}.1": (n_sources,)}
+            shape_by_name |= {
+                f"{receptance_prefix}.{name}": shape for name, shape in shape_by_field.items()
+            }
+            range_by_name |= {
+                f"{receptance_prefix}.squares": (0, MAX_ALLOWED_MAGNITUDE),
+                f"{receptance_prefix}.rows": (0, n_dofs),
+            }
+            array_by_name[f"{receptance_prefix}.rows"] = np.array([*stored_receptance.rows])
+        check_shapes(array_by_name, shape_by_name)
+        for name, array in array_by_name.items():
+            lower_limit, upper_limit = range_by_name.get(
+                name, (-MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE)
+            )
+            if array.size and not lower_limit <= array.min() <= array.max() < upper_limit:
                 raise ValueError(f"its {name} does not fit")
         return n_dofs
 
 
 @dataclass(frozen=True)
 class PreparedFile:
-    """Datasets of a file: a structure, and that of its coarser mesh if there is one."""
+    """Datasets of a file: the structures of a mesh and, if any, of a coarser mesh."""
 
     structure: PreparedStructure
     coarser_structure: PreparedStructure | None = None
 
-    def make_structures(self, scene: Scene, weights: np.ndarray, comm: MPI.Comm) -> Made:
-        """Return the structure for a scene, with that of its coarser mesh (collective)."""
-        structure = self.structure.structure(scene, weights, comm)
-        coarse = coarser_scene(scene)
-        if self.coarser_structure is not None and isinstance(coarse, Scene):
+    def make_structures(
+        self, scene: Scene, load_weights: np.ndarray, comm: MPI.Comm
+    ) -> SharedStructure:
+        """Make a scene's structure with its coarser structure, if any (collective).
+
+        ``load_weights`` are as in :meth:`PreparedStructure.make_structure`.
+        """
+        structure = self.structure.make_structure(scene, load_weights, comm)
+        scene_or_reason, single_rank_comm = make_coarser_scene(scene), MPI.COMM_SELF
+        if self.coarser_structure is not None and isinstance(scene_or_reason, Scene):
             # As of a reduced structure.
-            structure.compute_once(kept, from_matrices=True).append(Made(
-                self.coarser_structure.structure(coarse, weights, MPI.COMM_SELF), MPI.COMM_SELF,
-                parts_shared(coarse, MPI.COMM_SELF),
+            coarser_entries = structure.compute_once(coarser_structure_cache, from_matrices=True)
+            coarser_entries.append(SharedStructure(
+                self.coarser_structure.make_structure(
+                    scene_or_reason, load_weights, single_rank_comm
+                ), single_rank_comm, structure_dependencies(scene_or_reason, single_rank_comm),
             ))  # fmt: skip
-        return Made(structure, comm, parts_shared(scene, comm))
+        return SharedStructure(structure, comm, structure_dependencies(scene, comm))
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
-    """Write what the mesh of a prepared scene gives, for :func:`load_prepared` and the commands
-    ``solve`` and ``curve`` (collective).
+    """Write the reduced structure of a prepared scene to a file (collective).
+
+    :func:`load_prepared` and the commands ``solve`` and ``curve`` read it.
 
     Parameters
     ----------
     prepared : Study
-        What :func:`fenics_crack.prepare` returns. Not reduced (``whole=True``), the file has as
-        many modes as a tolerance may choose.
+        Result of :func:`fenics_crack.prepare`. If it is not reduced (``whole=True``), the file has
+        as many modes as a tolerance may choose.
     path : path
         The file; an older one is replaced once the new one is complete.
 
     Raises
     ------
     InputError
-        The scene rotates or is a bladed disk, its structure is not reduced to crack faces without
-        mass, or its damping is a matrix; or the file cannot be written.
+        The scene rotates, is a bladed disk or a solid; its structure is not reduced to crack faces
+        without mass; its damping is a matrix; or the file cannot be written.
 
     Examples
     --------
     >>> kept = scene.replace({"reduction.method": "massless", "reduction.modes": 10})
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     """
-    chosen = modes_chosen(prepared, MOST_OF_MANY)
-    if chosen:
-        prepared = replace(reduced_to(prepared, chosen[-1]), scene=prepared.scene)
-    prepared = reduced(prepared)
+    mode_counts = candidate_mode_counts(prepared, MAX_MODES_FOR_MANY_SOLUTIONS)
+    if mode_counts:
+        prepared = replace(reduce_to_modes(prepared, mode_counts[-1]), scene=prepared.scene)
+    prepared = reduce_study(prepared)
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
-        key = "disk" if scene.disk is not None else "rotation"
-        raise InputError(key, "given", "left out, for a file: it holds structures at rest")
+        table_name = "disk" if scene.disk is not None else "rotation"
+        raise InputError(table_name, "given", "left out, for a file: it holds structures at rest")
     if structure.pairs.pressure_matrix is not None:
         raise InputError("geometry.kind", "solid", "'plate', or matrices, for a file")
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
-        allowed = "reduced to crack faces without mass, and damped by [damping], for a file"
-        raise InputError("structure", repr(structure), allowed)
-    twin = coarser(prepared)
-    studies = prepared, *([] if isinstance(twin, str) else [twin[0]])
-    parts = pack_dataclass(PreparedFile(*map(_of_study, studies)))
-    write_result_file(parts, path, KIND, scene, structure.whole.comm)
-
-
-def _of_study(study: Study) -> PreparedStructure:
-    """Return the datasets of a reduced study, with all its modes (collective)."""
-    reference = getattr(study.structure, "reference", None) or study.structure
-    count = max(study.structure.n_modes, reference.n_modes)
-    displacement_rows(
-        study.structure.whole, count, np.array([watched.dof for watched in study.watched])
+        requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
+        raise InputError("structure", repr(structure), requirement)
+    coarser_study_or_reason = prepare_coarser_study(prepared)
+    studies = (
+        prepared,
+        *([] if isinstance(coarser_study_or_reason, str) else [coarser_study_or_reason[0]]),
     )
-    return PreparedStructure.of(study.structure.whole)
+    datasets = pack_dataclass(PreparedFile(*map(_gather_study_datasets, studies)))
+    write_result_file(datasets, path, FILE_KIND, scene, structure.whole.comm)
+
+
+def _gather_study_datasets(study: Study) -> PreparedStructure:
+    """Gather the datasets of a reduced study, with the modes of its reference (collective)."""
+    reference_structure = getattr(study.structure, "reference", None) or study.structure
+    n_modes = max(study.structure.n_modes, reference_structure.n_modes)
+    displacement_rows(
+        study.structure.whole,
+        n_modes,
+        np.array([displacement.dof for displacement in study.watched]),
+    )
+    return PreparedStructure.gather(study.structure.whole)
 
 
 def load_prepared(
     path: str | Path, changes: Mapping[str, object] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> Study:
-    """Read a file of :func:`save_prepared`: its scene, changed, prepared without a mesh, for
-    :func:`fenics_crack.solve` and :func:`fenics_crack.curve` (collective).
+    """Prepare the scene of a prepared file, without a mesh (collective).
+
+    :func:`fenics_crack.solve` and :func:`fenics_crack.curve` take the study.
 
     Parameters
     ----------
@@ -334,7 +389,7 @@ def load_prepared(
     Returns
     -------
     Study
-        Of the scene with these changes, not reduced.
+        Study of the scene with these changes, not reduced.
 
     Raises
     ------
@@ -348,90 +403,130 @@ def load_prepared(
     >>> fc.save_prepared(fc.prepare(kept), "plate.h5")
     >>> fc.solve(fc.load_prepared("plate.h5", {"excitation.frequency": 800.0}))
     """
-    stored = read_result_file(path, comm)
-    scene = on_root(comm, lambda: _scene_of(stored, changes or {}))
-    return prepare(scene, comm, whole=True, last=[_made(stored, scene, comm)])
+    stored_file = read_result_file(path, comm)
+    scene = on_root(comm, lambda: _changed_scene(stored_file, changes or {}))
+    return prepare(scene, comm, whole=True, last=[_make_file_structure(stored_file, scene, comm)])
 
 
-def _scene_of(stored: StoredFile, changes: Mapping[str, object]) -> Scene:
-    """The scene of a file that has been read, changed.
+def _changed_scene(stored_file: StoredFile, changes: Mapping[str, object]) -> Scene:
+    """Return the scene of a prepared file with changed keys.
 
     Raises
     ------
     InputError
-        It is of another kind, or a changed key needs a mesh.
+        The file is of another kind or has no scene, a changed key needs a mesh, or a requested
+        quantity needs matrices.
     """
-    stored.check_kind(KIND)
-    known = stored.scene()
-    if known is None:
-        raise stored.refusal("one with its scene")
-    stored.check_files(known, is_required=False)
-    scene, before = known.replace(changes), parts_shared(known, MPI.COMM_SELF)
+    stored_file.check_kind(FILE_KIND)
+    file_scene = stored_file.scene()
+    if file_scene is None:
+        raise stored_file.refusal("one with its scene")
+    stored_file.check_files(file_scene, is_required=False)
+    scene, file_dependencies = (
+        file_scene.replace(changes),
+        structure_dependencies(file_scene, MPI.COMM_SELF),
+    )
 
-    def needs_mesh(changed: Scene) -> bool:
-        after = parts_shared(changed, MPI.COMM_SELF)
-        moved = without_amplitudes(after[1]) != without_amplitudes(before[1])
-        return after[0] != before[0] or moved or (bool(scene.structure) and after != before)
+    def needs_mesh(changed_scene: Scene) -> bool:
+        changed_dependencies = structure_dependencies(changed_scene, MPI.COMM_SELF)
+        has_other_loads = loads_without_amplitudes(
+            changed_dependencies[1]
+        ) != loads_without_amplitudes(file_dependencies[1])
+        return (
+            changed_dependencies[0] != file_dependencies[0]
+            or has_other_loads
+            or (bool(scene.structure) and changed_dependencies != file_dependencies)
+        )
 
     if needs_mesh(scene):
-        for key, value in changes.items():
-            with suppress(InputError):  # of keys that need another one beside them
-                if needs_mesh(known.replace({key: value})):
+        for changed_key, changed_value in changes.items():
+            with suppress(InputError):  # keys that cannot change without another key
+                if needs_mesh(file_scene.replace({changed_key: changed_value})):
                     break
-        raise InputError(key, value, f"{VARIED}, for {stored.path}")
-    beyond = [name for name in scene.quantities or () if OBSERVABLES_BY_NAME[name].place.on_request]
-    if beyond:
-        allowed = "those of points and crack faces, for a file; else the scene itself is solved"
-        raise InputError("output.quantities", beyond, allowed)
-    _weights(known, scene)
+        raise InputError(
+            changed_key, changed_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
+        )
+    unavailable_quantities = [
+        quantity_name
+        for quantity_name in scene.quantities or ()
+        if OBSERVABLES_BY_NAME[quantity_name].place.on_request
+    ]
+    if unavailable_quantities:
+        requirement = "those of points and crack faces, for a file; else the scene itself is solved"
+        raise InputError("output.quantities", unavailable_quantities, requirement)
+    _load_weights_between_scenes(file_scene, scene)
     return scene
 
 
-def without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the loads of a scene without the amplitudes of its excitation."""
+def loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return the values of :func:`load_dependencies` without the excitation's amplitudes."""
     excitation, *other_loads = loads
-    of_parts = ("force_mean", "force_cos", "force_sin", "harmonics")
-    entries = excitation and {key: load for key, load in excitation.items() if key not in of_parts}
-    return entries, *other_loads
+    amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
+    excitation_values = excitation and {
+        key: value for key, value in excitation.items() if key not in amplitude_keys
+    }
+    return excitation_values, *other_loads
 
 
-def _weights(known: Scene, scene: Scene) -> np.ndarray:
-    """The matrix that maps rows of the load of one scene to those of another whose forces act in
-    the same place and in the same directions."""
-    if loads_of(known) == loads_of(scene):  # a file with its wave may have gone
-        return np.eye(1 + 2 * known.highest_order)
-    return load_weights(np.array(force_parts(known), dtype=float), scene)
+def _load_weights_between_scenes(file_scene: Scene, scene: Scene) -> np.ndarray:
+    """Return the matrix from a file's load rows to a scene's load rows.
+
+    Raises as :func:`load_weights_from_rows`.
+    """
+    # Equal loads are not computed: the file of a wave may be gone.
+    if load_dependencies(file_scene) == load_dependencies(scene):
+        return np.eye(1 + 2 * file_scene.highest_order)
+    return load_weights_from_rows(np.array(force_parts(file_scene), dtype=float), scene)
 
 
-def load_weights(old_rows: np.ndarray, scene: Scene) -> np.ndarray:
-    """The same for an excitation (2K+1, d) before.
+def load_weights_from_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
+    """Return the matrix from a file's load rows to a scene's load rows.
+
+    Parameters
+    ----------
+    file_load_rows : (2K+1, d) [N]
+        Force of the file's excitation.
+
+    Returns
+    -------
+    (n, 2K+1)
 
     Raises
     ------
     InputError
-        The scene's is no sum of its rows.
+        The scene's excitation is no linear combination of the file's rows, or changes beside other
+        loads.
     """
-    new_rows = np.array(force_parts(scene), dtype=float)
-    is_same = np.array_equal(old_rows, new_rows)
-    weights = np.eye(len(new_rows)) if is_same else new_rows @ np.linalg.pinv(old_rows)
-    is_no_sum = np.abs(weights @ old_rows - new_rows).max() > ROUNDING * np.abs(new_rows).max()
-    if is_no_sum or (scene.has_other_loads and not is_same):
-        requirement = f"in the directions of the file's, without other loads; or {VARIED}"
+    scene_load_rows = np.array(force_parts(scene), dtype=float)
+    has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
+    weights = (
+        np.eye(len(scene_load_rows))
+        if has_same_load_rows
+        else scene_load_rows @ np.linalg.pinv(file_load_rows)
+    )
+    is_not_representable = (
+        np.abs(weights @ file_load_rows - scene_load_rows).max()
+        > ROUNDING * np.abs(scene_load_rows).max()
+    )
+    if is_not_representable or (scene.has_other_loads and not has_same_load_rows):
+        requirement = (
+            f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
+        )
         raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement)
     return weights
 
 
-def _made(stored: StoredFile, scene: Scene, comm: MPI.Comm) -> Made:
-    """The structure of a file for a scene, with that of its coarser mesh (collective).
+def _make_file_structure(stored_file: StoredFile, scene: Scene, comm: MPI.Comm) -> SharedStructure:
+    """Make a scene's structure from a file, with its coarser mesh (collective).
 
     Raises
     ------
     InputError
         The file is not one of :func:`save_prepared`.
     """
-    known = stored.scene()
-    assert known is not None
-    weights = _weights(known, scene)
-    with stored.checked_datasets() as parts:
-        file: PreparedFile = unpack_dataclass(PreparedFile, parts)
-        return file.make_structures(scene, weights, comm)
+    file_scene = stored_file.scene()
+    assert file_scene is not None
+    load_weights = _load_weights_between_scenes(file_scene, scene)
+    with stored_file.checked_datasets() as datasets:
+        prepared_file: PreparedFile = unpack_dataclass(PreparedFile, datasets)
+        return prepared_file.make_structures(scene, load_weights, comm)

@@ -1,14 +1,21 @@
 """Campbell diagrams: natural frequencies over a rotor's speed, and the engine orders they meet.
 
 A blade is excited at multiples of the rotor's speed, w = n W with the engine order n. Resonances
-are where such a line crosses a natural frequency. Of a crack that breathes they lie near the
-bilinear frequency 2 w_o w_t / (w_o + w_t), between those with the crack open and bonded
-(:mod:`fenics_crack.model.modes`); where rotation or the mean load holds the crack open or shut,
-at the open or the bonded one, or where some pairs are pressed and others open, at one with the
-pressed ones bonded. It is held where the resonance of that state cannot change it: with the
-amplitude a = |phi . f| / (2 xi w^2) of the mode, where the open pairs are open at rest by more
-than a |B^T phi|, and the pressed ones are pressed by more than the force a |lambda| of the mode
-with these bonded, (K - w^2 M) phi + B lambda = 0.
+are where such a line crosses a natural frequency. The frequency depends on the crack's state:
+
+    breathing           near the bilinear frequency 2 w_o w_t / (w_o + w_t), between the frequencies
+                        w_o with open and w_t with bonded crack (:mod:`fenics_crack.model.modes`)
+    held open           w_o
+    held shut           w_t
+    held partly open    frequency with the pairs bonded that are pressed at rest
+
+Rotation or the mean load holds a crack in a state if the resonance of this state cannot change it.
+A mode phi with the frequency w and the damping ratio xi has the amplitude a = |phi . f| / (2 xi
+w^2) at resonance under the load f. Two conditions must hold:
+
+    open pairs          are open at rest by more than a |B^T phi|
+    pressed pairs       are pressed at rest by more than a |lambda|, with the forces of the bonds
+                        (K - w^2 M) phi + B lambda = 0
 """
 
 from __future__ import annotations
@@ -52,26 +59,32 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.rotation import Ritz, RunUpStructure, coriolis_shifts, static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import coriolis_in_words, damping_ratios, remarks_on_scene
-from fenics_crack.study.prepare import REFUSALS, law_of
-from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, at_load
-from fenics_crack.study.sharing import assembled
+from fenics_crack.study.plausibility import damping_ratios, describe_coriolis, remarks_on_scene
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
+from fenics_crack.study.resonance import (
+    N_SEARCH_MODES,
+    UNSOUGHT_RESONANCE,
+    LoadResonance,
+    find_load_resonance,
+)
+from fenics_crack.study.sharing import assemble_or_reuse
 
-HELD = (*FREQUENCY_KIND_NAMES[:2], "partly")
-"""Kinds of frequencies of a crack that its resonance does not change."""
-STATES = {
-    **dict(zip(HELD, ("held open", "held shut", "held partly open"), strict=True)),
+HELD_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
+"""Kinds of frequencies of a held crack: "open", "tied", "partly"."""
+STATE_TEXT_BY_KIND = {
+    **dict(zip(HELD_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
     "bilinear": "breathing",
 }
-"""Motion of a crack whose frequency is of a kind."""
-CHANGE = 1e-4
-"""Relative accuracy of the speed at which the state changes, or an order meets a mode."""
-ORDERS = 8
-"""Engine orders that are reported where the load has none, and drawn."""
-At = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Frequencies at a speed, and by how much the crack is held: (3, count) each."""
-Peaks = Callable[[Modes], np.ndarray]
-"""Amplitudes of modes at their own resonances under a load."""
+"""State of the crack, in words, for each kind of frequency."""
+SPEED_TOLERANCE = 1e-4
+"""Relative tolerance of a speed at which the state changes, or an order meets a mode."""
+MAX_REPORTED_ORDER = 8
+"""Highest engine order that is drawn, and reported if the load has no order."""
+StateFrequencyFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
+"""Function of a speed [rad/s]: frequencies of the kinds in HELD_KINDS [rad/s], and margins by which
+the crack is held in these states: (3, count) each."""
+PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
+"""Function of modes (n): amplitudes of the modes at their resonances under a load (n,)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,30 +94,30 @@ class Campbell(SavedResult):
     Attributes
     ----------
     scene : Scene
-        The blade's.
+        Scene of the blade.
     speed : (n,) [rad/s]
-        W, rising.
+        Rotor speeds W, rising.
     omega_open, omega_tied : (n, m) [rad/s]
-        With the crack open, in ascending order at each speed, and of the same shapes with it
-        bonded; the same without a crack.
+        Frequencies with open crack, ascending at each speed, and with bonded crack for the same
+        mode shapes. Both are the same without a crack.
     omega_partly : (n, m) [rad/s]
-        With the pairs bonded that are pressed at rest, of the same shapes.
+        Frequencies for the same mode shapes with those pairs bonded that are pressed at rest.
     cracked : bool
         True if there are crack faces.
     kind : (n, m) of "open", "tied", "partly" or "bilinear"
-        Kind of the crack's frequency at this speed, under the scene's load: it is held open,
-        held shut, held with some pairs pressed and the others open, or breathes.
+        Kind of the crack's frequency under the scene's load: the crack is held open, held shut,
+        held with some pairs pressed and the others open, or breathes.
     changes : tuple of (mode, speed, kind)
-        Where between two speeds this changes: from which speed [rad/s] on the crack is of which
-        kind in which mode (from 1).
+        Changes of the kind between two speeds: mode (from 1), speed [rad/s] and the kind from this
+        speed on.
     coriolis : (m,)
         Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
         solid, which is left out.
     at : function of a speed [rad/s], optional
-        Frequencies held open, shut and partly open there, and by how much: (3, m) each; of a
-        diagram from a file None: the blade is meshed again when it is needed.
-    met : tuple of (mode, AtLoad)
-        At each crossing of the load's own engine order, the resonance at the load over the speed.
+        Returns the frequencies held open, shut and partly open, and the margins by which they are
+        held: (3, m) each. None in a diagram from a file; the blade is then meshed again on demand.
+    met : tuple of (mode, LoadResonance)
+        Resonance at the load for each crossing of the load's own engine order.
     """
 
     scene: Scene
@@ -116,8 +129,8 @@ class Campbell(SavedResult):
     kind: np.ndarray
     changes: tuple[tuple[int, float, str], ...]
     coriolis: np.ndarray
-    at: At | None = None
-    met: tuple[tuple[int, AtLoad], ...] = ()
+    at: StateFrequencyFunction | None = None
+    met: tuple[tuple[int, LoadResonance], ...] = ()
 
     KIND: ClassVar[str] = "Campbell diagram"
     frequency_open, frequency_tied = hertz_property("omega_open"), hertz_property("omega_tied")
@@ -126,48 +139,51 @@ class Campbell(SavedResult):
 
     @classmethod
     def of(cls, stored: StoredFile) -> Campbell:
-        """A diagram from a file that has been read, whose mesh has not changed."""
-        found = super().of(stored)
-        stored.check_files(found.scene)
-        return found
+        """Return the diagram of a file; its mesh must not have changed."""
+        diagram = super().of(stored)
+        stored.check_files(diagram.scene)
+        return diagram
 
     @cached_property
-    def _at(self) -> At:
-        """Return the function :attr:`at`, from the scene if there is none."""
+    def _frequency_function(self) -> StateFrequencyFunction:
+        """The function :attr:`at`; made from the scene if there is none."""
         count = self.omega_open.shape[1]
-        return self.at or campbell(self.scene, self.speed, count, MPI.COMM_SELF)._at
+        return self.at or campbell(self.scene, self.speed, count, MPI.COMM_SELF)._frequency_function
 
     @property
     def omega_bilinear(self) -> np.ndarray:
-        """2 w_o w_t / (w_o + w_t): (n, m) [rad/s]."""
+        """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (n, m) [rad/s]."""
         return BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear
 
     @property
     def omega_real(self) -> np.ndarray:
         """Natural frequencies in the crack's state at each speed: (n, m) [rad/s]."""
-        of_kinds = [getattr(self, f"omega_{kind}") for kind in STATES]
-        return np.select([self.kind == kind for kind in STATES], of_kinds)
+        omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
+        return np.select([self.kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """ "open", "tied" and "bilinear", and "partly" where the crack is that somewhere; "open"
-        alone without a crack."""
-        seen = {*self.kind.ravel().tolist(), *(change[-1] for change in self.changes)}
-        found = (*FREQUENCY_KIND_NAMES, *seen.intersection({"partly"}))
-        return found if self.cracked else FREQUENCY_KIND_NAMES[:1]
+        """Kinds of frequencies in the diagram.
+
+        "open", "tied" and "bilinear"; "partly" if the crack is held partly open somewhere. Without
+        a crack "open" alone.
+        """
+        kinds_present = {*self.kind.ravel().tolist(), *(change[-1] for change in self.changes)}
+        all_kinds = (*FREQUENCY_KIND_NAMES, *kinds_present.intersection({"partly"}))
+        return all_kinds if self.cracked else FREQUENCY_KIND_NAMES[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
         """Find where w = order W meets natural frequencies: (k, 2), mode (from 1), speed [rad/s].
 
-        They are sought between two speeds on whose sides of the order's line a mode is.
+        A crossing is sought between two speeds if the mode changes its side of the order's line.
 
         Parameters
         ----------
         order : int
             Engine order n.
         kind : "open", "tied", "partly", "bilinear" or "real"
-            Of the frequencies; the last are those that the crack has at each speed. Where it
-            changes and its frequency falls across the order's line, they meet at the change.
+            Kind of the frequencies; "real" follows the crack's state at each speed. If a change of
+            the state drops the frequency across the order's line, the change is a crossing.
 
         Raises
         ------
@@ -175,147 +191,202 @@ class Campbell(SavedResult):
             An argument cannot be used.
         """
         check_count("order", order, 1)
-        check_choice("kind", kind, (*STATES, "real"))
+        check_choice("kind", kind, (*STATE_TEXT_BY_KIND, "real"))
         if kind == "real":
             return self._real_crossings(order)
 
-        def over(speed: float, mode: int) -> float:
-            return self._omega(mode, speed, kind) - order * speed
+        def frequency_difference(speed: float, mode: int) -> float:
+            return self._state_frequency(mode, speed, kind) - order * speed
 
-        above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
-        found = []
-        for place, mode in np.argwhere(above[1:] != above[:-1]).tolist():
-            ends = self.speed[place : place + 2].tolist()
-            found.append((mode + 1, brentq(over, *ends, (mode + 1,), rtol=CHANGE)))
-        return np.array(sorted(found)).reshape(-1, 2)
+        is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
+        crossings = []
+        for speed_index, mode_index in np.argwhere(is_above[1:] != is_above[:-1]).tolist():
+            speed_interval, mode = (
+                self.speed[speed_index : speed_index + 2].tolist(),
+                mode_index + 1,
+            )
+            speed = brentq(frequency_difference, *speed_interval, (mode,), rtol=SPEED_TOLERANCE)
+            crossings.append((mode, speed))
+        return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _real_crossings(self, order: int) -> np.ndarray:
-        """Return the crossings with each state's line where the crack is in it, or changes."""
-        found = [
+        """Return crossings with the line of the crack's actual state, and at its changes."""
+        crossings = [
             (mode, speed)
             for kind in self.kinds
             for mode, speed in self.crossings(order, kind)
-            if self._states(int(mode), speed)[1] == kind
+            if self._kinds_around(int(mode), speed)[1] == kind
         ]
         for mode, speed, _ in self.changes:
-            before, after = (self._omega(mode, speed, k) for k in self._states(mode, speed))
-            if before > order * speed > after:
-                found.append((mode, speed))
-        return np.array(sorted(found)).reshape(-1, 2)
+            omega_below, omega_above = (
+                self._state_frequency(mode, speed, state)
+                for state in self._kinds_around(mode, speed)
+            )
+            if omega_below > order * speed > omega_above:
+                crossings.append((mode, speed))
+        return np.array(sorted(crossings)).reshape(-1, 2)
 
-    def _states(self, mode: int, speed: float) -> tuple[str, str]:
-        """Return the crack's state just below a speed, and from it on."""
-        known = [*zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)]
-        known = sorted([*known, *((at, kind) for which, at, kind in self.changes if which == mode)])
-        below = [kind for at, kind in known if at < speed] or [known[0][1]]
-        return below[-1], [kind for at, kind in known if at <= speed][-1]
+    def _kinds_around(self, mode: int, speed: float) -> tuple[str, str]:
+        """Return the kinds of a mode's frequency just below and from a speed on."""
+        kinds_at_speeds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
+        changed_kinds = [
+            (start, kind) for changed_mode, start, kind in self.changes if changed_mode == mode
+        ]
+        starts_and_kinds = sorted([*kinds_at_speeds, *changed_kinds])
+        kinds_below = [kind for start, kind in starts_and_kinds if start < speed]
+        kinds_from = [kind for start, kind in starts_and_kinds if start <= speed]
+        return [kinds_from[0], *kinds_below][-1], kinds_from[-1]
 
-    def _omega(self, mode: int, speed: float, kind: str) -> float:
-        """A natural frequency at a speed."""
-        omega = self._at(speed)[0][:, mode - 1]
+    def _state_frequency(self, mode: int, speed: float, kind: str) -> float:
+        """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
+        omega = self._frequency_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega[0], omega[1]).omega_bilinear)
-        return float(omega[HELD.index(kind)])
+        return float(omega[HELD_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
-        """Speeds [rad/s], the crack's frequency in a mode (from 1) [rad/s] and its kind, along a
-        line: two points where the crack changes."""
-        speeds = {*self.speed.tolist(), *(at for which, at, _ in self.changes if which == mode)}
+        """Return speeds, frequencies [rad/s] and kinds along a mode's line.
+
+        Modes count from 1. The frequency is that of the crack's state. A change of the state gives
+        two points.
+        """
+        speeds = {
+            *self.speed.tolist(),
+            *(line_speed for changed_mode, line_speed, _ in self.changes if changed_mode == mode),
+        }
         return [
-            (at, self._omega(mode, at, kind), kind)
-            for at in sorted(speeds)
-            for kind in dict.fromkeys(self._states(mode, at))
+            (line_speed, self._state_frequency(mode, line_speed, kind), kind)
+            for line_speed in sorted(speeds)
+            for kind in dict.fromkeys(self._kinds_around(mode, line_speed))
         ]
 
-    def _at_load(self, order: int) -> list[tuple[int, float, AtLoad]]:
-        """Each crossing of an engine order: mode, speed, and of the load's own the resonance there;
-        elsewhere it is not known."""
-        own, every = order == self.scene.excitation.order, self.crossings(order, "real").tolist()
-        found = [one for _, one in self.met] if own else []
-        found += [NOT_SOUGHT] * len(every)
-        return [(int(mode), speed, one) for (mode, speed), one in zip(every, found, strict=False)]
+    def _crossing_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
+        """Return mode, speed and resonance for each crossing of an engine order.
+
+        Only the load's own engine order has known resonances.
+        """
+        load_order, crossings = self.scene.excitation.order, self.crossings(order, "real").tolist()
+        resonances = [resonance for _, resonance in self.met] if order == load_order else []
+        resonances += [UNSOUGHT_RESONANCE] * len(crossings)
+        return [
+            (int(mode), speed, resonance)
+            for (mode, speed), resonance in zip(crossings, resonances, strict=False)
+        ]
 
     def meetings(self, order: int) -> Iterator[str]:
-        """Each crossing of an engine order in words: with which mode, of the load's own at which
-        speed at the load, and at which with the natural frequency of the crack as it is there, and
-        as it would be otherwise."""
-        for mode, speed, found in self._at_load(order):
+        """Yield a text for each crossing of an engine order.
+
+        It names the mode, the resonance at the load if it is known, and the speeds at which the
+        order meets the crack's frequency in the actual state and in others.
+        """
+        for mode, speed, resonance in self._crossing_resonances(order):
             text = f"engine order {order} meets mode {mode} at "
-            if math.isfinite(found.value):
-                text += f"{_in_words(found.value)} at the load, {found.in_words}; estimated at "
-            text += _in_words(speed)
+            if math.isfinite(resonance.value):
+                text += (
+                    f"{_speed_in_words(resonance.value)} at the load, {resonance.in_words}; "
+                    "estimated at "
+                )
+            text += _speed_in_words(speed)
             if self.cracked:
-                own = [*dict.fromkeys(self._states(mode, speed))]
-                others = [
-                    f"{STATES[kind]} at {_in_words(other)}"
+                kinds_at_crossing = [*dict.fromkeys(self._kinds_around(mode, speed))]
+                alternative_texts = [
+                    f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(alternative_speed)}"
                     for kind in FREQUENCY_KIND_NAMES
-                    if kind != own[-1] or len(own) > 1
-                    for which, other in self.crossings(order, kind)
-                    if which == mode
+                    if kind != kinds_at_crossing[-1] or len(kinds_at_crossing) > 1
+                    for crossing_mode, alternative_speed in self.crossings(order, kind)
+                    if crossing_mode == mode
                 ]
-                text += f" with the crack {' before and '.join(STATES[kind] for kind in own)}"
-                text += " after" if len(own) > 1 else ""
-                text += " (bilinear estimate)" if "bilinear" in own else ""
-                text += f"; it would be {', '.join(others)}" if others else ""
+                state_texts = [STATE_TEXT_BY_KIND[kind] for kind in kinds_at_crossing]
+                text += f" with the crack {' before and '.join(state_texts)}"
+                text += " after" if len(kinds_at_crossing) > 1 else ""
+                text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
+                text += f"; it would be {', '.join(alternative_texts)}" if alternative_texts else ""
             yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
-        """Return d ln w / d ln W of the mode nearest to a frequency at a speed [rad/s].
+        """Return d ln w / d ln W of the mode nearest to a frequency [rad/s].
 
-        It is of the kind that the crack has at the next of the speeds; w^2 is linear in W^2
-        (Southwell) between two speeds and beyond them. For :func:`find_passages`.
+        The mode's frequency is of the kind that the crack has at the nearest speed of the diagram.
+        Between two speeds and beyond them, w^2 is linear in W^2 (Southwell). For
+        :func:`find_passages`.
         """
-        near = self.kind[int(np.abs(self.speed - speed).argmin())]
-        of_kinds = [getattr(self, f"omega_{kind}") for kind in STATES]
-        own = np.select([near == kind for kind in STATES], of_kinds)
-        there, slope = self._squares(speed, own)
-        mode = int(np.abs(np.sqrt(np.maximum(there, 0.0)) - omega).argmin())
-        return float(slope[mode] * speed**2 / there[mode])
+        nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
+        omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
+        state_omega = np.select(
+            [nearest_kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds
+        )
+        squares, slopes = self._interpolate_squares(speed, state_omega)
+        mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
+        return float(slopes[mode_index] * speed**2 / squares[mode_index])
 
     def between(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Natural frequencies with the crack open and bonded at a speed [rad/s], in the same way:
-        (m,) each [rad/s]."""
-        squares = (self._squares(speed, one)[0] for one in (self.omega_open, self.omega_tied))
-        opened, tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares)
-        return opened, tied
+        """Return open and bonded frequencies at a speed: (m,) [rad/s] each.
 
-    def _squares(self, speed: float, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Squares (m,) at a speed of frequencies (n, m), and their slopes over its square."""
-        squares, turns = omega**2, self.speed**2
-        place = int(np.clip(np.searchsorted(self.speed, speed), 1, len(turns) - 1))
-        slope = (squares[place] - squares[place - 1]) / (turns[place] - turns[place - 1])
-        return squares[place] + slope * (speed**2 - turns[place]), slope
+        They are interpolated as in :meth:`stiffening`.
+        """
+        squares_of_states = (
+            self._interpolate_squares(speed, omega)[0]
+            for omega in (self.omega_open, self.omega_tied)
+        )
+        omega_open, omega_tied = (np.sqrt(np.maximum(square, 0.0)) for square in squares_of_states)
+        return omega_open, omega_tied
+
+    def _interpolate_squares(
+        self, speed: float, omega: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Interpolate squares of frequencies (n, m) at a speed.
+
+        Returns
+        -------
+        squares : (m,) [rad^2/s^2]
+        slopes : (m,)
+            d(w^2) / d(W^2).
+        """
+        squares, squared_speeds = omega**2, self.speed**2
+        upper_index = int(np.clip(np.searchsorted(self.speed, speed), 1, len(squared_speeds) - 1))
+        slopes = (squares[upper_index] - squares[upper_index - 1]) / (
+            squared_speeds[upper_index] - squared_speeds[upper_index - 1]
+        )
+        return squares[upper_index] + slopes * (speed**2 - squared_speeds[upper_index]), slopes
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every speed and mode."""
-        n, m = self.omega_open.shape
-        speed = np.repeat(self.speed, m)
-        found = {"speed": speed.tolist(), "mode": np.tile(np.arange(1, m + 1), n).tolist()}
+        """Return the columns of a table with a row for every speed and mode."""
+        n_speeds, n_modes = self.omega_open.shape
+        repeated_speeds = np.repeat(self.speed, n_modes)
+        columns = {
+            "speed": repeated_speeds.tolist(),
+            "mode": np.tile(np.arange(1, n_modes + 1), n_speeds).tolist(),
+        }
         if self.cracked:
-            found["crack"] = [STATES[kind] for kind in self.kind.ravel()]
+            columns["crack"] = [STATE_TEXT_BY_KIND[kind] for kind in self.kind.ravel()]
         for kind in self.kinds:
             for name in (f"omega_{kind}", f"frequency_{kind}"):
-                found[name] = getattr(self, name).ravel().tolist()
-        return add_frequency_entries(found)
+                columns[name] = getattr(self, name).ravel().tolist()
+        return add_frequency_entries(columns)
 
     def said(self) -> Conclusion:
-        """What the last sentence on the diagram says: where the load's engine order meets modes."""
+        """Return the parts of the last sentence: crossings of the load's engine order."""
         axis, order = speed_axis(self.scene.in_rpm), self.scene.excitation.order
-        modes = format_count(self.omega_open.shape[1], "mode")
-        outcome = f"{modes} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
+        modes_text = format_count(self.omega_open.shape[1], "mode")
+        outcome_text = (
+            f"{modes_text} found between {format_in_unit(axis, self.speed[0], self.speed[-1])}"
+        )
         if order is None:
-            return Conclusion(outcome)
-        met = [
-            f"mode {mode} at {format_in_unit(axis, speed if found.unknown else found.value)}"
-            for mode, speed, found in self._at_load(order)
+            return Conclusion(outcome_text)
+        crossing_texts = [
+            f"mode {mode} at {format_in_unit(axis, speed if resonance.unknown else resonance.value)}"
+            for mode, speed, resonance in self._crossing_resonances(order)
         ]
-        return Conclusion(outcome, f"engine order {order} meets {', '.join(met) or 'none of them'}")
+        return Conclusion(
+            outcome_text,
+            f"engine order {order} meets {', '.join(crossing_texts) or 'none of them'}",
+        )
 
     def _title(self) -> str:
-        span = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
-        first = self.omega_bilinear[[0, -1], 0]
-        rise = f"first {first[0]:.6g} to {first[1]:.6g} rad/s"
-        return f"{span}, {format_count(self.omega_open.shape[1], 'mode')}, {rise}"
+        speed_text = f"speed {self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
+        first_omegas = self.omega_bilinear[[0, -1], 0]
+        frequency_text = f"first {first_omegas[0]:.6g} to {first_omegas[1]:.6g} rad/s"
+        return f"{speed_text}, {format_count(self.omega_open.shape[1], 'mode')}, {frequency_text}"
 
 
 def campbell(
@@ -326,25 +397,27 @@ def campbell(
     *,
     few: int = 4,
 ) -> Campbell:
-    """Natural frequencies of a scene's blade at some speeds; it is meshed once (collective).
+    """Find natural frequencies of a scene's blade at some speeds (collective).
+
+    The blade is meshed once.
 
     Parameters
     ----------
     scene : Scene
-        With a table ``[rotation]``, whose own speed does not matter.
+        Scene with a table ``[rotation]``, whose own speed does not matter.
     speeds : (n,) [rad/s]
-        Two or more, rising from 0 or more.
+        Two or more speeds, rising from 0 or more.
     count : int, optional
-        Number of the lowest modes; default: ``few``, or all of fewer.
+        Number of the lowest modes. Default: ``few``, or all of fewer.
     comm : MPI.Comm
         Ranks that share the mesh.
     few : int
-        Number if ``count`` is not given.
+        Number of modes if ``count`` is not given.
 
     Returns
     -------
     Campbell
-        Frequencies with the crack open and bonded at each speed, and what the crack does.
+        Frequencies with open and bonded crack, and the crack's state, at each speed.
 
     Raises
     ------
@@ -356,178 +429,295 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     if scene.disk is not None:
-        allowed = "left out of a Campbell diagram; nodal_diameters has its frequencies"
-        raise InputError("disk", "a table", allowed)
+        requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
+        raise InputError("disk", "a table", requirement)
     scene.given("rotation")
     _, axis = scene.axis
     check_count("count", few if count is None else count, 1)
-    wanted = np.atleast_1d(numbers(speeds))
-    rising = wanted.ndim == 1 and len(wanted) > 1 and bool(np.all(np.diff(wanted) > 0.0))
-    if not (rising and wanted[0] >= 0.0 and np.isfinite(wanted[-1])):
+    speed_array = np.atleast_1d(numbers(speeds))
+    is_rising = (
+        speed_array.ndim == 1 and len(speed_array) > 1 and bool(np.all(np.diff(speed_array) > 0.0))
+    )
+    if not (is_rising and speed_array[0] >= 0.0 and np.isfinite(speed_array[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
-    asked = scene
-    scene = with_crack_length(scene.replace({"rotation.speed": float(wanted[-1])}), comm)
-    top = assembled(scene, comm)
-    most = count_bonded_modes(top)
-    if count is not None and count > most:
-        raise InputError("count", count, f"a whole number from 1 to {most}")
-    count = min(few, most) if count is None else count
-    # That of an open mode's shape may come later, where the bond has taken it past others.
-    n_tied = min(count + 2, most) if top.n_pairs else 0
-    small = Ritz.of_range(top.damped(None), wanted[0], wanted[-1], count, n_tied)
-    peaks = partial(_at_resonance, small.force[1] - 1j * small.force[2], top)
+    requested_scene = scene
+    scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
+    fastest_structure = assemble_or_reuse(scene, comm)
+    max_modes = count_bonded_modes(fastest_structure)
+    if count is not None and count > max_modes:
+        raise InputError("count", count, f"a whole number from 1 to {max_modes}")
+    count = min(few, max_modes) if count is None else count
+    # The bonded mode with an open mode's shape may come later, if the bond moves it past others.
+    n_bonded_modes = min(count + 2, max_modes) if fastest_structure.n_pairs else 0
+    start, stop = speed_array[[0, -1]]
+    projection = Ritz.of_range(fastest_structure.damped(None), start, stop, count, n_bonded_modes)
+    load_amplitude = projection.force[1] - 1j * projection.force[2]
+    peak_amplitude_function = partial(_find_peak_amplitudes, load_amplitude, fastest_structure)
 
     @cache
-    def at(speed: float) -> tuple[np.ndarray, np.ndarray]:
-        return _frequencies(small.structure_at_speed(speed), peaks, count, n_tied)
+    def find_frequencies_and_margins(speed: float) -> tuple[np.ndarray, np.ndarray]:
+        return _find_frequencies_and_margins(
+            projection.structure_at_speed(speed), peak_amplitude_function, count, n_bonded_modes
+        )
 
-    omega, holds = zip(*map(at, wanted.tolist()), strict=True)
-    opened, tied, partly = np.moveaxis(omega, 1, 0)
-    changes = tuple(
-        (mode + 1, speed, kind)
-        for mode in range(count)
-        for ends in pairwise(wanted.tolist())
-        for speed, kind in _changes(at, *ends, mode)
+    omega_of_states, hold_margins = zip(
+        *map(find_frequencies_and_margins, speed_array.tolist()), strict=True
     )
-    kind = np.array([_kinds(hold) for hold in holds])
-    last = solve_modes(small.structure_at_speed(wanted[-1]), count)
-    modes = Modes(last.omega, small.basis @ last.shapes, top)
-    coriolis = coriolis_shifts(modes, wanted[-1] * axis)
-    found = Campbell(
-        asked, wanted, opened, tied, partly, top.n_pairs > 0, kind, changes, coriolis, at
+    omega_open, omega_tied, omega_partly = np.moveaxis(omega_of_states, 1, 0)
+    kind_changes = tuple(
+        (mode_index + 1, speed, kind)
+        for mode_index in range(count)
+        for interval in pairwise(speed_array.tolist())
+        for speed, kind in _find_state_changes(find_frequencies_and_margins, *interval, mode_index)
     )
-    return replace(found, met=_met(found, replace(small, structure=top)))
+    frequency_kinds = np.array([_classify_states(margins) for margins in hold_margins])
+    projected_modes = solve_modes(projection.structure_at_speed(speed_array[-1]), count)
+    modes = Modes(
+        projected_modes.omega, projection.basis @ projected_modes.shapes, fastest_structure
+    )
+    coriolis = coriolis_shifts(modes, speed_array[-1] * axis)
+    diagram = Campbell(
+        requested_scene,
+        speed_array,
+        omega_open,
+        omega_tied,
+        omega_partly,
+        fastest_structure.n_pairs > 0,
+        frequency_kinds,
+        kind_changes,
+        coriolis,
+        find_frequencies_and_margins,
+    )
+    damped_projection = replace(projection, structure=fastest_structure)
+    return replace(diagram, met=_find_load_resonances(diagram, damped_projection))
 
 
-def _met(found: Campbell, small: Ritz) -> tuple[tuple[int, AtLoad], ...]:
-    """Return the resonances at the load where its engine order crosses natural frequencies."""
-    scene, order, law = (
-        found.scene,
-        found.scene.excitation.order,
-        law_of(found.scene, small.structure),
-    )
-    if order is None or law is None:
+def _find_load_resonances(
+    diagram: Campbell, projection: Ritz
+) -> tuple[tuple[int, LoadResonance], ...]:
+    """Find the resonance at the load for each crossing of the load's engine order.
+
+    Returns
+    -------
+    tuple of (mode, LoadResonance)
+        Empty without an engine order or a crack.
+    """
+    scene, engine_order = diagram.scene, diagram.scene.excitation.order
+    law = scene_contact_law(scene, projection.structure)
+    if engine_order is None or law is None:
         return ()
-    many = replace(small, modes=max(small.modes, SOUGHT_MODES))
+    search_projection = replace(projection, modes=max(projection.modes, N_SEARCH_MODES))
 
-    def find_resonance(speed: float) -> AtLoad:
+    def find_resonance(speed: float) -> LoadResonance:
         try:
-            return at_load(scene, law, RunUpStructure(many, speed), order * speed, "speed")
-        except REFUSALS as error:
-            return AtLoad(unknown=str(error))
+            return find_load_resonance(
+                scene, law, RunUpStructure(search_projection, speed), engine_order * speed, "speed"
+            )
+        except REFUSAL_EXCEPTIONS as error:
+            return LoadResonance(unknown=str(error))
 
-    crossings = found.crossings(order, "real").tolist()
-    return tuple((int(mode), find_resonance(speed)) for mode, speed in crossings)
+    crossings = diagram.crossings(engine_order, "real").tolist()
+    return tuple((int(mode_number), find_resonance(speed)) for mode_number, speed in crossings)
 
 
-def report_of_campbell(found: Campbell) -> Report:
-    """The frequencies, and where engine orders meet them: the load's, or those up to
-    :data:`ORDERS`."""
-    scene = found.scene
-    own, unit = scene.excitation.order, "frequency" if scene.in_hertz or scene.in_rpm else "omega"
-    orders = [own] if own else [*range(1, ORDERS + 1)]
-    notes = [text for order in orders for text in found.meetings(order)]
-    if not notes and own is None:
-        notes = [f"engine orders 1 to {ORDERS} meet none"]
-    if text := coriolis_in_words(found.coriolis):
-        notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), found.speed[-1])} {text}")
+def report_of_campbell(diagram: Campbell) -> Report:
+    """Return the report of a diagram: frequencies, and crossings of engine orders.
+
+    The orders are the load's order, or all up to :data:`MAX_REPORTED_ORDER`.
+    """
+    scene = diagram.scene
+    load_order = scene.excitation.order
+    frequency_name = "frequency" if scene.in_hertz or scene.in_rpm else "omega"
+    orders = [load_order] if load_order else [*range(1, MAX_REPORTED_ORDER + 1)]
+    notes = [text for order in orders for text in diagram.meetings(order)]
+    if not notes and load_order is None:
+        notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
+    if text := describe_coriolis(diagram.coriolis):
+        notes.append(f"at {format_in_unit(speed_axis(scene.in_rpm), diagram.speed[-1])} {text}")
     columns = ["rpm" if scene.in_rpm else "speed", "mode"]
-    columns += [*(f"{unit}_{kind}" for kind in found.kinds), *(["crack"] if found.cracked else [])]
+    columns += [
+        *(f"{frequency_name}_{kind}" for kind in diagram.kinds),
+        *(["crack"] if diagram.cracked else []),
+    ]
     return Report(
-        found.table(),
-        found.said(),
-        printed_table=found.table(*columns),
+        diagram.table(),
+        diagram.said(),
+        printed_table=diagram.table(*columns),
         notes=notes,
         remarks=remarks_on_scene(scene),
     )
 
 
-def _kinds(holds: np.ndarray) -> np.ndarray:
-    """Return the crack's state in each mode, by how it is held (3, count) in each: (count,)."""
-    return np.select([*(holds > 0.0)], HELD, "bilinear")
+def _classify_states(hold_margins: np.ndarray) -> np.ndarray:
+    """Return the kind of the crack's frequency in each mode: (count,) of str.
 
-
-def _changes(at: At, low: float, high: float, mode: int) -> Iterator[tuple[float, str]]:
-    """From which speeds on, between two of them, a crack does something else in a mode (from 0).
-
-    Between held and breathing it changes where it is held by nothing more; from one held state to
-    another by way of breathing, for however narrow a range of speeds.
+    ``hold_margins`` (3, count) are the margins of the states in HELD_KINDS.
     """
-    before, after = (str(_kinds(at(speed)[1])[mode]) for speed in (low, high))
-    held = {before, after} - {"bilinear"}
-    if before != after and len(held) == 1:
-        [which] = map(HELD.index, held)
-        yield brentq(lambda speed: at(speed)[1][which, mode], low, high, rtol=CHANGE), after
-    elif before != after and high - low <= CHANGE * high:
-        yield high, after
-    elif before != after:
-        middle = 0.5 * (low + high)
-        yield from _changes(at, low, middle, mode)
-        yield from _changes(at, middle, high, mode)
+    return np.select([*(hold_margins > 0.0)], HELD_KINDS, "bilinear")
 
 
-def _in_words(speed: float) -> str:
+def _find_state_changes(
+    find_frequencies_and_margins: StateFrequencyFunction,
+    lower_speed: float,
+    upper_speed: float,
+    mode_index: int,
+) -> Iterator[tuple[float, str]]:
+    """Yield speed and new kind of each change of a crack's state.
+
+    ``lower_speed`` and ``upper_speed`` [rad/s] limit the search. Between held and breathing, the
+    state changes at zero margin. Between two held states the crack breathes in a range of speeds,
+    however narrow. ``mode_index`` counts from 0.
+    """
+    lower_kind, upper_kind = (
+        str(_classify_states(find_frequencies_and_margins(speed)[1])[mode_index])
+        for speed in (lower_speed, upper_speed)
+    )
+    held_kinds = {lower_kind, upper_kind} - {"bilinear"}
+    if lower_kind != upper_kind and len(held_kinds) == 1:
+        [kind_index] = map(HELD_KINDS.index, held_kinds)
+        change_speed = brentq(
+            lambda speed: find_frequencies_and_margins(speed)[1][kind_index, mode_index],
+            lower_speed, upper_speed, rtol=SPEED_TOLERANCE,
+        )  # fmt: skip
+        yield change_speed, upper_kind
+    elif lower_kind != upper_kind and upper_speed - lower_speed <= SPEED_TOLERANCE * upper_speed:
+        yield upper_speed, upper_kind
+    elif lower_kind != upper_kind:
+        middle_speed = 0.5 * (lower_speed + upper_speed)
+        yield from _find_state_changes(
+            find_frequencies_and_margins, lower_speed, middle_speed, mode_index
+        )
+        yield from _find_state_changes(
+            find_frequencies_and_margins, middle_speed, upper_speed, mode_index
+        )
+
+
+def _speed_in_words(speed: float) -> str:
+    """Return a speed [rad/s] in words, in rad/s and rpm."""
     return f"{speed:.5g} rad/s = {speed / RAD_PER_S_PER_RPM:.5g} rpm"
 
 
-def _at_resonance(force: np.ndarray, damped: Structure, modes: Modes) -> np.ndarray:
-    """Amplitudes of modes at their own resonances, inf without damping: (n,); under a complex force
-    on them (n,) [N], cosine less i times sine part, and with the damping of a whole structure."""
-    size = np.abs(force @ modes.shapes)
-    below = 2.0 * damping_ratios(damped, modes.omega) * modes.omega**2
-    return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)
-
-
-def _frequencies(
-    structure: Structure, peaks: Peaks, count: int, n_tied: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Natural frequencies of the states in which a crack may be held [rad/s], and by how much it is
-    held at resonance under a load, > 0 where it is: (3, count) each, in the order of HELD.
-
-    Those with the crack open are the lowest; the others have the same shapes, sought among the
-    lowest ``n_tied``.
-    """
-    is_open = solve_modes(structure, count)
-    none, every = np.zeros(structure.n_pairs, dtype=bool), np.ones(structure.n_pairs, dtype=bool)
-    if not structure.n_pairs:
-        return np.tile(is_open.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(count))
-    clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
-    moved, pressed = static_state(structure, structure.force[0], clearance)
-    shut = pressed > 0.0
-    opening = np.where(shut, 0.0, clearance - structure.apply_bt(moved[None])[0])
-    rest = np.where(np.array([none, every, shut]), pressed, opening)
-    states = zip(rest, (none, every, shut), strict=True)
-    found = [_held(is_open, peaks, own, tied, n_tied) for own, tied in states]
-    omega, hold = (np.array(part) for part in zip(*found, strict=True))
-    if shut.all() or not shut.any():
-        hold[2] = -1.0  # not partly
-    return omega, hold
-
-
-def _held(
-    is_open: Modes, peaks: Peaks, rest: np.ndarray, tied: np.ndarray, n_tied: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Natural frequencies with some pairs bonded, of the shapes of modes with the crack open
-    [rad/s], and by how much less than their state at rest the resonance moves the pairs, the least
-    of all [m, N]: (count,) each.
+def _find_peak_amplitudes(
+    force: np.ndarray, damped_structure: Structure, modes: Modes
+) -> np.ndarray:
+    """Return amplitudes of modes at their own resonances: (n_modes,); inf without damping.
 
     Parameters
     ----------
-    rest : (n_pairs,)
-        Openings of open pairs [m], and forces of bonded ones [N].
-    tied : (n_pairs,) of bool
-        True for bonded pairs.
+    force : (n,) complex [N]
+        Cosine part less i times sine part of the load, in the modes' coordinates.
+    damped_structure : Structure
+        Whole structure, whose damping the modes have.
     """
-    modes, structure = is_open, is_open.structure
-    if tied.any():
-        ties, loose = structure.gap[:, tied], np.zeros(int(tied.sum()))
-        part = Structure(Body(structure.mass, structure.stiffness, ties, structure.force, loose))
-        found = solve_modes(part, n_tied, lips="tied")
-        own = find_bonded_mode_indices(is_open, found)
-        modes = Modes(found.omega[own], found.shapes[:, own], structure)
-    change = np.abs(structure.apply_bt(modes.shapes.T)).T
-    if tied.any():
-        stiff, heavy = (multiply(m, modes.shapes) for m in (structure.stiffness, structure.mass))
-        left = ties.T @ (heavy * modes.omega**2 - stiff)
-        change[tied] = np.abs(np.linalg.lstsq((ties.T @ ties).toarray(), left, rcond=None)[0])
-    return modes.omega, (rest[:, None] - peaks(modes) * change).min(axis=0)
+    modal_forces = np.abs(force @ modes.shapes)
+    denominators = 2.0 * damping_ratios(damped_structure, modes.omega) * modes.omega**2
+    return np.divide(
+        modal_forces,
+        denominators,
+        out=np.where(modal_forces > 0.0, np.inf, 0.0),
+        where=denominators > 0.0,
+    )
+
+
+def _find_frequencies_and_margins(
+    structure: Structure,
+    peak_amplitude_function: PeakAmplitudeFunction,
+    n_modes: int,
+    n_bonded_modes: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find frequencies and margins of the states in which a crack may be held.
+
+    The frequencies with open crack are the lowest. The others belong to the same shapes, sought
+    among the lowest ``n_bonded_modes``.
+
+    Returns
+    -------
+    omega : (3, n_modes) [rad/s]
+        Frequencies in the order of HELD_KINDS.
+    hold_margins : (3, n_modes) [m], [N]
+        Margins at resonance under the load; positive if the crack is held.
+    """
+    open_modes = solve_modes(structure, n_modes)
+    no_pairs, all_pairs = (
+        np.zeros(structure.n_pairs, dtype=bool),
+        np.ones(structure.n_pairs, dtype=bool),
+    )
+    if not structure.n_pairs:
+        return np.tile(open_modes.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(n_modes))
+    clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
+    static_displacement, pair_forces = static_state(structure, structure.force[0], clearance)
+    is_pressed = pair_forces > 0.0
+    openings = np.where(
+        is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]
+    )
+    rest_states = np.where(np.array([no_pairs, all_pairs, is_pressed]), pair_forces, openings)
+    held_states = zip(rest_states, (no_pairs, all_pairs, is_pressed), strict=True)
+    state_results = [
+        _find_held_frequencies_and_margins(
+            open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
+        )
+        for rest_state, is_bonded in held_states
+    ]
+    omega, hold_margins = (np.array(results) for results in zip(*state_results, strict=True))
+    if is_pressed.all() or not is_pressed.any():
+        hold_margins[2] = -1.0  # not partly
+    return omega, hold_margins
+
+
+def _find_held_frequencies_and_margins(
+    open_modes: Modes,
+    peak_amplitude_function: PeakAmplitudeFunction,
+    rest_state: np.ndarray,
+    is_bonded: np.ndarray,
+    n_bonded_modes: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find frequencies and margins with some pairs bonded, for the shapes of open modes.
+
+    Parameters
+    ----------
+    rest_state : (n_pairs,) [m], [N]
+        Openings of open pairs, and forces of bonded pairs, at rest.
+    is_bonded : (n_pairs,) of bool
+
+    Returns
+    -------
+    omega : (n_modes,) [rad/s]
+    hold_margins : (n_modes,) [m], [N]
+        Smallest value over all pairs: state at rest less its amplitude at resonance.
+    """
+    modes, structure = open_modes, open_modes.structure
+    if is_bonded.any():
+        bonded_gap_rows, zero_clearance = (
+            structure.gap[:, is_bonded],
+            np.zeros(int(is_bonded.sum())),
+        )
+        bonded_structure = Structure(
+            Body(
+                structure.mass,
+                structure.stiffness,
+                bonded_gap_rows,
+                structure.force,
+                zero_clearance,
+            )
+        )
+        bonded_modes = solve_modes(bonded_structure, n_bonded_modes, lips="tied")
+        mode_indices = find_bonded_mode_indices(open_modes, bonded_modes)
+        modes = Modes(
+            bonded_modes.omega[mode_indices], bonded_modes.shapes[:, mode_indices], structure
+        )
+    pair_changes = np.abs(structure.apply_bt(modes.shapes.T)).T
+    if is_bonded.any():
+        stiffness_products, mass_products = (
+            multiply(matrix, modes.shapes) for matrix in (structure.stiffness, structure.mass)
+        )
+        unbalanced_forces = bonded_gap_rows.T @ (
+            mass_products * modes.omega**2 - stiffness_products
+        )
+        pair_changes[is_bonded] = np.abs(
+            np.linalg.lstsq(
+                (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
+            )[0]
+        )
+    return modes.omega, (rest_state[:, None] - peak_amplitude_function(modes) * pair_changes).min(
+        axis=0
+    )

@@ -1,9 +1,9 @@
-"""Other meshes of a scene: a coarser one, elements about twice as long or those of mesh.coarser
-where the mesh is a file, and finer ones.
+"""Coarser and finer meshes of a scene.
 
-The ratio of lengths follows from the numbers of elements; of a solid that is meshed here it is that
-at the fronts of its cracks, as no element becomes longer than the solid is thick, and of a disk's
-sector that at its crack tips and corners.
+Elements of the coarser mesh are about twice as long; if the mesh is a file, the coarser mesh is the
+file ``mesh.coarser``. The ratio of element lengths follows from the numbers of elements. For a
+solid or a disk's sector that is meshed here, the given sizes at crack fronts, tips and corners are
+compared.
 """
 
 from __future__ import annotations
@@ -18,36 +18,57 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import extents
+from fenics_crack.study.plausibility import mesh_extents
 from fenics_crack.study.prepare import Study, prepare
-from fenics_crack.study.sharing import kept
+from fenics_crack.study.sharing import coarser_structure_cache
 
 
-def coarser(study: Study) -> tuple[Study, tuple[int, int], float] | str:
-    """The twin on a coarser mesh, reduced where the study is, the elements of both, and how much
-    longer those of the twin are; or why there is none (collective)."""
-    structure, coarse = study.structure, coarser_scene(study.scene)
-    if isinstance(coarse, str):
-        return coarse
+def prepare_coarser_study(study: Study) -> tuple[Study, tuple[int, int], float] | str:
+    """Prepare a study on a coarser mesh, reduced if the study is (collective).
+
+    Returns
+    -------
+    coarser_study : Study
+    element_counts : (int, int)
+        Numbers of elements of the study and of the coarser study.
+    length_ratio : float
+        Element length of the coarser mesh over that of the study's mesh.
+
+    Without a coarser mesh, the reason as a text.
+    """
+    structure, coarser_scene = study.structure, make_coarser_scene(study.scene)
+    if isinstance(coarser_scene, str):
+        return coarser_scene
     scene = study.scene
     with prefix_stages("a coarser mesh"):
-        whole = structure.whole is structure
-        last = structure.whole.compute_once(kept, from_matrices=True)
-        twin = prepare(coarse, structure.comm, whole=whole, judged=False, last=last)
-    counts = n_elements(structure), n_elements(twin.structure)
-    if not counts[1] < counts[0]:
+        is_unreduced = structure.whole is structure
+        coarser_entries = structure.whole.compute_once(coarser_structure_cache, from_matrices=True)
+        coarser_study = prepare(
+            coarser_scene, structure.comm, whole=is_unreduced, judged=False, last=coarser_entries
+        )
+    element_counts = count_elements(structure), count_elements(coarser_study.structure)
+    if not element_counts[1] < element_counts[0]:
         return "a coarser one has as many elements"
-    own, other = (np.array(extents(one.whole)) for one in (structure, twin.structure))
-    side = (other.prod() / counts[1]) ** (1.0 / len(other))
-    if np.any(np.abs(other - own) > side):  # curved sides differ by parts of an element
-        return f"mesh.coarser is another part, of {' x '.join(f'{size:.4g}' for size in other)} m"
-    if scene.mesh.layout == "file" and (why := _other_cracks(structure, twin.structure)):
-        return why
-    return twin, counts, _ratio(scene, coarse, counts)
+    structures = structure, coarser_study.structure
+    fine_extents, coarser_extents = (
+        np.array(mesh_extents(meshed_structure.whole)) for meshed_structure in structures
+    )
+    element_length = (coarser_extents.prod() / element_counts[1]) ** (1.0 / len(coarser_extents))
+    # Curved sides differ by less than an element.
+    if np.any(np.abs(coarser_extents - fine_extents) > element_length):
+        extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
+        return f"mesh.coarser is another part, of {extents_text} m"
+    if scene.mesh.layout == "file" and (mismatch_text := _describe_crack_mismatch(*structures)):
+        return mismatch_text
+    return (
+        coarser_study,
+        element_counts,
+        _element_length_ratio(scene, coarser_scene, element_counts),
+    )
 
 
-def coarser_scene(scene: Scene) -> Scene | str:
-    """The scene with a coarser mesh, or why there is none."""
+def make_coarser_scene(scene: Scene) -> Scene | str:
+    """Return the scene with a coarser mesh, or the reason why there is none."""
     if scene.structure is not None:
         return "matrices have no coarser mesh"
     if not scene.mesh.error:
@@ -57,119 +78,175 @@ def coarser_scene(scene: Scene) -> Scene | str:
     if scene.mesh.layout == "file":
         if scene.mesh.coarser is None:
             return "mesh.coarser is not given"
-        changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
-        return scene.replace(changes | _patches(scene, 0.5))
-    with suppress(InputError):  # its lines miss the crack
-        if (made := finer_mesh(scene, 0.5)) is not None:
-            return made
+        key_changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
+        return scene.replace(key_changes | _patch_changes(scene, 0.5))
+    with suppress(InputError):  # the grid's lines miss the crack
+        if (coarser_scene := refine_scene(scene, 0.5)) is not None:
+            return coarser_scene
     return "a grid of half as many columns and rows has no lines along the crack"
 
 
-def _ratio(scene: Scene, coarse: Scene, counts: tuple[int, int]) -> float:
-    """Return the ratio of the element lengths of a coarser mesh.
+def _element_length_ratio(
+    scene: Scene, coarser_scene: Scene, element_counts: tuple[int, int]
+) -> float:
+    """Return the element length of a coarser mesh over that of a scene's mesh.
 
-    It follows from their numbers, but at the fronts of the cracks of a solid, and at the tips and
-    corners of a disk's sector, where they err the most, from the given sizes. Elements longer than
-    a solid is thick become no longer across it, and leave more than these say.
+    The ratio follows from the numbers of elements. For a solid with cracks or a disk's sector the
+    given sizes are compared, because they hold where the error is largest. A size above a solid's
+    shortest side does not count, because elements cannot be longer than the solid is thick.
     """
-    size, plane = scene.mesh.size, scene.dimension == 2
-    if scene.has_element_lengths and size is not None and (scene.all_cracks or plane):
-        if plane or size <= min(scene.geometry.sides, default=math.inf):
-            return coarse.mesh.given("size") / size
-    return float((counts[0] / counts[1]) ** (1.0 / scene.dimension))
+    element_size, is_plane = scene.mesh.size, scene.dimension == 2
+    if scene.has_element_lengths and element_size is not None and (scene.all_cracks or is_plane):
+        if is_plane or element_size <= min(scene.geometry.sides, default=math.inf):
+            return coarser_scene.mesh.given("size") / element_size
+    return float((element_counts[0] / element_counts[1]) ** (1.0 / scene.dimension))
 
 
-def _other_cracks(structure: Structure, coarse: Structure) -> str:
-    """Describe the cracks of a coarser mesh that are not those of a structure: their faces have
-    another area, or another middle, than the elements of the coarser one allow; or ""."""
-    own, other = _lips(structure), _lips(coarse)
-    if len(own) != len(other):
-        return f"mesh.coarser has another number of cracks, {len(other)} instead of {len(own)}"
-    for number, ((areas, points), (its, at)) in enumerate(zip(own, other, strict=True), 1):
-        area, there = areas.sum(), its.sum()
-        away = float(np.linalg.norm(areas @ points / area - its @ at / there))
-        part = len(its) ** (-1.0 / (points.shape[1] - 1))  # elements at its front have no pairs
-        size = np.linalg.norm(np.ptp(points, axis=0))
-        if abs(there - area) > part * area or away > part * size:
-            faces = f"crack faces of {there:.3g} m^2 instead of {area:.3g}"
-            found = f"mesh.coarser has another crack {number}"
-            return f"{found}: {faces}, their middle {away:.2g} m away"
+def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure) -> str:
+    """Describe how cracks differ in a coarser mesh; "" if they agree.
+
+    Area and centroid of the faces may differ by an element of the coarser mesh.
+    """
+    crack_pairs, coarser_crack_pairs = (
+        _crack_face_pairs(structure),
+        _crack_face_pairs(coarser_structure),
+    )
+    if len(crack_pairs) != len(coarser_crack_pairs):
+        counts_text = f"{len(coarser_crack_pairs)} instead of {len(crack_pairs)}"
+        return f"mesh.coarser has another number of cracks, {counts_text}"
+    for crack_number, ((areas, points), (coarser_areas, coarser_points)) in enumerate(
+        zip(crack_pairs, coarser_crack_pairs, strict=True), 1
+    ):
+        area, coarser_area = areas.sum(), coarser_areas.sum()
+        centroid_shift = areas @ points / area - coarser_areas @ coarser_points / coarser_area
+        centroid_distance = float(np.linalg.norm(centroid_shift))
+        # Elements at the front have no pairs.
+        relative_tolerance = len(coarser_areas) ** (-1.0 / (points.shape[1] - 1))
+        crack_size = np.linalg.norm(np.ptp(points, axis=0))
+        if (
+            abs(coarser_area - area) > relative_tolerance * area
+            or centroid_distance > relative_tolerance * crack_size
+        ):
+            area_text = f"crack faces of {coarser_area:.3g} m^2 instead of {area:.3g}"
+            crack_text = f"mesh.coarser has another crack {crack_number}"
+            return f"{crack_text}: {area_text}, their middle {centroid_distance:.2g} m away"
     return ""
 
 
-def _lips(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Areas [m^2] and places [m] of the pairs of each crack."""
+def _crack_face_pairs(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return areas (n,) [m^2] and positions (n, d) [m] of each crack's pairs."""
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
         return []
-    each = (pairs.cracks == crack for crack in np.unique(pairs.cracks))
-    return [(pairs.areas[its], pairs.points[its]) for its in each]
+    pair_masks = (pairs.cracks == crack for crack in np.unique(pairs.cracks))
+    return [(pairs.areas[pair_mask], pairs.points[pair_mask]) for pair_mask in pair_masks]
 
 
-def finer_mesh(scene: Scene, factor: float) -> Scene | None:
-    """A scene whose elements are ``factor`` times as short; None where the scene makes no such
-    mesh.
+def refine_scene(scene: Scene, refinement_factor: float) -> Scene | None:
+    """Return a scene with elements ``refinement_factor`` times as short; None without such a mesh.
 
-    Elements along crack faces are counted up to the next whole number, and all others and patches
-    follow them, so that the mesh stays of one kind; three or more of a solid, or of a disk's
-    sector, to that next to the factor (:func:`_similar`). Where these become finer, a size counts
-    as the shortest side if it is longer; where they become coarser, it is as it is, for elements of
-    a thin solid may be longer. A grid becomes finer by the next whole factor, so that cracks stay
-    on its lines; or coarser by 2, where that is possible.
+    The number of elements along crack faces is rounded up; sizes and patches follow it, so that the
+    mesh stays similar. In a solid or a disk's sector, three or more elements along a face change
+    with their grading (:func:`_similar_grading`). For a finer mesh, a size above the shortest side
+    counts as that side; for a coarser mesh it stays, because elements of a thin solid may be
+    longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines, or
+    coarser by 2 if its counts are even.
     """
-    mesh = scene.mesh
-    if mesh is None or mesh.layout == "file":
+    mesh_table = scene.mesh
+    if mesh_table is None or mesh_table.layout == "file":
         return None
-    changes: dict[str, Any] = {}
-    lips, size = mesh.lip_elements, mesh.size
-    if scene.has_element_lengths and size is not None and factor > 1.0:
-        size = min([size, *scene.geometry.sides])
-    if scene.has_element_lengths and lips is not None and lips > 2:
-        count, grading, factor = _similar(lips, mesh.grading, factor)
-        changes |= {"mesh.lip_elements": count, "mesh.grading": grading}
-    elif lips is not None:
-        count = changes["mesh.lip_elements"] = math.ceil(factor * lips)
-        factor = factor if count == lips else count / lips
-    if size is not None:
-        changes["mesh.size"] = size / factor
+    key_changes: dict[str, Any] = {}
+    n_face_elements, element_size = mesh_table.lip_elements, mesh_table.size
+    if scene.has_element_lengths and element_size is not None and refinement_factor > 1.0:
+        element_size = min([element_size, *scene.geometry.sides])
+    if scene.has_element_lengths and n_face_elements is not None and n_face_elements > 2:
+        n_new_elements, grading, refinement_factor = _similar_grading(
+            n_face_elements, mesh_table.grading, refinement_factor
+        )
+        key_changes |= {"mesh.lip_elements": n_new_elements, "mesh.grading": grading}
+    elif n_face_elements is not None:
+        n_new_elements = key_changes["mesh.lip_elements"] = math.ceil(
+            refinement_factor * n_face_elements
+        )
+        refinement_factor = (
+            refinement_factor
+            if n_new_elements == n_face_elements
+            else n_new_elements / n_face_elements
+        )
+    if element_size is not None:
+        key_changes["mesh.size"] = element_size / refinement_factor
     for key in ("columns", "rows"):
-        count = getattr(mesh, key)
-        if count is not None:
-            changes[f"mesh.{key}"] = math.ceil(factor) * count if factor > 1.0 else count // 2
-            if factor < 1.0 and count % 2:
+        n_cells = getattr(mesh_table, key)
+        if n_cells is not None:
+            key_changes[f"mesh.{key}"] = (
+                math.ceil(refinement_factor) * n_cells if refinement_factor > 1.0 else n_cells // 2
+            )
+            if refinement_factor < 1.0 and n_cells % 2:
                 return None
-    return scene.replace(changes | _patches(scene, factor))
+    return scene.replace(key_changes | _patch_changes(scene, refinement_factor))
 
 
-def _patches(scene: Scene, factor: float) -> dict[str, int]:
-    """Patches ``factor`` times as short, so that their error is part of the mesh's."""
-    count = scene.mesh.patches
-    return {"mesh.patches": max(1, round(count * factor ** (scene.dimension - 1)))} if count else {}
+def _patch_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
+    """Return the change of the scene's key for patches ``refinement_factor`` times as short.
 
-
-def _similar(count: int, grading: float, factor: float) -> tuple[int, float, float]:
-    """Elements along a crack face of a solid and their grading so that the mesh is similar and
-    about ``factor`` times as fine, and the factor that it is.
-
-    The n elements are h_0 r^k long, r^(n - 1) being the grading, and those beside them
-    h_0 + (r - 1) d at a distance d from the front. Where r^n stays, so does h_0 / (r - 1).
+    Their error then is part of the mesh's error. Empty without patches.
     """
-    grown = math.log(grading) * count / (count - 1) or 1e-9  # log r^n; next to none: r > 1
-    rise = math.expm1(grown / count)
-    new = round(grown / math.log1p(rise / factor))
-    return new, math.exp(grown * (new - 1) / new), rise / math.expm1(grown / new)
+    n_patches = scene.mesh.patches
+    return (
+        {"mesh.patches": max(1, round(n_patches * refinement_factor ** (scene.dimension - 1)))}
+        if n_patches
+        else {}
+    )
 
 
-def n_elements(structure: Structure) -> int:
-    """Return the number of elements; of matrices 1 (collective)."""
-    whole = structure.whole
-    return max(1, 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells)))
+def _similar_grading(
+    n_elements: int, grading: float, refinement_factor: float
+) -> tuple[int, float, float]:
+    """Refine graded elements along a solid's crack face to a similar mesh.
+
+    The n elements are h_0 r^k long, k = 0 to n - 1, with the grading r^(n - 1). Neighbouring
+    elements are h_0 + (r - 1) d long at the distance d from the front. If r^n stays the same, so
+    does h_0 / (r - 1).
+
+    Returns
+    -------
+    n_new_elements : int
+    grading : float
+    refinement_factor : float
+        Actual ratio of old to new element lengths, near the requested one.
+    """
+    # log r^n; equal elements count as hardly graded, since r must exceed 1
+    log_growth = math.log(grading) * n_elements / (n_elements - 1) or 1e-9
+    growth_rate = math.expm1(log_growth / n_elements)
+    n_new_elements = round(log_growth / math.log1p(growth_rate / refinement_factor))
+    return (
+        n_new_elements,
+        math.exp(log_growth * (n_new_elements - 1) / n_new_elements),
+        growth_rate / math.expm1(log_growth / n_new_elements),
+    )
 
 
-def is_even(scene: Scene) -> bool:
-    """Return True if a mesh 1.5 times finer is of the same kind: not where elements along a crack
-    face, rounded up, are many more than that."""
+def count_elements(structure: Structure) -> int:
+    """Return the number of elements of a structure's mesh; 1 for matrices (collective)."""
+    whole_structure = structure.whole
+    return max(
+        1,
+        0
+        if whole_structure.nodes is None
+        else whole_structure.comm.allreduce(len(whole_structure.nodes.cells)),
+    )
+
+
+def can_refine_evenly(scene: Scene) -> bool:
+    """Return True if a mesh 1.5 times finer is similar.
+
+    It is not if the rounded number of elements along a crack face grows by more than 1.56.
+    """
     if scene.mesh.layout != "graded":
         return False
-    finer, lips = finer_mesh(scene, 1.5), scene.mesh.lip_elements
-    return finer is None or lips is None or finer.mesh.given("lip_elements") <= 1.56 * lips
+    finer_scene, n_face_elements = refine_scene(scene, 1.5), scene.mesh.lip_elements
+    return (
+        finer_scene is None
+        or n_face_elements is None
+        or finer_scene.mesh.given("lip_elements") <= 1.56 * n_face_elements
+    )

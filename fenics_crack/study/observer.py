@@ -1,7 +1,8 @@
-"""Observation of a study's motions: of its watched points and the crack faces, and of crack tips
-and the clamp where its scene requests their quantities. One walk along a curve observes all.
+"""Observation of a study's motions: the numbers that are printed, written and drawn.
 
-What is at crack tips and at the clamp follows from rows that multiply the displacement.
+Watched points and crack faces are always observed; crack tips and the clamp only if the scene
+requests their quantities. One pass along a curve observes everything. Stress intensities and clamp
+reactions follow from rows R that multiply the displacement u, as the time history R u.
 """
 
 from __future__ import annotations
@@ -41,28 +42,37 @@ if TYPE_CHECKING:
     from fenics_crack.fem.interaction_integral import Tip
 
 
-MIN_STATIONS = 3
-"""Stations of a front along which K may vary; that of two is its mean over the front."""
-EXPANDED = 20_000_000
-"""Values of the whole structure that are expanded at once, 160 MB: each time it is factored."""
+MIN_FRONT_STATIONS = 3
+"""Minimum number of stations along which K varies; with two it is the mean over the front."""
+MAX_EXPANDED_VALUES = 20_000_000
+"""Maximum number of values of the whole structure that are expanded at once (160 MB). Each
+expansion factors the structure again."""
 
 
-def rows_requested(study: Study) -> list[ExtraRows]:
-    """Places of rows of their own whose quantities a study's scene requests; the rows are made once
-    for its structure (collective)."""
-    requested = {OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(study.scene)}
-    return [make(study) for place, make in _ROWS.items() if place in requested]
+def make_requested_rows(study: Study) -> list[ExtraRows]:
+    """Make the rows for requested quantities of crack tips and clamp (collective).
+
+    Rows are made once for the study's structure.
+    """
+    requested_places = {
+        OBSERVABLES_BY_NAME[name].place for name in quantities_on_request(study.scene)
+    }
+    return [
+        make_rows(study)
+        for place, make_rows in _MAKE_ROWS_BY_PLACE.items()
+        if place in requested_places
+    ]
 
 
-class Quantity(NamedTuple):
-    """A number of a motion, or along a curve an array.
+class ObservedQuantity(NamedTuple):
+    """A number of a motion, or an array along a curve.
 
     Attributes
     ----------
     column, name : str
-        "tip.ux.ratio_2_1", and that of its observable, "ratio_2_1".
+        Name of its column, "tip.ux.ratio_2_1", and of its observable, "ratio_2_1".
     words, unit : str
-        With what is watched.
+        Description, with the watched displacement, and unit.
     value : float or (n,)
     """
 
@@ -73,215 +83,302 @@ class Quantity(NamedTuple):
     name: str
 
 
-def observe(study: Study, motion: ObservedMotion) -> list[Quantity]:
-    """The numbers of each watched displacement, of the crack faces, and at places of rows of their
-    own those that a study's scene requests (collective)."""
-    dofs = [watched.dof for watched in study.watched]
-    displacements, others = motion.observe(dofs, rows_requested(study))
+def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQuantity]:
+    """Return the numbers of a motion: watched displacements, crack faces, requests (collective).
+
+    Requested are quantities of crack tips and the clamp.
+    """
+    dofs = [displacement.dof for displacement in study.watched]
+    observed_displacements, extra_value_by_name = motion.observe(dofs, make_requested_rows(study))
     quantities = []
-    for watched, (indicators, _) in zip(study.watched, displacements, strict=True):
+    for displacement, (indicators, _) in zip(study.watched, observed_displacements, strict=True):
         for name in observable_names(Place.POINT):
-            row = OBSERVABLES_BY_NAME[name]
-            of_point = f", {watched.words}" if watched.name or name == "amplitude" else ""
-            number = row.words + of_point, getattr(indicators, name), row.unit, name
-            quantities.append(Quantity(watched.column(name), *number))
-    values = motion.faces | {name: others[name] for name in quantities_on_request(study.scene)}
-    for name, value in values.items():
-        row = OBSERVABLES_BY_NAME[name]
-        quantities.append(Quantity(name, row.words, value, row.unit, name))
+            observable = OBSERVABLES_BY_NAME[name]
+            needs_words = displacement.name or name == "amplitude"
+            words = observable.words + (f", {displacement.words}" if needs_words else "")
+            column, value = displacement.column(name), getattr(indicators, name)
+            quantities.append(ObservedQuantity(column, words, value, observable.unit, name))
+    value_by_name = motion.faces | {
+        name: extra_value_by_name[name] for name in quantities_on_request(study.scene)
+    }
+    for name, value in value_by_name.items():
+        observable = OBSERVABLES_BY_NAME[name]
+        quantities.append(ObservedQuantity(name, observable.words, value, observable.unit, name))
     return quantities
 
 
 # --- the clamp ------------------------------------------------------------------------------------
 
 
-class Held(NamedTuple):
-    """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of the clamp over time."""
+class ClampReactions(NamedTuple):
+    """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of the clamp over time.
+
+    ``n_rigid`` is the number of rigid-body motions.
+    """
 
     force: np.ndarray
     moment: np.ndarray
 
 
-def held(record: Record) -> Held:
-    """The clamp in a record of :func:`inertia_rows`."""
-    whole, omega = record.structure.whole, record.omega
-    clamp, drag = _clamp(whole)
+def compute_clamp_reactions(record: Record) -> ClampReactions:
+    """Compute clamp reactions over time from a record of :func:`clamp_inertia_rows`."""
+    whole_structure, omega = record.structure.whole, record.omega
+    clamp, drag_factor = _clamp_and_drag(whole_structure)
     if record.instants_per_load_period:
-        return Held(*clamp.reaction_of_record(record.time, record.row_products, omega, drag))
-    base = omega / record.subharmonic
-    parts = record.coefficients, base, record.subharmonic, drag, base * record.time
-    return Held(*clamp.reaction_of_waves(*parts))
+        return ClampReactions(
+            *clamp.reaction_of_record(record.time, record.row_products, omega, drag_factor)
+        )
+    subharmonic, base_omega = record.subharmonic, omega / record.subharmonic
+    phases = base_omega * record.time
+    reactions = clamp.reaction_of_waves(
+        record.coefficients, base_omega, subharmonic, drag_factor, phases
+    )
+    return ClampReactions(*reactions)
 
 
-def _clamp(whole: Structure) -> tuple[Clamp, float]:
-    """The clamp of a structure, and a [1/s] of Rayleigh's damping."""
-    check_matrices(whole, "its clamp")
-    assert whole.clamp is not None  # the scene has been checked
-    return whole.clamp, whole.damping.mass if isinstance(whole.damping, RayleighDamping) else 0.0
+def _clamp_and_drag(whole_structure: Structure) -> tuple[Clamp, float]:
+    """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
+    check_matrices(whole_structure, "its clamp")
+    assert whole_structure.clamp is not None  # the scene has been checked
+    clamp, damping = whole_structure.clamp, whole_structure.damping
+    return clamp, damping.mass if isinstance(damping, RayleighDamping) else 0.0
 
 
-def inertia_rows(structure: Structure) -> np.ndarray:
-    """r^T M in the coordinates of a structure: (n_rigid, n_local). What has no mass has no inertia:
-    truncated modes respond quasi-statically (collective)."""
-    whole, inertia = structure.whole, _clamp(structure.whole)[0].inertia
-    if structure is whole:
+def clamp_inertia_rows(structure: Structure) -> np.ndarray:
+    """Return r^T M of the rigid-body motions r: (n_rigid, n_local) (collective).
+
+    The columns are the structure's coordinates. Coordinates without mass have no inertia, since
+    truncated modes respond quasi-statically.
+    """
+    whole_structure, inertia = structure.whole, _clamp_and_drag(structure.whole)[0].inertia
+    if structure is whole_structure:
         return inertia
-    # with mass, where not all coordinates have it
-    known = structure.known_omega_and_shapes(is_bonded=False)
-    shapes = np.eye(structure.n_dofs) if known is None else known[1]
-    rows = whole.sum_over_ranks(structure.expand(shapes.T) @ inertia.T).T @ shapes.T
+    # These modes have mass, even if some coordinates have none.
+    known_modes = structure.known_modes(is_bonded=False)
+    mode_shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
+    modal_inertia = whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))
-    return np.asarray(rows @ mass)
+    return np.asarray(modal_inertia @ mode_shapes.T @ mass)
 
 
 # --- the tips -------------------------------------------------------------------------------------
 
 
-class AtTip(NamedTuple):
-    """Stress intensity at a crack tip, or a place of a crack front, over time.
+class TipHistory(NamedTuple):
+    """Stress intensity at a crack tip, or a station of a crack front, over time.
 
     Attributes
     ----------
-    one, two, three : (n,) [Pa m^1/2]
-        K_I, K_II, and of a solid K_III; of a plate None.
-    closed : float [Pa m^1/2]
-        Largest size of what is computed for K_I of a solid where it is zero by contact: its error.
+    K_I, K_II, K_III : (n,) [Pa m^1/2]
+        K_III is None for a plate.
     periods : float
-        Periods of the load that it lasts, or after which it repeats itself.
-    law : Growth or None
-        Law of growth of the scene.
+        Duration, or period of the motion, in periods of the load.
+    growth_law : Growth or None
+        Law of crack growth of the scene.
+    closed_front_error : float [Pa m^1/2]
+        Largest |K_I| computed where contact makes K_I zero or not negative: its error in a solid.
     """
 
-    one: np.ndarray
-    two: np.ndarray
+    K_I: np.ndarray
+    K_II: np.ndarray
     periods: float
-    law: Growth | None
-    three: np.ndarray | None = None
-    closed: float = 0.0
+    growth_law: Growth | None
+    K_III: np.ndarray | None = None
+    closed_front_error: float = 0.0
 
     @property
-    def equivalent(self) -> float:
-        """The range from K_I = 0 that, once a period, makes a crack grow as much as K_I (n,) does,
+    def equivalent_range(self) -> float:
+        """Range of K_I from 0 that, once a period, gives the same crack growth.
 
-            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m) [Pa m^1/2],
+            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / periods)^(1 / m) [Pa m^1/2]
 
-        over the cycles i that are counted, delta K_i being the range while the tip is open; those
-        below the threshold are left out where another is above it."""
-        assert self.law is not None
-        high, low = counted_cycles(np.maximum(self.one, 0.0)).T
-        ranges = high - low
+        The sum is over the rainflow cycles i, with the range delta K_i while the tip is open and
+        the ratio R_i of minimum to maximum. Cycles below the threshold are left out if another
+        cycle is above it.
+        """
+        assert self.growth_law is not None
+        maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
+        ranges = maxima - minima
         if not ranges.size:
             return 0.0
-        ratio = np.minimum(low / high, 1.0 - 1e-9)
-        drive = ranges / (1.0 - ratio) ** (1.0 - self.law.ratio_exponent)
-        grows = ranges >= min(self.law.threshold, ranges.max())
-        parts = np.where(grows, drive / drive.max(), 0.0) ** self.law.exponent
-        return float(drive.max() * (parts.sum() / self.periods) ** (1.0 / self.law.exponent))
+        load_ratios = np.minimum(minima / maxima, 1.0 - 1e-9)
+        driving_ranges = ranges / (1.0 - load_ratios) ** (1.0 - self.growth_law.ratio_exponent)
+        is_growing = ranges >= min(self.growth_law.threshold, ranges.max())
+        growth_terms = (
+            np.where(is_growing, driving_ranges / driving_ranges.max(), 0.0)
+            ** self.growth_law.exponent
+        )
+        return float(
+            driving_ranges.max()
+            * (growth_terms.sum() / self.periods) ** (1.0 / self.growth_law.exponent)
+        )
 
-    def numbers(self) -> dict[str, float]:
-        """Quantities of the tip by their names; the equivalent range where there is a law of
-        growth."""
-        without = IN_FILES_ONLY if self.law is not None else REQUIRES_GROWTH_LAW
+    def values_by_name(self) -> dict[str, float]:
+        """Return the tip's quantities by name; the equivalent range only with a growth law."""
+        missing_requirements = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
-            Place.TIPS, self, without | (REQUIRES_SOLID if self.three is None else IN_FILES_ONLY)
+            Place.TIPS,
+            self,
+            missing_requirements | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
         )
 
 
-def at_tips(
-    record: Record, tips: Sequence[Tip | Station], of_forces: np.ndarray, law: Growth | None
-) -> list[AtTip]:
-    """Stress intensity at each tip in a record of the rows of :func:`tip_rows`. At the front of a
-    solid's crack without clearance K_I is zero while all pairs that touch it are closed, and never
-    negative."""
-    rows = (record.row_products + record.forces[:, : record.n_pairs] @ of_forces.T).T
-    exact = not np.any(record.structure.clearance)
-    found = []
-    for tip, (one, two, *three) in zip(
-        tips, rows.reshape(len(tips), -1, rows.shape[1]), strict=True
+def compute_tip_histories(
+    record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
+) -> list[TipHistory]:
+    """Compute stress intensities of each tip from a record of :func:`make_tips_and_rows`.
+
+    At the front of a solid's crack without clearance K_I is never negative, and zero while all
+    adjacent pairs are closed.
+
+    Parameters
+    ----------
+    record : Record
+        Time history of the products of the displacement rows.
+    force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
+        Factors of the contact forces.
+    """
+    tip_intensities = (record.row_products + record.forces[:, : record.n_pairs] @ force_rows.T).T
+    is_without_clearance = not np.any(record.structure.clearance)
+    tip_histories = []
+    for tip, (K_I, K_II, *K_III) in zip(
+        tips, tip_intensities.reshape(len(tips), -1, tip_intensities.shape[1]), strict=True
     ):
-        stated, touching = one, tip.adjacent_pairs
-        if exact and len(touching):
-            shut = np.all(record.forces[:, touching] > 0.0, axis=1)
-            stated = np.where(shut, 0.0, one.clip(0.0))
-        left_out = float(np.abs(one - stated).max())
-        found.append(AtTip(stated, two, record.periods, law, three[0] if three else None, left_out))
-    return found
-
-
-class AtEllipse(NamedTuple):
-    """Stress intensity at the deepest place of a half-ellipse, and at its ends on the face."""
-
-    deepest: AtTip
-    ends: list[AtTip]
-
-
-def errors_along_fronts(
-    study: Study, motion: ObservedMotion, coarse: Study, other: ObservedMotion
-) -> tuple[dict[str, float], dict[str, float]]:
-    """What is computed for K_I of a solid's fronts while they are closed, an error of all requested
-    numbers of them; and how far each number is away on a coarser mesh, where on the fronts it is
-    the most: at one place it may be none by chance [Pa m^1/2]. Infinite for all numbers where the
-    coarser mesh has none, or a front with so few stations that K is its mean (collective)."""
-    asked = set(quantities_on_request(study.scene))
-    names = sorted(asked.intersection(observable_names(Place.TIPS, Place.ELLIPSE)))
-    if study.scene.dimension == 2 or not names:
-        return {}, {}
-    if not asked.intersection(quantities_on_request(coarse.scene)):
-        return {}, dict.fromkeys(names, math.inf)
-    fine, rough = _along_fronts(study, motion), _along_fronts(coarse, other)
-    if min(len(positions) for positions, *_ in rough.values()) < MIN_STATIONS:
-        return {}, dict.fromkeys(names, math.inf)
-    apart = {}
-    for name in names:
-        kind = name.removesuffix("_deepest").removesuffix("_surface")
-        apart[name] = max(
-            float(np.abs(np.interp(at, rough[front][0], rough[front][1][kind]) - own[kind]).max())
-            for front, (at, own, _) in fine.items()
+        stated_K_I, adjacent_pair_indices = K_I, tip.adjacent_pairs
+        if is_without_clearance and len(adjacent_pair_indices):
+            is_closed = np.all(record.forces[:, adjacent_pair_indices] > 0.0, axis=1)
+            stated_K_I = np.where(is_closed, 0.0, K_I.clip(0.0))
+        closed_front_error = float(np.abs(K_I - stated_K_I).max())
+        tip_histories.append(
+            TipHistory(
+                stated_K_I,
+                K_II,
+                record.periods,
+                growth_law,
+                K_III[0] if K_III else None,
+                closed_front_error,
+            )
         )
-    closed = max(size for _, _, size in fine.values())
-    return dict.fromkeys(names, closed), apart
+    return tip_histories
 
 
-def _along_fronts(
+class EllipseHistories(NamedTuple):
+    """Stress intensity over time at the deepest station of a half-ellipse, and at its ends."""
+
+    deepest_history: TipHistory
+    end_histories: list[TipHistory]
+
+
+def estimate_front_errors(
+    study: Study, motion: ObservedMotion, coarser_study: Study, coarser_motion: ObservedMotion
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Estimate errors of a solid's stress intensities, by closed fronts and a coarser mesh.
+
+    Collective. Both dicts are empty for a plate, or if no numbers of fronts are requested.
+
+    Returns
+    -------
+    closed_error_by_name : dict of str to float [Pa m^1/2]
+        For each requested number, the largest error of K_I while a front is closed.
+    difference_by_name : dict of str to float [Pa m^1/2]
+        Largest difference between the meshes along the fronts; at a single station the difference
+        may vanish by chance. Infinite if the coarser mesh lacks the numbers or has too few stations
+        for K to vary along a front; the first dict then is empty.
+    """
+    requested_names = set(quantities_on_request(study.scene))
+    quantity_names = sorted(
+        requested_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
+    )
+    if study.scene.dimension == 2 or not quantity_names:
+        return {}, {}
+    if not requested_names.intersection(quantities_on_request(coarser_study.scene)):
+        return {}, dict.fromkeys(quantity_names, math.inf)
+    fronts, coarser_fronts = (
+        _collect_fronts(study, motion),
+        _collect_fronts(coarser_study, coarser_motion),
+    )
+    if min(len(positions) for positions, *_ in coarser_fronts.values()) < MIN_FRONT_STATIONS:
+        return {}, dict.fromkeys(quantity_names, math.inf)
+    difference_by_name = {}
+    for quantity_name in quantity_names:
+        base_name = quantity_name.removesuffix("_deepest").removesuffix("_surface")
+        differences = [
+            np.interp(
+                positions, coarser_fronts[front_name][0], coarser_fronts[front_name][1][base_name]
+            )
+            - values_by_name[base_name]
+            for front_name, (positions, values_by_name, _) in fronts.items()
+        ]
+        difference_by_name[quantity_name] = max(
+            float(np.abs(difference).max()) for difference in differences
+        )
+    closed_error = max(front_error for _, _, front_error in fronts.values())
+    return dict.fromkeys(quantity_names, closed_error), difference_by_name
+
+
+def _collect_fronts(
     study: Study, motion: ObservedMotion
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
-    """Of each front by its name the places, of its length, the numbers there, and the error while
-    closed (collective)."""
-    places, rows, of_forces = tip_rows(study)
-    [record] = motion.records(rows)
-    tips, found = at_tips(record, places, of_forces, study.scene.growth), {}
-    for name, its in stations_of_fronts([place.name for place in places]).items():
-        at = np.array([places[number].arc_length for number in its])
-        numbers = [tips[number].numbers() for number in its]
-        values = {kind: np.array([one[kind] for one in numbers]) for kind in numbers[0]}
-        found[name] = at / (at[-1] or 1.0), values, max(tips[number].closed for number in its)
-    return found
+    """Collect the stress intensities of each front by its name (collective).
+
+    Returns
+    -------
+    dict of str to (positions, values_by_name, closed_error)
+        Positions (n,) over the front's length, each number at these positions (n,), and the error
+        of K_I while the front is closed [Pa m^1/2].
+    """
+    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    [record] = motion.records(displacement_rows)
+    tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
+    front_by_name, station_names = {}, [station.name for station in stations]
+    for front_name, station_indices in station_indices_by_front(station_names).items():
+        arc_lengths = np.array([stations[index].arc_length for index in station_indices])
+        histories = [tip_histories[index] for index in station_indices]
+        station_values = [history.values_by_name() for history in histories]
+        values_by_name = {
+            name: np.array([value_by_name[name] for value_by_name in station_values])
+            for name in station_values[0]
+        }
+        closed_error = max(history.closed_front_error for history in histories)
+        front_length = arc_lengths[-1] or 1.0
+        front_by_name[front_name] = arc_lengths / front_length, values_by_name, closed_error
+    return front_by_name
 
 
-def stations_of_fronts(names: Sequence[str]) -> dict[str, list[int]]:
-    """Which stations, by their names, are of each front."""
-    found: dict[str, list[int]] = {}
-    for number, name in enumerate(names):
-        found.setdefault(name.rpartition(" at ")[0], []).append(number)
-    return found
+def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int]]:
+    """Return the indices of each front's stations, by the front's name."""
+    indices_by_front: dict[str, list[int]] = {}
+    for station_index, station_name in enumerate(station_names):
+        indices_by_front.setdefault(station_name.rpartition(" at ")[0], []).append(station_index)
+    return indices_by_front
 
 
-def leading(tips: list[AtTip]) -> int:
-    """The crack tip whose effective range is the largest."""
+def leading_tip_index(tip_histories: list[TipHistory]) -> int:
+    """Return the index of the crack tip with the largest effective range of K_I."""
     return int(
-        np.argmax([OBSERVABLES_BY_NAME["delta_K_effective"].read_number(tip) for tip in tips])
+        np.argmax(
+            [
+                OBSERVABLES_BY_NAME["delta_K_effective"].read_number(tip_history)
+                for tip_history in tip_histories
+            ]
+        )
     )
 
 
-def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
-    """The tips, and rows that multiply the coordinates of a study's structure (2 n_tips, n_local)
-    and its contact forces (2 n_tips, n_pairs) to give K_I and K_II of one tip after the other; of a
-    solid the stations of its fronts, with K_III as a third; made once for the structure and all
-    that share its matrices (collective).
+def make_tips_and_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
+    """Make the rows of K at crack tips or front stations (collective).
 
-    Of a reduced structure the rows are those of all that its coordinates expand to, static
-    responses to load and contact among them: K converges as the load's and the pairs' statics do
-    and not as a sum over modes.
+    The rows are made once for a structure and all structures with the same matrices. In a reduced
+    structure the rows act on the expanded displacement, including static responses to load and
+    contact. K thus converges with the static responses, not as a sum over modes.
+
+    Returns
+    -------
+    tips : list of Tip or Station
+    displacement_rows : (2 n_tips, n_local), or (3 n_tips, n_local) in a solid
+        Factors of the structure's coordinates for K_I, K_II and in a solid K_III, tip by tip.
+    force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
+        Factors of the contact forces.
 
     Raises
     ------
@@ -290,100 +387,131 @@ def tip_rows(study: Study) -> tuple[list[Tip] | list[Station], np.ndarray, np.nd
     """
     scene = study.scene
     refuse_for_reason(reason_without_stress_intensity(scene), "output.quantities")
-    pairs = None if scene.contact is None else scene.contact.pairs
-    plate = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pairs
-    return study.structure.compute_once(_OfScene(plate, scene))
+    pair_kind = None if scene.contact is None else scene.contact.pairs
+    dependencies = scene.geometry, scene.crack, scene.cracks, scene.material, scene.mesh, pair_kind
+    return study.structure.compute_once(_TipsAndRowsOfScene(dependencies, scene))
 
 
 @dataclass(frozen=True)
-class _OfScene:
-    """The rows of a structure of a scene; equal for scenes of the same plate."""
+class _TipsAndRowsOfScene:
+    """Function that makes tips and rows of a structure; equal for scenes of the same body."""
 
-    plate: tuple[object, ...]
+    dependencies: tuple[object, ...]
     scene: Scene = field(compare=False)
 
     def __call__(
         self, structure: Structure
     ) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
         if structure is structure.whole:
-            found: tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]
+            tips_and_rows: tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]
             if self.scene.dimension == 2:
                 from fenics_crack.fem.interaction_integral import tip_functionals  # DOLFINx
 
-                found = tip_functionals(self.scene, structure)
+                tips_and_rows = tip_functionals(self.scene, structure)
             else:
                 from fenics_crack.fem.fronts import front_functionals
 
-                found = front_functionals(self.scene, structure)
-            if not found[0]:
+                tips_and_rows = front_functionals(self.scene, structure)
+            if not tips_and_rows[0]:
                 raise InputError("crack", "a crack without a tip", "one that ends in the structure")
-            return found
-        tips, rows, of_forces = structure.whole.compute_once(self)
-        units, most = np.eye(structure.n_dofs), max(1, EXPANDED // structure.whole.n_dofs)
-        blocks = [units[n : n + most] for n in range(0, len(units), most)]
-        products = np.vstack([structure.expand(block) @ rows.T for block in blocks])
-        return tips, structure.whole.sum_over_ranks(products).T, of_forces
+            return tips_and_rows
+        tips, displacement_rows, force_rows = structure.whole.compute_once(self)
+        unit_vectors, block_size = (
+            np.eye(structure.n_dofs),
+            max(1, MAX_EXPANDED_VALUES // structure.whole.n_dofs),
+        )
+        unit_blocks = [
+            unit_vectors[start_index : start_index + block_size]
+            for start_index in range(0, len(unit_vectors), block_size)
+        ]
+        row_products = np.vstack(
+            [structure.expand(unit_block) @ displacement_rows.T for unit_block in unit_blocks]
+        )
+        return tips, structure.whole.sum_over_ranks(row_products).T, force_rows
 
 
-def counted_cycles(values: np.ndarray) -> np.ndarray:
-    """Highest and lowest values of the cycles in a record (n,) that repeats itself: (k, 2).
+def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
+    """Return maximum and minimum of each rainflow cycle in periodic values: (k, 2).
 
-    By rain flow, from the highest value on: a range is a cycle where the next one is as large
-    (ASTM E1049, 5.4.5; Downing and Socie, International Journal of Fatigue 4, 1982, 31).
+    Counting starts at the highest of the values (n,). A range is a cycle if the next range is at
+    least as large (ASTM E1049, 5.4.5; Downing and Socie, International Journal of Fatigue 4, 1982,
+    31).
     """
-    start = int(values.argmax())
-    around = np.append(values[start:], values[: start + 1])
-    around = around[np.append(True, np.diff(around) != 0.0)]
-    turns = 1 + np.flatnonzero(np.diff(np.sign(np.diff(around))))
-    path: list[float] = []
-    found = []
-    for value in around[[0, *turns, -1]].tolist():
-        path.append(value)
-        while len(path) > 2 and abs(path[-1] - path[-2]) >= abs(path[-2] - path[-3]):
-            found.append((max(path[-3:-1]), min(path[-3:-1])))
-            del path[-3:-1]
-    return np.array(found).reshape(-1, 2)
+    start_index = int(values.argmax())
+    periodic_values = np.append(values[start_index:], values[: start_index + 1])
+    periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
+    turning_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
+    unpaired_values: list[float] = []
+    cycles = []
+    for value in periodic_values[[0, *turning_indices, -1]].tolist():
+        unpaired_values.append(value)
+        while len(unpaired_values) > 2 and abs(unpaired_values[-1] - unpaired_values[-2]) >= abs(
+            unpaired_values[-2] - unpaired_values[-3]
+        ):
+            cycles.append((max(unpaired_values[-3:-1]), min(unpaired_values[-3:-1])))
+            del unpaired_values[-3:-1]
+    return np.array(cycles).reshape(-1, 2)
 
 
-def _at_tips(study: Study) -> ExtraRows:
-    """The rows of the crack tips, and the numbers of the leading one; the largest K_I of all
-    stations of a solid, by which it breaks."""
-    places, rows, of_forces = tip_rows(study)
+def _make_tip_rows(study: Study) -> ExtraRows:
+    """Make the rows of crack tips, for the numbers at the leading tip (collective).
 
-    def numbers(record: Record) -> dict[str, float]:
-        tips = at_tips(record, places, of_forces, study.scene.growth)
-        found = tips[leading(tips)].numbers()
+    In a solid K_max is the largest K_I of all stations, which decides on fracture.
+    """
+    tips, displacement_rows, force_rows = make_tips_and_rows(study)
+
+    def leading_tip_values(record: Record) -> dict[str, float]:
+        tip_histories = compute_tip_histories(record, tips, force_rows, study.scene.growth)
+        value_by_name = tip_histories[leading_tip_index(tip_histories)].values_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
-            found["K_max"] = max(float(tip.one.max()) for tip in tips)
-        return found
+            value_by_name["K_max"] = max(
+                float(tip_history.K_I.max()) for tip_history in tip_histories
+            )
+        return value_by_name
 
-    return ExtraRows(rows, numbers)
+    return ExtraRows(displacement_rows, leading_tip_values)
 
 
-def _at_ellipse(study: Study) -> ExtraRows:
-    """The rows of the crack's front, and the numbers at its deepest place and its ends."""
-    places, rows, of_forces = tip_rows(study)
-    points, crack = np.array([place.point for place in places]), study.scene.given("crack")
-    heights = points[:, 2]
+def _make_ellipse_rows(study: Study) -> ExtraRows:
+    """Make the rows of a half-ellipse's front (collective).
+
+    The numbers are taken at the deepest station and at the ends.
+    """
+    stations, displacement_rows, force_rows = make_tips_and_rows(study)
+    station_positions, crack = (
+        np.array([station.point for station in stations]),
+        study.scene.given("crack"),
+    )
+    station_heights = station_positions[:, 2]
     if crack.point is not None:
-        heights = -np.abs((points - crack.point) @ crack.frame[1])
-    middle = 0.5 * (heights.min() + heights.max())
-    ends = [end for end in (0, len(places) - 1) if heights[end] > middle]
+        station_heights = -np.abs((station_positions - crack.point) @ crack.frame[1])
+    middle_height = 0.5 * (station_heights.min() + station_heights.max())
+    end_indices = [
+        end_index
+        for end_index in (0, len(stations) - 1)
+        if station_heights[end_index] > middle_height
+    ]
 
-    def numbers(record: Record) -> dict[str, float]:
-        tips = at_tips(record, places, of_forces, study.scene.growth)
-        one = AtEllipse(tips[int(heights.argmin())], [tips[end] for end in ends])
-        return read_observables(Place.ELLIPSE, one)
+    def ellipse_values(record: Record) -> dict[str, float]:
+        tip_histories = compute_tip_histories(record, stations, force_rows, study.scene.growth)
+        ellipse_histories = EllipseHistories(
+            tip_histories[int(station_heights.argmin())],
+            [tip_histories[end_index] for end_index in end_indices],
+        )
+        return read_observables(Place.ELLIPSE, ellipse_histories)
 
-    return ExtraRows(rows, numbers)
-
-
-def _at_clamp(study: Study) -> ExtraRows:
-    rows = study.structure.compute_once(inertia_rows)
-    return ExtraRows(rows, lambda record: read_observables(Place.CLAMP, held(record)))
+    return ExtraRows(displacement_rows, ellipse_values)
 
 
-_ROWS: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.TIPS: _at_tips, Place.ELLIPSE: _at_ellipse, Place.CLAMP: _at_clamp
+def _make_clamp_rows(study: Study) -> ExtraRows:
+    """Make the rows of the clamp, for its largest force and moment (collective)."""
+    inertia_rows = study.structure.compute_once(clamp_inertia_rows)
+    return ExtraRows(
+        inertia_rows, lambda record: read_observables(Place.CLAMP, compute_clamp_reactions(record))
+    )
+
+
+_MAKE_ROWS_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
+    Place.TIPS: _make_tip_rows, Place.ELLIPSE: _make_ellipse_rows, Place.CLAMP: _make_clamp_rows
 }  # fmt: skip
-"""Places of rows of their own."""
+"""Functions that make the rows of a place."""

@@ -1,18 +1,18 @@
 """Plausibility of a scene: key figures, and remarks on unusual values.
 
-The figures follow from one factor of K and few modes; nothing is solved. With the crack open, K^-1
-and the lowest modes give displacement and gap at a frequency w,
+The figures follow from one factor of K and few modes, without a nonlinear solution. With the crack
+open, K^-1 and the lowest modes give the displacement at a frequency w,
 
     u(w) = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
     d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w),
 
-and, by B instead of f, the compliance of the crack faces R(w) = B^T H(w) B. The mean load and the
-preload alone close some pairs, by a static contact problem. As long as these stay closed and the
-others open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static
-force.
+and the gaps B^T u. With B instead of f it is the compliance of the crack faces R(w) = B^T H(w) B.
+A static contact problem says which pairs the mean load and the preload close. As long as these
+pairs stay closed and the others open, the motion is linear. The closed pairs then carry
+R(w)^-1 B^T u(w) beside their static force.
 
-Remarks are rows of tables: a key, a number, and the range in which it is usual. A remark forbids
-nothing; most often a unit or a number is mistyped.
+Remarks follow from tables of rules: a key, a number, and the range in which the number is usual. A
+remark forbids nothing; most often a unit or a number is mistyped.
 """
 
 from __future__ import annotations
@@ -57,249 +57,411 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.prepare import Study, reduction_of
-from fenics_crack.study.resonance import NOT_SOUGHT, SOUGHT_MODES, AtLoad, meeting_speed
+from fenics_crack.study.resonance import (
+    N_SEARCH_MODES,
+    UNSOUGHT_RESONANCE,
+    LoadResonance,
+    order_crossing_speed,
+)
 
-N_MODES = 4
-"""Modes that are computed."""
-SMALL_MOTION = 0.1
-"""Displacement over length, a rotation [rad], up to which displacements are small: the terms that
-linear theory neglects are about its square, 1 %."""
+N_FIGURE_MODES = 4
+"""Number of modes among the key figures."""
+MAX_SMALL_ROTATION = 0.1
+"""Maximum rotation [rad], displacement over length, of small displacements. Linear theory neglects
+terms of about its square, 1 %."""
 
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Key figures of a scene's structure, not reduced.
+    """Key figures of a scene's structure before reduction.
 
     Attributes
     ----------
-    size : (d,) [m]
-        Width, height and, of a solid, thickness of the mesh.
-    elements : int or None
-        Along each face of the crack that has the fewest; None without a crack.
+    extents : (d,) [m]
+        Width, height and, for a solid, thickness of the mesh.
+    n_face_elements : int or None
+        Number of elements along each face of the crack with the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
-        Lowest natural frequencies, crack open and crack bonded; these are infinite where there
-        are no more.
+        Lowest natural frequencies with open and with bonded crack; the latter are infinite if the
+        bonded structure has fewer modes.
     omega_bilinear : (at most 4,) [rad/s]
-        Estimated resonances of a crack that opens for one half of a motion and closes for the
-        other, by the open modes.
-    damping : (at most 4,)
+        Bilinear frequencies of the open modes.
+    damping_ratios : (at most 4,)
         Ratios of critical damping of the open modes.
-    slopes : (at most 4,)
-        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without.
-    own_stiffness : (n_pairs,) [N/m]
-        1 / (B^T K^-1 B)_jj: of the crack faces themselves, pair by pair.
+    speed_slopes : (at most 4,)
+        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without rotation.
+    face_stiffness : (n_pairs,) [N/m]
+        Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
     stiffness_ratio : (n_pairs,) or None
-        Contact stiffness over the own stiffness; None without a law, or without a stiffness.
-    mean_opening, static_motion : float [m]
-        Largest opening of an open crack under the mean load, and the largest motion of their gaps
-        under the load's amplitude, both static.
-    displacement, gap_motion : float [m]
-        Largest amplitudes of what is watched, and of the gaps, with an open crack at the
-        frequencies that are requested.
-    rotation : float [rad]
-        Largest amplitude over distance from the clamp, of what is watched.
-    closed : int
-        Pairs that are closed under the mean load and the preload alone.
+        Contact stiffness over ``face_stiffness``; None without a law, or without a stiffness.
+    mean_opening, static_gap_motion : float [m]
+        Largest static opening of an open crack under the mean load, and largest static motion of
+        its gaps under the load's amplitude.
+    peak_displacement, peak_gap_motion : float [m]
+        Largest amplitudes of the watched displacements and of the gaps, with an open crack at the
+        requested frequencies.
+    peak_rotation : float [rad]
+        Largest amplitude of a watched displacement over its distance from the clamp.
+    n_closed_pairs : int
+        Number of pairs that are closed under the mean load and the preload alone.
     breathes : bool
-        True if a pair that is then open closes, or one that is closed opens, at these frequencies.
-    modes_below : int
-        Natural frequencies below that of the highest harmonic.
-    modes_kept : int
-        After the reduction.
-    at_load : AtLoad
-        The resonance at the scene's own load, if it has been sought.
+        True if one of these pairs opens, or another pair closes, at the requested frequencies.
+    n_modes_below : int
+        Number of natural frequencies below the frequency of the highest harmonic; 0 without pairs.
+    n_kept_modes : int
+        Number of modes after the reduction.
+    load_resonance : LoadResonance
+        Resonance at the scene's own load, if it has been sought.
     """
 
-    size: tuple[float, ...]
-    elements: int | None
+    extents: tuple[float, ...]
+    n_face_elements: int | None
     omega_open: np.ndarray
     omega_tied: np.ndarray
     omega_bilinear: np.ndarray
-    damping: np.ndarray
-    slopes: np.ndarray
-    own_stiffness: np.ndarray
+    damping_ratios: np.ndarray
+    speed_slopes: np.ndarray
+    face_stiffness: np.ndarray
     stiffness_ratio: np.ndarray | None
     mean_opening: float
-    static_motion: float
-    displacement: float
-    rotation: float
-    gap_motion: float
-    closed: int
+    static_gap_motion: float
+    peak_displacement: float
+    peak_rotation: float
+    peak_gap_motion: float
+    n_closed_pairs: int
     breathes: bool
-    modes_below: int
-    modes_kept: int
-    at_load: AtLoad = NOT_SOUGHT
+    n_modes_below: int
+    n_kept_modes: int
+    load_resonance: LoadResonance = UNSOUGHT_RESONANCE
 
 
 def find_key_figures(study: Study) -> KeyFigures:
-    """Compute the figures of a study; of a reduced one in its own coordinates, which hold static
-    responses exactly (collective)."""
-    scene, whole, law = study.scene, study.structure.structure_in_few_coordinates(), study.contact
-    known = whole.known_omega_and_shapes(is_bonded=False)
-    most = whole.n_dofs if known is None else len(known[0])
-    count = min(N_MODES, most)
-    with Factor(whole.stiffness, definite=True) as factor:
-        many = solve_modes_with_factor(
-            factor, whole, min(SOUGHT_MODES, most)
-        )  # of the resonance, too
-        modes = Modes(many.omega[:count], many.shapes[:, :count], whole)
-        static = _static(factor, modes, whole.force)
-        lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
-        tied = solve_bonded_modes(whole, count, factor) if whole.n_pairs else modes
-    ratios = damping_ratios(whole, modes.omega)
-    breathing = BilinearFrequencies(modes.omega, tied.omega[find_bonded_mode_indices(modes, tied)])
-    gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
-    loads = whole.sum_over_ranks(whole.force @ modes.shapes)
-    amplitudes = [to_complex(rows)[1:] for rows in (static, gaps, loads)]  # of each harmonic
-    resting = gaps[0] - whole.clearance  # of an open crack
-    pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
-    closed = pressed > 0.0
-    watched = [one.dof for one in study.watched]
-    lengths = from_clamp(whole.whole, watched)
-    largest, turned, moved, breathes = 0.0, 0.0, 0.0, False
-    for omega in _omegas(scene, np.concatenate([modes.omega, tied.omega])):
-        seen, gap, apart, push = np.zeros((4, 1))  # at most: amplitudes of all harmonics
-        for k, (still, still_gap, pull) in enumerate(zip(*amplitudes, strict=True), 1):
-            change = _dynamic_part(modes.omega, ratios, k * omega)
-            load = change * pull
-            motion = still + load @ modes.shapes.T
-            parts = whole.values_at(np.stack([motion.real, motion.imag]), watched)
-            seen = seen + np.hypot(*parts)
-            if whole.n_pairs:
-                of_gap = still_gap + load @ psi
-                compliance = lips + (psi.T * change) @ psi
-                force = np.zeros(whole.n_pairs, dtype=complex)
-                shut = compliance[np.ix_(closed, closed)]
-                force[closed] = np.linalg.lstsq(shut, of_gap[closed], rcond=None)[0]
-                gap, push = gap + np.abs(of_gap), push + np.abs(force)
-                apart = apart + np.abs(of_gap - compliance @ force)
-        largest = max(largest, float(seen.max(initial=0.0)))
-        turned = max(turned, float((seen / lengths).max(initial=0.0)))
-        if whole.n_pairs:
-            moved = max(moved, float(gap.max()))
-            opened = resting - lips @ pressed + apart >= 0.0
-            breathes = breathes or bool(np.any(np.where(closed, pressed <= push, opened)))
-    own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
-    stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
-    kept = reduction_of(scene, whole)
+    """Find the key figures of a study (collective).
+
+    A reduced study is evaluated in its own coordinates, in which static responses are exact.
+    """
+    scene, structure, law = (
+        study.scene,
+        study.structure.structure_in_few_coordinates(),
+        study.contact,
+    )
+    search_modes, modes, bonded_modes, static_displacements, face_compliance = (
+        _solve_modes_and_statics(structure)
+    )
+    modal_damping_ratios = damping_ratios(structure, modes.omega)
+    bilinear_frequencies = BilinearFrequencies(
+        modes.omega, bonded_modes.omega[match_bonded_modes(modes, bonded_modes)]
+    )
+    static_gaps = structure.apply_bt(static_displacements)
+    modal_gaps = structure.apply_bt(modes.shapes.T)
+    modal_loads = structure.sum_over_ranks(structure.force @ modes.shapes)
+    harmonic_amplitudes = [
+        to_complex(fourier_rows)[1:]
+        for fourier_rows in (static_displacements, static_gaps, modal_loads)
+    ]
+    resting_gaps = static_gaps[0] - structure.clearance  # of an open crack
+    pressing_forces = (
+        solve_complementarity(face_compliance, resting_gaps) if structure.n_pairs else np.zeros(0)
+    )
+    is_closed = pressing_forces > 0.0
+    watched_dofs = [watched.dof for watched in study.watched]
+    clamp_distances = distances_from_clamp(structure.whole, watched_dofs)
+    peak_displacement, peak_rotation, peak_gap_motion, breathes = 0.0, 0.0, 0.0, False
+    for omega in _requested_omegas(scene, np.concatenate([modes.omega, bonded_modes.omega])):
+        watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = (
+            _amplitude_bounds(
+                structure, modes, modal_damping_ratios, harmonic_amplitudes, face_compliance,
+                modal_gaps, is_closed, watched_dofs, omega,
+            )
+        )  # fmt: skip
+        peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
+        peak_rotation = max(
+            peak_rotation, float((watched_amplitudes / clamp_distances).max(initial=0.0))
+        )
+        if structure.n_pairs:
+            peak_gap_motion = max(peak_gap_motion, float(gap_amplitudes.max()))
+            is_closing = (
+                resting_gaps - face_compliance @ pressing_forces + open_gap_amplitudes >= 0.0
+            )
+            breathes = breathes or bool(
+                np.any(np.where(is_closed, pressing_forces <= force_amplitudes, is_closing))
+            )
+    face_stiffness = 1.0 / np.maximum(np.diagonal(face_compliance), 1e-300)
+    contact_stiffness = (
+        None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
+    )
+    reduction = reduction_of(scene, structure)
     return KeyFigures(
-        size=extents(whole.whole),
-        elements=_elements(scene, whole),
+        extents=mesh_extents(structure.whole),
+        n_face_elements=_count_face_elements(scene, structure),
         omega_open=modes.omega,
-        omega_tied=tied.omega,
-        omega_bilinear=breathing.omega_bilinear,
-        damping=ratios,
-        slopes=_slopes(modes),
-        own_stiffness=own,
-        stiffness_ratio=None if stiffness is None else stiffness / own,
-        mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
-        static_motion=float(np.abs(amplitudes[1]).sum(axis=0).max(initial=0.0)),
-        displacement=largest,
-        rotation=turned,
-        gap_motion=moved,
-        closed=int(closed.sum()),
+        omega_tied=bonded_modes.omega,
+        omega_bilinear=bilinear_frequencies.omega_bilinear,
+        damping_ratios=modal_damping_ratios,
+        speed_slopes=_speed_slopes(modes),
+        face_stiffness=face_stiffness,
+        stiffness_ratio=None if contact_stiffness is None else contact_stiffness / face_stiffness,
+        mean_opening=float(np.max(-resting_gaps, initial=0.0)) + 0.0,
+        static_gap_motion=float(np.abs(harmonic_amplitudes[1]).sum(axis=0).max(initial=0.0)),
+        peak_displacement=peak_displacement,
+        peak_rotation=peak_rotation,
+        peak_gap_motion=peak_gap_motion,
+        n_closed_pairs=int(is_closed.sum()),
         breathes=breathes,
-        modes_below=_modes_below(whole, many, highest_omega(scene)) if whole.n_pairs else 0,
-        modes_kept=whole.n_dofs if kept is None else kept.modes,
+        n_modes_below=_count_modes_below(structure, search_modes, highest_harmonic_omega(scene))
+        if structure.n_pairs
+        else 0,
+        n_kept_modes=structure.n_dofs if reduction is None else reduction.n_modes,
     )
 
 
-def _modes_below(whole: Structure, known: Modes, omega: float) -> int:
-    """Number of modes below a frequency [rad/s]; counted where all known ones are."""
-    if omega < known.omega[-1]:
-        return int(np.sum(known.omega < omega))
-    return count_below(whole, omega**2)
+def _solve_modes_and_statics(
+    structure: Structure,
+) -> tuple[Modes, Modes, Modes, np.ndarray, np.ndarray]:
+    """Find modes and static responses with one factor of the stiffness (collective).
+
+    Returns
+    -------
+    search_modes : Modes
+        Lowest modes with open crack, as many as the search of a resonance takes.
+    modes, bonded_modes : Modes
+        Modes of the key figures, with open and with bonded crack.
+    static_displacements : (2K+1, n_local) [m]
+        Static responses to the load's parts.
+    face_compliance : (n_pairs, n_pairs) [m/N]
+        B^T K^-1 B.
+    """
+    known_modes = structure.known_modes(is_bonded=False)
+    max_modes = structure.n_dofs if known_modes is None else len(known_modes[0])
+    n_modes, n_search_modes = min(N_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
+    with Factor(structure.stiffness, definite=True) as factor:
+        search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
+        modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
+        static_displacements = _static_response(factor, modes, structure.force)
+        face_compliance = structure.apply_bt(
+            _static_response(factor, modes, structure.gap.T.toarray())
+        )
+        bonded_modes = (
+            solve_bonded_modes(structure, n_modes, factor) if structure.n_pairs else modes
+        )
+    return search_modes, modes, bonded_modes, static_displacements, face_compliance
 
 
-def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
-    """Static responses to forces (m, n_local); of a structure that can move as a
-    rigid body the deformation alone, as it accelerates."""
-    whole, free = modes.structure, modes.shapes[:, modes.omega == 0.0]
-    left = ResidualFlexibility(whole, free, np.zeros(free.shape[1]), whole.gap)
-    return left.solve(factor, forces) if free.size else factor.solve(forces)
+def _amplitude_bounds(
+    structure: Structure,
+    modes: Modes,
+    modal_damping_ratios: np.ndarray,
+    harmonic_amplitudes: Sequence[np.ndarray],
+    face_compliance: np.ndarray,
+    modal_gaps: np.ndarray,
+    is_closed: np.ndarray,
+    watched_dofs: Sequence[int],
+    omega: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return upper bounds of amplitudes at a frequency: sums over all harmonics (collective).
+
+    Parameters
+    ----------
+    modal_damping_ratios : (n_modes,)
+        Ratios of critical damping.
+    harmonic_amplitudes : three arrays of complex
+        Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads
+        (K, n_modes) of the harmonics 1 to K.
+    face_compliance, modal_gaps : (n_pairs, n_pairs) [m/N], (n_modes, n_pairs)
+        B^T K^-1 B, and gaps of the mode shapes.
+    is_closed : (n_pairs,) of bool
+        Pairs that stay closed.
+
+    Returns
+    -------
+    watched_amplitudes : (n_watched,) [m]
+        Watched displacements with open crack.
+    gap_amplitudes, open_gap_amplitudes, force_amplitudes : (n_pairs,) [m], [m], [N]
+        Gaps with open crack; gaps and forces with some pairs closed. Without pairs (1,), zero.
+    """
+    watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes = np.zeros((4, 1))
+    for harmonic, (static_displacement, static_gap, modal_load) in enumerate(
+        zip(*harmonic_amplitudes, strict=True), 1
+    ):
+        receptance_increase = _receptance_increase(
+            modes.omega, modal_damping_ratios, harmonic * omega
+        )
+        modal_amplitudes = receptance_increase * modal_load
+        displacement = static_displacement + modal_amplitudes @ modes.shapes.T
+        watched_parts = structure.values_at(
+            np.stack([displacement.real, displacement.imag]), watched_dofs
+        )
+        watched_amplitudes = watched_amplitudes + np.hypot(*watched_parts)
+        if structure.n_pairs:
+            gap = static_gap + modal_amplitudes @ modal_gaps
+            compliance = face_compliance + (modal_gaps.T * receptance_increase) @ modal_gaps
+            force = np.zeros(structure.n_pairs, dtype=complex)
+            closed_compliance = compliance[np.ix_(is_closed, is_closed)]
+            force[is_closed] = np.linalg.lstsq(closed_compliance, gap[is_closed], rcond=None)[0]
+            gap_amplitudes, force_amplitudes = (
+                gap_amplitudes + np.abs(gap),
+                force_amplitudes + np.abs(force),
+            )
+            open_gap_amplitudes = open_gap_amplitudes + np.abs(gap - compliance @ force)
+    return watched_amplitudes, gap_amplitudes, open_gap_amplitudes, force_amplitudes
 
 
-def _slopes(modes: Modes) -> np.ndarray:
-    """Return d(w^2) / d(W^2) of mass-normalised modes phi under rotation, else 0: (n,).
+def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
+    """Return the number of modes below ``omega`` [rad/s] (collective).
 
-    phi^T (K_1 + K_2 + 2 W^2 K_3) phi
+    If all given modes are below, a further factor counts.
+    """
+    if omega < modes.omega[-1]:
+        return int(np.sum(modes.omega < omega))
+    return count_below(structure, omega**2)
+
+
+def _static_response(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+    """Return static responses to forces (m, n_local) [N]: (m, n_local) [m] (collective).
+
+    For a structure with rigid-body motions it is the deformation alone, while the structure
+    accelerates.
+    """
+    structure, rigid_body_shapes = modes.structure, modes.shapes[:, modes.omega == 0.0]
+    residual_flexibility = ResidualFlexibility(
+        structure, rigid_body_shapes, np.zeros(rigid_body_shapes.shape[1]), structure.gap
+    )
+    return (
+        residual_flexibility.solve(factor, forces)
+        if rigid_body_shapes.size
+        else factor.solve(forces)
+    )
+
+
+def _speed_slopes(modes: Modes) -> np.ndarray:
+    """Return S = d(w^2) / d(W^2) of mass-normalised modes phi: (n,); 0 without rotation.
+
+    S = phi^T (K_1 + K_2 + 2 W^2 K_3) phi
     """
     structure, slopes = modes.structure, np.zeros(len(modes.omega))
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
     if rotation is None:
         return slopes
-    second, third = rotation.displaced_stiffnesses
-    for mode, shape in enumerate(modes.shapes.T):
-        shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
-        force = multiply(rotation.rotation_stiffness, shapes) + multiply(second, shapes)
-        force += 2.0 * rotation.speed**2 * multiply(third, shapes)
-        slopes[mode] = structure.sum_over_ranks((shapes * force).sum())
+    second_stiffness, third_stiffness = rotation.displaced_stiffnesses
+    for mode_index, shape in enumerate(modes.shapes.T):
+        sector_shapes = np.vstack(list(structure.iterate_sector_displacements(shape[None]))).T
+        stiffness_products = multiply(rotation.rotation_stiffness, sector_shapes) + multiply(
+            second_stiffness, sector_shapes
+        )
+        stiffness_products += 2.0 * rotation.speed**2 * multiply(third_stiffness, sector_shapes)
+        slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 
 
-def _elements(scene: Scene, whole: Structure) -> int | None:
-    """Elements along the crack that has the fewest: its pairs by the order of the displacement,
-    rounded up, for tips are no pairs; or its patches."""
-    if not whole.n_pairs:
+def _count_face_elements(scene: Scene, structure: Structure) -> int | None:
+    """Return the number of elements along the crack with the fewest; None without pairs.
+
+    It is the number of pairs over the order of the elements, rounded up because tips are no pairs.
+    Patches count as elements.
+    """
+    if not structure.n_pairs:
         return None
-    cracks = whole.pairs.cracks
-    fewest = whole.n_pairs if cracks is None else int(np.bincount(cracks).min())
-    return math.ceil(fewest / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order))
+    crack_indices = structure.pairs.cracks
+    min_pairs = (
+        structure.n_pairs if crack_indices is None else int(np.bincount(crack_indices).min())
+    )
+    return math.ceil(
+        min_pairs / (1 if scene.mesh is None or scene.mesh.patches else scene.mesh.order)
+    )
 
 
-def extents(whole: Structure) -> tuple[float, ...]:
-    """Extents of the mesh of a whole structure [m] (collective)."""
-    if whole.nodes is None:
+def mesh_extents(whole_structure: Structure) -> tuple[float, ...]:
+    """Return the extents of a mesh along the axes [m]; nan without nodes (collective)."""
+    if whole_structure.nodes is None:
         return np.nan, np.nan
-    return tuple(np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0).tolist())
+    return tuple(
+        np.ptp(gather_rows(whole_structure.comm, whole_structure.nodes.points), axis=0).tolist()
+    )
 
 
-def from_clamp(whole: Structure, dofs: Sequence[int]) -> np.ndarray:
-    """Distance of the nodes of some dofs from the clamp, at most the mesh's longest side [m]; inf
-    without nodes (collective)."""
-    if whole.nodes is None:
+def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.ndarray:
+    """Return distances from the nodes of some dofs to the clamp: (n_dofs,) [m] (collective).
+
+    They are at most the mesh's longest side, and infinite without nodes.
+    """
+    if whole_structure.nodes is None:
         return np.full(len(dofs), np.inf)
-    points, numbers = (gather_rows(whole.comm, a) for a in (whole.nodes.points, whole.nodes.dofs))
-    clamp, side = points[np.all(numbers < 0, axis=1)], np.ptp(points, axis=0).max()
-    away = [clamp[:, None] - points[np.any(numbers == dof, axis=1)] for dof in dofs]
-    return np.array([np.linalg.norm(vectors, axis=2).min(initial=side) for vectors in away])
+    points, node_dofs = (
+        gather_rows(whole_structure.comm, rows)
+        for rows in (whole_structure.nodes.points, whole_structure.nodes.dofs)
+    )
+    clamp_points, longest_side = points[np.all(node_dofs < 0, axis=1)], np.ptp(points, axis=0).max()
+    offsets_of_dofs = [
+        clamp_points[:, None] - points[np.any(node_dofs == dof, axis=1)] for dof in dofs
+    ]
+    return np.array(
+        [np.linalg.norm(offsets, axis=2).min(initial=longest_side) for offsets in offsets_of_dofs]
+    )
 
 
-def damping_ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
-    """Ratios of critical damping of the lowest modes, by their frequencies (n,) [rad/s]."""
-    rule = whole.damping
-    if isinstance(rule, RayleighDamping):
-        twice = 2.0 * omega
-        return np.divide(rule.rate(omega**2), twice, out=np.zeros_like(omega), where=omega > 0.0)
-    found = np.zeros(len(omega))
-    if isinstance(rule, ModalDamping):
-        damped = min(count_damped_modes(whole), len(omega))
-        ratio = np.asarray(rule.ratio)
-        found[:damped] = ratio if ratio.ndim == 0 else ratio[:damped]
-    return found
+def damping_ratios(whole_structure: Structure, omega: np.ndarray) -> np.ndarray:
+    """Return ratios of critical damping of the lowest modes: (n,).
+
+    ``omega`` (n,) [rad/s] are the natural frequencies. Modes without damping, and all modes of a
+    structure with a damping matrix, have 0.
+    """
+    damping_rule = whole_structure.damping
+    if isinstance(damping_rule, RayleighDamping):
+        doubled_omega = 2.0 * omega
+        return np.divide(
+            damping_rule.rate(omega**2), doubled_omega, out=np.zeros_like(omega), where=omega > 0.0
+        )
+    ratios = np.zeros(len(omega))
+    if isinstance(damping_rule, ModalDamping):
+        n_damped_modes = min(count_damped_modes(whole_structure), len(omega))
+        given_ratio = np.asarray(damping_rule.ratio)
+        ratios[:n_damped_modes] = (
+            given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
+        )
+    return ratios
 
 
-def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.ndarray:
-    """d_j(w) - 1 / w_j^2 of the modes; d_j(w) of rigid-body ones, which no static part holds."""
-    squares = natural**2
-    below = squares - omega**2 + 2j * ratios * natural * omega
-    static = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
-    return 1.0 / np.where(below == 0.0, 1e-12 * squares, below) - static
+def _receptance_increase(
+    natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
+) -> np.ndarray:
+    """Return d_j(w) - 1 / w_j^2 of each mode: (n,) [s^2].
+
+    For rigid-body modes it is d_j(w), since static responses do not contain them.
+    """
+    squared_omegas = natural_omegas**2
+    denominators = squared_omegas - omega**2 + 2j * modal_damping_ratios * natural_omegas * omega
+    static_receptance = np.divide(
+        1.0, squared_omegas, out=np.zeros_like(squared_omegas), where=squared_omegas > 0.0
+    )
+    return (
+        1.0 / np.where(denominators == 0.0, 1e-12 * squared_omegas, denominators)
+        - static_receptance
+    )
 
 
 # --- the frequencies that a scene requests --------------------------------------------------------
 
 
-def _omegas(scene: Scene, natural: np.ndarray) -> list[float]:
-    """Return the frequencies to compute at: ends of the requested ranges, resonances between."""
-    found = {scene.excitation.omega}
-    for low, high in (span_of(scene, "curve"), span_of(scene, "sweep")):
-        found |= {low, high, *(float(omega) for omega in natural if low <= omega <= high)}
-    return sorted(found)
+def _requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
+    """Return the requested load frequencies [rad/s], ascending.
+
+    They are the scene's frequency, the ends of its ranges, and natural frequencies between them.
+    """
+    omegas = {scene.excitation.omega}
+    for lowest_omega, highest_omega in (
+        load_frequency_range(scene, "curve"),
+        load_frequency_range(scene, "sweep"),
+    ):
+        omegas |= {
+            lowest_omega,
+            highest_omega,
+            *(float(omega) for omega in natural_omegas if lowest_omega <= omega <= highest_omega),
+        }
+    return sorted(omegas)
 
 
-def span_of(scene: Scene, command: str) -> tuple[float, float]:
-    """Lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
+def load_frequency_range(scene: Scene, command: str) -> tuple[float, float]:
+    """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
     omegas = [scene.excitation.omega]
     curve = scene.curve if command == "curve" else None
     if curve is not None and curve.continuation_range[0] == "omega":
@@ -311,115 +473,139 @@ def span_of(scene: Scene, command: str) -> tuple[float, float]:
     return min(omegas), max(omegas)
 
 
-def highest_omega(scene: Scene, command: str = "") -> float:
-    """H w: the highest frequency [rad/s] of the harmonics in "solve", "curve" or "sweep", by
-    default in any of them."""
+def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
+    """Return H w, the highest frequency of the harmonics in a command [rad/s].
+
+    The command is "solve", "curve" or "sweep"; by default it is the highest of all three.
+    """
     if not command:
-        return max(highest_omega(scene, one) for one in ("solve", "curve", "sweep"))
-    harmonics = [scene.harmonic_balance.harmonics]
+        return max(
+            highest_harmonic_omega(scene, single_command)
+            for single_command in ("solve", "curve", "sweep")
+        )
+    harmonic_counts = [scene.harmonic_balance.harmonics]
     if command == "sweep":
-        harmonics = [*scene.swept.get("harmonic_balance.harmonics", harmonics)]
-    return span_of(scene, command)[1] * max(harmonics)
+        harmonic_counts = [*scene.swept.get("harmonic_balance.harmonics", harmonic_counts)]
+    return load_frequency_range(scene, command)[1] * max(harmonic_counts)
 
 
 # --- resonances and curves ------------------------------------------------------------------------
 
-CURVE_UNITS = {"omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
-               "rpm": (RAD_PER_S_PER_RPM, "rpm")}  # fmt: skip
-"""Factor to [rad/s] of a curve's parameter, and its unit."""
+CURVE_UNIT_BY_PARAMETER = {
+    "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"), "rpm": (RAD_PER_S_PER_RPM, "rpm")
+}  # fmt: skip
+"""Factor from a curve's parameter to [rad/s], and the parameter's unit."""
 
 
-def proposed_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
-    """Return a curve through the resonance at the load; None where the scene's holds it, or follows
-    another parameter, or nothing is damped.
+def propose_curve(scene: Scene, figures: KeyFigures) -> Curve | None:
+    """Propose a curve through the resonance at the load, or return None.
 
-    From three half-power widths below to three above that and its place under a small load: the
-    curve meets its peak. Where it is not known, the same of the mode nearest to the load, with the
-    crack open and bonded. Ends are rounded outwards to three digits.
+    None is returned if the scene's curve meets the resonance or follows another kind of parameter,
+    or if the mode is not damped.
+
+    The curve extends three half-power widths beyond the resonance and its place under a small load.
+    If the resonance is not known, it extends so far beyond the open and bonded frequencies of the
+    mode nearest to the load. Ends are rounded outwards to three digits.
     """
-    load, curve, found = scene.excitation, scene.curve, figures.at_load
-    turns = load.order is not None and scene.disk is None
+    excitation, scene_curve, resonance = scene.excitation, scene.curve, figures.load_resonance
+    is_speed_curve = excitation.order is not None and scene.disk is None
     parameter = "frequency" if scene.in_hertz else "omega"
-    if turns:
+    if is_speed_curve:
         parameter = "rpm" if scene.in_rpm else "speed"
-    if curve is not None:
-        parameter = curve.parameter
-    if parameter not in CURVE_UNITS:
+    if scene_curve is not None:
+        parameter = scene_curve.parameter
+    if parameter not in CURVE_UNIT_BY_PARAMETER:
         return None
-    mode = int(np.argmin(np.abs(figures.omega_bilinear - load.omega)))
-    opened, breathing = float(figures.omega_open[mode]), float(figures.omega_bilinear[mode])
-    # Three half-power bandwidths from it the response is a sixth of the peak.
-    beyond = 1.0 + 3.0 * 2.0 * float(figures.damping[mode])
-    if not (opened > 0.0 and breathing < 2.0 * opened and beyond > 1.0):
+    mode_index = int(np.argmin(np.abs(figures.omega_bilinear - excitation.omega)))
+    open_omega, bilinear_omega = (
+        float(figures.omega_open[mode_index]),
+        float(figures.omega_bilinear[mode_index]),
+    )
+    # Three half-power bandwidths from the resonance the response is a sixth of the peak.
+    bandwidth_factor = 1.0 + 3.0 * 2.0 * float(figures.damping_ratios[mode_index])
+    if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):
         return None
-    bonded = 1.0 / (2.0 / breathing - 1.0 / opened)  # of the same mode
-    meeting = partial(_meeting, scene, parameter, slope=figures.slopes[mode])
-    low, high, start, stop = map(meeting, (opened, bonded, opened / beyond, bonded * beyond))
-    if not found.unknown and turns == (parameter in ("speed", "rpm")):
-        low = high = found.value
-        start, stop = min(low, found.rest), max(high, found.rest)
-        start, stop = start - 3.0 * found.width, stop + 3.0 * found.width
+    bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
+    find_crossing_parameter = partial(
+        _crossing_parameter, scene, parameter, slope=figures.speed_slopes[mode_index]
+    )
+    lowest_resonance, highest_resonance, start, stop = map(
+        find_crossing_parameter,
+        (open_omega, bonded_omega, open_omega / bandwidth_factor, bonded_omega * bandwidth_factor),
+    )
+    if not resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
+        lowest_resonance = highest_resonance = resonance.value
+        start, stop = min(lowest_resonance, resonance.rest), max(highest_resonance, resonance.rest)
+        start, stop = start - 3.0 * resonance.width, stop + 3.0 * resonance.width
     if (
-        curve is not None
-        and min(curve.continuation_range[1:]) <= high
-        and max(curve.continuation_range[1:]) >= low
+        scene_curve is not None
+        and min(scene_curve.continuation_range[1:]) <= highest_resonance
+        and max(scene_curve.continuation_range[1:]) >= lowest_resonance
     ):
         return None
     if not 0.0 < start < stop < math.inf:
         return None
-    unit = CURVE_UNITS[parameter][0]
-    return Curve(_rounded(start / unit, math.floor), _rounded(stop / unit, math.ceil), parameter)
+    unit_factor = CURVE_UNIT_BY_PARAMETER[parameter][0]
+    return Curve(
+        _round_to_three_digits(start / unit_factor, math.floor),
+        _round_to_three_digits(stop / unit_factor, math.ceil),
+        parameter,
+    )
 
 
-def _rounded(value: float, towards: Callable[[float], int]) -> float:
-    """Round to three digits."""
-    digits = 10.0 ** (2 - math.floor(math.log10(value)))
-    return towards(value * digits) / digits
+def _round_to_three_digits(value: float, round_function: Callable[[float], int]) -> float:
+    """Round a positive value to three digits, by ``round_function`` (floor or ceil)."""
+    digit_factor = 10.0 ** (2 - math.floor(math.log10(value)))
+    return round_function(value * digit_factor) / digit_factor
 
 
-def _meeting(
+def _crossing_parameter(
     scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
-    """Parameter of a curve [rad/s] at which a harmonic of the load meets a natural frequency, whose
-    square has a slope over that of the speed."""
-    order = scene.excitation.order
-    if parameter in ("speed", "rpm") and order is not None:
-        return meeting_speed(harmonic * order, scene.speed, omega, slope)
+    """Return a curve's parameter at which a harmonic meets a natural frequency [rad/s].
+
+    ``omega`` is the natural frequency [rad/s], ``slope`` is S = d(w^2) / d(W^2), ``harmonic`` is a
+    multiple of the load frequency. The parameter is a load frequency or a rotor speed.
+    """
+    engine_order = scene.excitation.order
+    if parameter in ("speed", "rpm") and engine_order is not None:
+        return order_crossing_speed(harmonic * engine_order, scene.speed, omega, slope)
     return omega / harmonic
 
 
 def scales_with_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
 
-    Where forces and gaps are multiplied by a positive number, the equations of crack faces that
-    touch or not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
+    If contact begins at g = 0, a positive factor of all forces and gaps is a factor of the whole
+    equations. The centrifugal load does not scale.
     """
     if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
-    parts = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
-    return all(part.clearance == 0.0 for part in parts)
+    tables = scene.all_cracks.values() if scene.structure is None else (scene.structure,)
+    return all(table.clearance == 0.0 for table in tables)
 
 
 # --- remarks --------------------------------------------------------------------------------------
 
-LARGEST_SIDE = 20.0
+MAX_PLAUSIBLE_SIDE = 20.0
 """Maximum plausible side of a plate [m]."""
-FASTEST = 1000.0
+MAX_PLAUSIBLE_TIP_SPEED = 1000.0
 """Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
-TOO_FAST = "the blade tip moves at {:.3g} m/s, where the fastest have 700"
-MOST_DAMPED = 0.05
+TIP_SPEED_TEXT_TEMPLATE = "the blade tip moves at {:.3g} m/s, where the fastest have 700"
+MAX_PLAUSIBLE_DAMPING = 0.05
 """Maximum plausible ratio of critical damping."""
-CORIOLIS = 0.01
-"""Minimum relative change of a frequency by the Coriolis force that is reported: the errors of
-usual meshes are as large."""
-WITHOUT_CORIOLIS = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
-SLIPS_FIRST = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
-"""Keys on which the key figures depend: with a slip there they get no remarks."""
+MIN_REPORTED_CORIOLIS_CHANGE = 0.01
+"""Minimum reported relative change of a frequency by the Coriolis force. Errors of usual meshes are
+as large."""
+CORIOLIS_TEXT_TEMPLATE = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
+KEY_PREFIXES_OF_FIGURES = "material.", "geometry.", "rotation.", "mesh.file", "structure.model"
+"""Beginnings of keys on which the key figures depend. After a remark on such a key, the figures get
+no remarks."""
 
 
 @dataclass(frozen=True)
 class Remark:
-    """Something unusual: ``key = value: what is usual``."""
+    """Remark on an unusual value: ``key = value: text``."""
 
     key: str
     value: object
@@ -430,335 +616,623 @@ class Remark:
         return f"{self.key} = {value}: {self.text}"
 
 
-class Usual(NamedTuple):
-    """A row of the tables of remarks: the plausible range of a number.
+class RemarkRule(NamedTuple):
+    """Rule of remarks: the plausible range of a number that follows from a key's value.
 
     Attributes
     ----------
-    keys : str
-        Keys, of which the first one with a value other than 0 is named; "crack" is every crack.
-    low, high : float
+    keys_text : str
+        Keys, separated by blanks. The remark names the first key with a value other than 0; "crack"
+        stands for every crack.
+    lower_limit, upper_limit : float
         Plausible range.
-    words : str
-        What is usual, with places for the number, further values, {kind} and {faces}.
-    number : callable, optional
-        Number by the value, the scene, and the structure or the key figures in the tables of these,
-        or a tuple of it and further values; None where the row does not apply.
-    units : mapping
-        Units in which values are mistyped, by their factors to that of the key.
+    text_template : str
+        Text with fields for the number, further values, {kind} and {faces}.
+    compute_number : callable, optional
+        Function of the value, the scene, and in some tables the structure or the key figures. It
+        returns the number, or a tuple of the number and further values; None if the rule does not
+        apply.
+    factor_by_unit : mapping of str to float
+        Units in which values are mistyped, and the factor from the unit to the key's unit.
     """
 
-    keys: str
-    low: float
-    high: float
-    words: str
-    number: Callable[..., Any] = lambda value, *_: float(np.max(value))
-    units: Mapping[str, float] = MappingProxyType({})
+    keys_text: str
+    lower_limit: float
+    upper_limit: float
+    text_template: str
+    compute_number: Callable[..., Any] = lambda value, *_: float(np.max(value))
+    factor_by_unit: Mapping[str, float] = MappingProxyType({})
 
 
 def remarks_on_scene(
     scene: Scene, structure: Structure | None = None, figures: KeyFigures | None = None
 ) -> list[Remark]:
-    """Return the remarks on a scene, and as far as they are given on its structure before it is
-    reduced, and on its key figures (collective)."""
-    found = [*_remarks(OF_SCENE, scene)]
+    """Return the remarks on a scene, its unreduced structure and its key figures (collective)."""
+    remarks = [*_find_remarks(SCENE_RULES, scene)]
     if structure is not None:
-        found += _remarks(OF_STRUCTURE, scene, structure)
-    if figures is not None and not any(remark.key.startswith(SLIPS_FIRST) for remark in found):
-        found += _remarks(OF_FIGURES, scene, figures)
+        remarks += _find_remarks(STRUCTURE_RULES, scene, structure)
+    if figures is not None and not any(
+        remark.key.startswith(KEY_PREFIXES_OF_FIGURES) for remark in remarks
+    ):
+        remarks += _find_remarks(FIGURE_RULES, scene, figures)
     if structure is not None:
-        found += _remarks(OF_MODEL, scene, structure)
-    return found
+        remarks += _find_remarks(MODEL_RULES, scene, structure)
+    return remarks
 
 
-def _remarks(rows: Iterable[Usual], scene: Scene, *known: object) -> Iterator[Remark]:
-    """Yield the remarks of a table's rows; with the first unit in which a value would be usual."""
+def _find_remarks(
+    rules: Iterable[RemarkRule], scene: Scene, *rule_arguments: object
+) -> Iterator[Remark]:
+    """Yield the remarks of some rules on a scene.
+
+    ``rule_arguments`` are the structure or the key figures. A remark names the first unit in which
+    the value would be usual.
+    """
     geometry = scene.geometry
-    kind = "structure" if geometry is None else geometry.kind
-    for row in rows:
-        for key, value in _named(scene, row.keys):
-            numbers = row.number(value, scene, *known)
-            number, *others = numbers if isinstance(numbers, tuple) else (numbers,)
-            if number is None or row.low <= number <= row.high:
+    body_kind = "structure" if geometry is None else geometry.kind
+    for rule in rules:
+        for key, value in _given_keys_and_values(scene, rule.keys_text):
+            number_and_values = rule.compute_number(value, scene, *rule_arguments)
+            number, *further_values = (
+                number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
+            )
+            if number is None or rule.lower_limit <= number <= rule.upper_limit:
                 continue
-            text = row.words.format(number, *others, kind=kind, faces=word_for_crack_faces(scene))
-            for unit, factor in row.units.items():
-                if row.low <= factor * number <= row.high:
-                    text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+            remark_text = rule.text_template.format(
+                number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
+            )
+            for unit, factor in rule.factor_by_unit.items():
+                if rule.lower_limit <= factor * number <= rule.upper_limit:
+                    remark_text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
                     break
-            yield Remark(key, list(value) if isinstance(value, tuple) else value, text)
+            yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
-def _named(scene: Scene, keys: str) -> list[tuple[str, object]]:
-    """Keys that are given with their values: of the first of some that is not 0, else of the first
-    that is 0; of cracks all."""
-    every: list[list[tuple[str, object]]] = []
-    for key in keys.split():
-        table, name = key.split(".")
-        tables = scene.all_cracks if table == "crack" else {table: getattr(scene, table)}
-        values = {f"{place}.{name}": getattr(part, name, None) for place, part in tables.items()}
-        every.append([(place, value) for place, value in values.items() if value is not None])
-    given = [named for named in every if named]
-    moved = [named for named in given if any(np.any(np.asarray(v) != 0) for _, v in named)]
-    return (moved or given or [[]])[0]
+def _given_keys_and_values(scene: Scene, keys: str) -> list[tuple[str, object]]:
+    """Return the first given key with a nonzero value, and the value.
+
+    If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
+    that has it. The list is empty if no key is given.
+    """
+    entry_lists: list[list[tuple[str, object]]] = []
+    for dotted_key in keys.split():
+        table_name, field_name = dotted_key.split(".")
+        table_by_name = (
+            scene.all_cracks if table_name == "crack" else {table_name: getattr(scene, table_name)}
+        )
+        value_by_key = {
+            f"{path}.{field_name}": getattr(table, field_name, None)
+            for path, table in table_by_name.items()
+        }
+        entry_lists.append(
+            [(path, value) for path, value in value_by_key.items() if value is not None]
+        )
+    given_entry_lists = [entry_list for entry_list in entry_lists if entry_list]
+    nonzero_entry_lists = [
+        entry_list
+        for entry_list in given_entry_lists
+        if any(np.any(np.asarray(value) != 0) for _, value in entry_list)
+    ]
+    return (nonzero_entry_lists or given_entry_lists or [[]])[0]
 
 
-# --- numbers of rows ------------------------------------------------------------------------------
+# --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _side(value: float, scene: Scene) -> float | None:
-    """The longest side of a plate; None for another one."""
+def _longest_side(value: float, scene: Scene) -> float | None:
+    """Return a plate's side [m] if it is the longest one, else None."""
     geometry = scene.geometry
     return value if value == max(geometry.width or 0.0, geometry.height or 0.0) else None
 
 
-def _over(length: float, side: float | None) -> float | None:
-    """A crack's length over a side of a plate or of a box."""
+def _length_ratio(length: float, side: float | None) -> float | None:
+    """Return a crack's length over a side; None without a side."""
     return None if side is None else length / side
 
 
-def _shorter(scene: Scene) -> float:
-    """Shorter side of a plate in its plane [m]; inf without any."""
+def _shorter_side(scene: Scene) -> float:
+    """Return the shorter side of a plate in its plane [m]; inf without sides."""
     sides = scene.geometry.width, scene.geometry.height
     return min((side for side in sides if side is not None), default=math.inf)
 
 
-def _thickness(value: float, scene: Scene) -> float | None:
-    """Thickness over the shorter side; of plane problems 1 m is usual, and the width of a disk's
-    blade is no measure."""
-    plane = scene.geometry.kind == "plate" and (value == 1.0 or scene.disk is not None)
-    return None if plane else value / _shorter(scene)
+def _thickness_ratio(value: float, scene: Scene) -> float | None:
+    """Return a thickness over the shorter side, or None.
+
+    It is None for plane problems of 1 m, which is usual, and for disks.
+    """
+    is_unscaled = scene.geometry.kind == "plate" and (value == 1.0 or scene.disk is not None)
+    return None if is_unscaled else value / _shorter_side(scene)
 
 
-def _no_node(value: object, scene: Scene, structure: Structure) -> tuple[float, str] | None:
-    """Distance of a load from the nearest node, of a part or of a model from elsewhere, over its
-    size, and that node's place."""
+def _distance_to_node(
+    load_point: object, scene: Scene, structure: Structure
+) -> tuple[float, str] | None:
+    """Return relative distance and position of the node nearest to a load.
+
+    The distance is over the mesh's size. It applies to files of parts and models; None if the load
+    acts inside a cell (collective).
+    """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
     if scene.structure is None:
         from fenics_crack.fem.loads import nodal_force_fractions  # DOLFINx
 
-        shares = nodal_force_fractions(scene, structure.nodes.mesh_dofs, "excitation.point", value)  # type: ignore[arg-type]
-        if structure.comm.allreduce(np.count_nonzero(shares)) > 1:  # of the nodes of its cell
+        force_fractions = nodal_force_fractions(
+            scene,
+            structure.nodes.mesh_dofs,
+            "excitation.point",
+            load_point,  # type: ignore[arg-type]
+        )
+        if structure.comm.allreduce(np.count_nonzero(force_fractions)) > 1:  # nodes of a cell
             return None
     points = gather_rows(structure.comm, structure.nodes.points)
-    distance = np.linalg.norm(points - value, axis=1)
-    nearest = int(np.argmin(distance))
-    return distance[nearest] / np.ptp(points, axis=0).max(), format_point(points[nearest])
+    distances = np.linalg.norm(points - load_point, axis=1)
+    nearest_index = int(np.argmin(distances))
+    mesh_size, nearest_point = np.ptp(points, axis=0).max(), points[nearest_index]
+    return distances[nearest_index] / mesh_size, format_point(nearest_point)
 
 
 def _tip_speed(value: float, scene: Scene, structure: Structure) -> float | None:
-    """Speed of the node farthest from the axis [m/s], by the key that gives the rotor's."""
-    table = scene.rotation
-    if table is None or structure.nodes is None or value != (table.rpm or table.speed):
+    """Return the speed of the node farthest from the axis [m/s] (collective).
+
+    None if the value is not that of the key for the rotor's speed.
+    """
+    rotation_table = scene.rotation
+    if (
+        rotation_table is None
+        or structure.nodes is None
+        or value != (rotation_table.rpm or rotation_table.speed)
+    ):
         return None
-    if (table.hub_radius or 0.0) > LARGEST_SIDE:
+    if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
         return None
     point, axis = (vector[: structure.nodes.points.shape[1]] for vector in scene.axis)
-    away = gather_rows(structure.comm, structure.nodes.points) - point
-    across = away - np.outer(away @ axis, axis)
-    return scene.speed * float(np.linalg.norm(across, axis=1).max())
+    offsets = gather_rows(structure.comm, structure.nodes.points) - point
+    radial_offsets = offsets - np.outer(offsets @ axis, axis)
+    return scene.speed * float(np.linalg.norm(radial_offsets, axis=1).max())
 
 
-def _clamp(_: float, scene: Scene, structure: Structure) -> tuple[float, float] | None:
-    """Distance of a mesh's clamp from y = 0, over the mesh's size and in m."""
+def _clamp_offset(_: float, scene: Scene, structure: Structure) -> tuple[float, float] | None:
+    """Return a clamp's offset from y = 0: over the mesh's size, and y [m]."""
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
         return None
     points, dofs = (gather_rows(structure.comm, rows) for rows in (nodes.points, nodes.dofs))
-    heights = points[np.all(dofs < 0, axis=1), 1]
-    off = float(heights[np.abs(heights).argmax()]) if len(heights) else 0.0
-    return abs(off) / float(np.ptp(points, axis=0).max()), off
+    clamp_heights = points[np.all(dofs < 0, axis=1), 1]
+    clamp_height = (
+        float(clamp_heights[np.abs(clamp_heights).argmax()]) if len(clamp_heights) else 0.0
+    )
+    return abs(clamp_height) / float(np.ptp(points, axis=0).max()), clamp_height
 
 
-def _clamp_bending(_: object, scene: Scene, structure: Structure) -> tuple[float, float] | None:
-    """Return the bending stress in a solid's clamp, as of a rectangle, of an axis that is not below
-    its middle: over the direct stress of the centrifugal force, and in MPa."""
+def _clamp_bending_stress(
+    _: object, scene: Scene, structure: Structure
+) -> tuple[float, float] | None:
+    """Return the bending stress in a solid's clamp by an eccentric axis.
+
+    Returns
+    -------
+    (float, float)
+        Bending stress over the direct stress of the centrifugal force, and in MPa. The clamp
+        counts as a rectangle.
+    """
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
         return None
     is_clamped, (point, axis) = np.all(nodes.dofs < 0, axis=1), scene.axis
     sides = np.ptp(gather_rows(structure.comm, nodes.points[is_clamped]), axis=0)
-    normal, rows = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
+    normal_axis, free_dofs = int(sides.argmin()), nodes.dofs[~is_clamped] - structure.first_dof
     axis_offset = (np.eye(3) - np.outer(axis, axis)) @ (clamp.center - point)
-    offset = np.where(np.arange(3) == normal, 0.0, axis_offset)
-    parts = [rotation.force[rows].sum(axis=0), (clamp.inertia[3:, rows] @ offset).sum(axis=1)]
-    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(parts))
-    first_side, second_side = np.delete(sides, normal)
-    bending = 6.0 * (np.abs(np.delete(moment, normal)) @ [1.0 / second_side, 1.0 / first_side])
-    return bending / float(np.linalg.norm(force)), 1e-6 * bending / (first_side * second_side)
+    offset = np.where(np.arange(3) == normal_axis, 0.0, axis_offset)
+    force_and_moment = [
+        rotation.force[free_dofs].sum(axis=0),
+        (clamp.inertia[3:, free_dofs] @ offset).sum(axis=1),
+    ]
+    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(force_and_moment))
+    first_side, second_side = np.delete(sides, normal_axis)
+    bending_force = 6.0 * (
+        np.abs(np.delete(moment, normal_axis)) @ [1.0 / second_side, 1.0 / first_side]
+    )
+    return bending_force / float(np.linalg.norm(force)), 1e-6 * bending_force / (
+        first_side * second_side
+    )
 
 
-def _coriolis(_: float, scene: Scene, structure: Structure) -> float | None:
-    """Largest relative change of the lowest frequencies of a solid by the Coriolis force."""
+def _coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
+    """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
-    turning = structure.rotation.speed * scene.axis[1]
-    modes = solve_modes(structure, min(N_MODES, structure.n_modes))
-    return float(np.abs(coriolis_shifts(modes, turning)).max())
+    angular_velocity = structure.rotation.speed * scene.axis[1]
+    modes = solve_modes(structure, min(N_FIGURE_MODES, structure.n_modes))
+    return float(np.abs(coriolis_shifts(modes, angular_velocity)).max())
 
 
-def coriolis_in_words(shifts: np.ndarray) -> str:
-    """Describe the effect of the Coriolis force, by relative changes of the lowest natural
-    frequencies (m,); "" where it is small."""
-    largest = np.abs(shifts).max()
-    return "" if largest <= CORIOLIS else WITHOUT_CORIOLIS.format(largest)
+def describe_coriolis(relative_changes: np.ndarray) -> str:
+    """Describe the effect of the Coriolis force in words; "" if it is small.
 
-
-def _keeps_mass(_: str, scene: Scene, structure: Structure) -> float | None:
-    """The pairs of rigid contact that keep their mass."""
-    table, contact = reduction_of(scene, structure), scene.contact
-    massless = table is not None and table.method == "massless"
-    return None if massless or contact is None or contact.law != "unilateral" else structure.n_pairs
-
-
-def _other_unit(factor: float) -> Callable[..., tuple[float, ...] | None]:
-    """The load's frequency over the first natural one, and that in Hz and rad/s, where times a
-    factor, but not as it is, it is near one of the first."""
-
-    def number(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, ...] | None:
-        first, omega = float(figures.omega_open[0]), scene.excitation.omega
-        every = np.concatenate([figures.omega_open, figures.omega_tied])
-        firsts = every[[0, len(figures.omega_open)]]
-        meant = not _is_near(omega, every) and _is_near(factor * omega, firsts)
-        return (omega / first, first / RAD_PER_TURN, first) if meant and first > 0.0 else None
-
-    return number
-
-
-def _is_near(omega: float, natural: np.ndarray) -> bool:
-    return bool(np.any(np.abs(natural - omega) < 0.1 * natural))
-
-
-def _no_resonance(_: float, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
-    """The first natural frequency [rad/s] if a curve holds no resonance of the first modes, between
-    open and bonded crack, with some harmonics of the load or half its frequency; and a range with
-    the one at the load."""
-    curve = scene.curve
-    if curve is None or curve.parameter not in CURVE_UNITS:
-        return None
-    meeting = np.vectorize(partial(_meeting, scene, curve.parameter, slope=figures.slopes[0]))
-    first, last = sorted(curve.continuation_range[1:])
-    natural = figures.omega_open, figures.omega_tied
-    for order in (0.5, 1.0, 2.0, 3.0):
-        opened, bonded = (meeting(omega, harmonic=order) for omega in natural)
-        if np.any((first <= bonded) & (last >= opened)):
-            return None
-    if last >= meeting(figures.omega_tied[-1], harmonic=1.0):  # more modes are not computed
-        return None
-    proposed, unit = proposed_curve(scene, figures), CURVE_UNITS[curve.parameter][1]
-    ends = figures.omega_open[0], figures.omega_tied[0]
-    text = (
-        f"{curve.stop:g} {unit}: the first is between {format_in_unit(frequency_axis(True), *ends)}"
+    ``relative_changes`` (m,) are those of the lowest natural frequencies.
+    """
+    largest_change = np.abs(relative_changes).max()
+    return (
+        ""
+        if largest_change <= MIN_REPORTED_CORIOLIS_CHANGE
+        else CORIOLIS_TEXT_TEMPLATE.format(largest_change)
     )
-    if proposed is not None:
-        text += f"; start = {proposed.start:g} and stop = {proposed.stop:g} hold one"
-    return float(ends[0]), text
 
 
-def _turned(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, float] | None:
-    """Rotation [rad] and displacement [m] under the force of [excitation] alone."""
-    undamped = scene.has_other_loads or figures.damping.min() == 0.0
-    return None if undamped else (figures.rotation, figures.displacement)
+def _count_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
+    """Return the number of rigid contact pairs with mass, or None."""
+    reduction, contact = reduction_of(scene, structure), scene.contact
+    is_massless = reduction is not None and reduction.method == "massless"
+    return (
+        None if is_massless or contact is None or contact.law != "unilateral" else structure.n_pairs
+    )
 
 
-def _elements_along(_: object, scene: Scene, figures: KeyFigures) -> int | None:
-    """Elements along each crack face; grids choose them, and a mouth has one."""
-    at_mouth = scene.contact is not None and scene.contact.pairs == "mouth"
-    by_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
-    return None if at_mouth or by_grid else figures.elements
+def _make_unit_check(unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
+    """Return a function that detects a load frequency in another unit.
+
+    It applies if the load frequency is near no natural frequency, but ``unit_factor`` times the
+    load frequency is near the first one. The function then returns the load frequency over the
+    first natural frequency, and the latter in Hz and rad/s.
+    """
+
+    def compare_in_other_unit(
+        _: float, scene: Scene, figures: KeyFigures
+    ) -> tuple[float, ...] | None:
+        first_omega, omega = float(figures.omega_open[0]), scene.excitation.omega
+        natural_omegas = np.concatenate([figures.omega_open, figures.omega_tied])
+        first_omegas = natural_omegas[[0, len(figures.omega_open)]]
+        is_other_unit = not _is_near(omega, natural_omegas) and _is_near(
+            unit_factor * omega, first_omegas
+        )
+        return (
+            (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
+            if is_other_unit and first_omega > 0.0
+            else None
+        )
+
+    return compare_in_other_unit
 
 
-def _never_meet(_: object, scene: Scene, figures: KeyFigures) -> tuple[float, str] | None:
-    """The motion of the faces [m] where it opens or closes no pair."""
+def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
+    """Return True if a frequency is within 10 % of a natural frequency."""
+    return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
+
+
+def _missed_first_frequency(
+    _: float, scene: Scene, figures: KeyFigures
+) -> tuple[float, str] | None:
+    """Return the first natural frequency [rad/s] if a curve meets no resonance.
+
+    Resonances are sought between the open and bonded frequencies of the first modes, with the
+    harmonics 1/2, 1, 2 and 3. The second output is a text with the curve's end and a proposed
+    range.
+    """
+    curve = scene.curve
+    if curve is None or curve.parameter not in CURVE_UNIT_BY_PARAMETER:
+        return None
+    find_crossing_parameters = np.vectorize(
+        partial(_crossing_parameter, scene, curve.parameter, slope=figures.speed_slopes[0])
+    )
+    curve_start, curve_end = sorted(curve.continuation_range[1:])
+    natural_omegas = figures.omega_open, figures.omega_tied
+    for harmonic in (0.5, 1.0, 2.0, 3.0):
+        open_parameters, bonded_parameters = (
+            find_crossing_parameters(omega, harmonic=harmonic) for omega in natural_omegas
+        )
+        if np.any((curve_start <= bonded_parameters) & (curve_end >= open_parameters)):
+            return None
+    # Modes above the last one are not computed.
+    if curve_end >= find_crossing_parameters(figures.omega_tied[-1], harmonic=1.0):
+        return None
+    curve_proposal = propose_curve(scene, figures)
+    unit = CURVE_UNIT_BY_PARAMETER[curve.parameter][1]
+    first_range = figures.omega_open[0], figures.omega_tied[0]
+    text = f"{curve.stop:g} {unit}: the first is between {format_in_unit(frequency_axis(True), *first_range)}"
+    if curve_proposal is not None:
+        text += f"; start = {curve_proposal.start:g} and stop = {curve_proposal.stop:g} hold one"
+    return float(first_range[0]), text
+
+
+def _peak_rotation_and_displacement(
+    _: object, scene: Scene, figures: KeyFigures
+) -> tuple[float, float] | None:
+    """Return peak rotation [rad] and displacement [m] under the force of [excitation] alone.
+
+    None with other loads, or without damping.
+    """
+    is_unbounded = scene.has_other_loads or figures.damping_ratios.min() == 0.0
+    return None if is_unbounded else (figures.peak_rotation, figures.peak_displacement)
+
+
+def _elements_along_faces(_: object, scene: Scene, figures: KeyFigures) -> int | None:
+    """Return the number of elements along each crack face.
+
+    None for grids, which choose it, and for contact at the mouth alone.
+    """
+    has_mouth_pair = scene.contact is not None and scene.contact.pairs == "mouth"
+    is_grid = scene.mesh.layout == "grid" and scene.mesh.patches is None
+    return None if has_mouth_pair or is_grid else figures.n_face_elements
+
+
+def _motion_without_contact_change(
+    _: object, scene: Scene, figures: KeyFigures
+) -> tuple[float, str] | None:
+    """Return the motion of the crack faces [m] if no pair opens or closes.
+
+    The second output is the verb for the remark: "opens" or "closes". None if a pair breathes.
+    """
     if scene.contact is None or scene.structure is not None or figures.breathes:
         return None
-    return figures.gap_motion, "opens" if figures.closed else "closes"
+    return figures.peak_gap_motion, "opens" if figures.n_closed_pairs else "closes"
 
 
 # --- tables of remarks ----------------------------------------------------------------------------
 
-MM = MappingProxyType({"mm": 1e-3})
-ROTOR = "larger than any rotor"
-METALS = "of critical damping, metals have 0.0001 to 0.01"
-LOADS = "excitation.force_sin excitation.force_cos"
-STIFFNESSES = "contact.stiffness contact.stiffness_per_area"
-OF_FIRST = "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
-OF_SCENE = (
-    Usual("material.young", 1e7, 1.5e12, "in Pa, steel has 2.1e11, and most solids from 1e7 to "
-          "1.5e12", units={"GPa": 1e9, "MPa": 1e6}),
-    Usual("material.density", 50.0, 25000.0, "in kg/m^3, steel has 7850, and most solids from 50 "
-          "to 25000", units={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9}),
-    Usual("material.poisson", 0.0, 0.49, "most solids have 0 to 0.49, steel 0.3"),
-    Usual("geometry.width", 0.0, LARGEST_SIDE, "a {kind} of {:g} m", _side, MM),
-    Usual("geometry.height", 0.0, LARGEST_SIDE, "a {kind} of {:g} m", _side, MM),
-    Usual("geometry.thickness", 0.0, 1.0, "thicker than the {kind} is wide or high",
-          _thickness, MM),
-    Usual("crack.length", 0.01, 0.9, "{:.3g} of the {kind}'s width; 0.01 to 0.9 are usual",
-          lambda length, scene: _over(length, scene.geometry.width)),
-    Usual("crack.depth", 0.01, 0.9, "{:.3g} of the {kind}'s thickness; 0.01 to 0.9 are usual",
-          lambda depth, scene: _over(depth, scene.geometry.thickness)),
-    Usual("mesh.size", 0.0, 1.0, "longer than the {kind}'s shorter side",
-          lambda size, scene: size / _shorter(scene), MM),
-    Usual("rotation.hub_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
-    Usual("tip_timing.tip_radius", 0.0, LARGEST_SIDE, ROTOR, units=MM),
-    Usual("tip_timing.probes", RAD_PER_TURN, math.inf, "all of them within {:.3g} degrees; in rad?",
-          lambda angles, _: np.ptp(angles) or None),
-    Usual("damping.ratio damping.ratios", 0.0, MOST_DAMPED, METALS, units={"%": 1e-2}),
-    Usual("growth.rate", 1e-20, 1e-9, "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to "
-          "1.4e-10", units={"mm in a cycle": 1e-3}),
-    Usual("excitation.wave", 0.0, 0.0, "{1} harmonics leave out {0:.2%} of what changes in it "
-          "(root mean square)",
-          lambda _, scene: (read_load_table_harmonics(scene.excitation, scene.dimension)[1],
-                            scene.excitation.wave_harmonics)),
-    Usual(LOADS, 1.0, 1.0, "no force at all: excitation.force_sin, force_cos and force_mean are "
-          "zero", lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key)),
-)  # fmt: skip
-OF_STRUCTURE = (
-    Usual("structure.model mesh.file", 0.0, LARGEST_SIDE, "a structure of {1:.3g} m x {0:.3g} m; "
-          "is the mesh in mm?", lambda _, __, structure: (max(e := extents(structure)), min(e))),
-    Usual("excitation.point", 0.0, POSITION_TOLERANCE, "no node is there: the force acts on the "
-          "nearest one, at {1}", _no_node),
-    Usual("rotation.speed", 0.0, FASTEST, TOO_FAST, _tip_speed, {"rpm": RAD_PER_S_PER_RPM}),
-    Usual("rotation.rpm", 0.0, FASTEST, TOO_FAST, _tip_speed),
-    Usual("rotation.hub_radius", 0.0, 0.01, "counted from a clamp at y = 0; that of the mesh is at "
-          "y = {1:.4g} m", _clamp),
-    Usual("rotation.hub_radius rotation.center", 0.0, 0.2, "the axis is not below the middle of "
-          "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
-          "{0:.2g} of its direct stress", _clamp_bending),
-)  # fmt: skip
-OF_FIGURES = (
-    Usual("excitation.omega", 1.0, 0.0, OF_FIRST + "Hz? then use excitation.frequency",
-          _other_unit(RAD_PER_TURN)),
-    Usual("excitation.frequency", 1.0, 0.0, OF_FIRST + "rad/s? then use excitation.omega",
-          _other_unit(1.0 / RAD_PER_TURN)),
-    Usual("curve.start", 1.0, 0.0, "no resonance from there to {1}", _no_resonance),
-    Usual(LOADS, 0.0, SMALL_MOTION, "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
-          "rad about the clamp: beyond small displacements; in N?", _turned),
-    Usual("mesh.patches mesh.lip_elements mesh.file", 4, math.inf, "elements or patches "
-          "longer than a quarter of the crack; 4 to 20 along each face are usual", _elements_along),
-    Usual(STIFFNESSES, 1.0, math.inf, "at most {:.2g} of the {faces}' static stiffness: they "
-          "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
-          lambda _, __, figures: np.max(figures.stiffness_ratio)),
-    Usual(STIFFNESSES, 0.0, 1e6, "at least {:.2g} times the {faces}' static stiffness: numerically "
-          "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
-          lambda _, __, figures: np.min(figures.stiffness_ratio)),
-    Usual("contact.sharpness", 10.0, math.inf, "the law is rounded over {1:.2g} m, and the {faces} "
-          "move by {2:.2g} m: contact acts on open {faces}",
-          lambda k, _, figures: (k * figures.gap_motion, 1.0 / k, figures.gap_motion)),
-    Usual("crack.clearance excitation.force_mean rotation.rpm rotation.speed", 0.0, 0.0,
-          "the crack never {1}: the load moves open crack faces by {0:.2g} m at most; the response "
-          "is linear", _never_meet),
-    Usual("damping.mass damping.stiffness", 0.0, MOST_DAMPED, "{:.3g} " + METALS + ", at the first "
-          "natural frequency", lambda _, __, figures: float(figures.damping[0])),
-    Usual("harmonic_balance.harmonics", 0, 0, "harmonics up to H w reach {1} modes, and {2} are "
-          "kept: raise {3}", lambda _, scene, figures: (
-              max(figures.modes_below - figures.modes_kept, 0), figures.modes_below,
-              figures.modes_kept, scene.modes_key)),
-)  # fmt: skip
-OF_MODEL = (
-    Usual("rotation.rpm rotation.speed", 0.0, CORIOLIS, WITHOUT_CORIOLIS, _coriolis),
-    Usual("contact.law", 0.0, 0.0, "rigid contact of pairs that keep their mass: solve gives no "
-          "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
-          "'massless'", _keeps_mass),
-)  # fmt: skip
+MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
+ROTOR_SIZE_TEXT = "larger than any rotor"
+METAL_DAMPING_TEXT = "of critical damping, metals have 0.0001 to 0.01"
+LOAD_KEYS = "excitation.force_sin excitation.force_cos"
+STIFFNESS_KEYS = "contact.stiffness contact.stiffness_per_area"
+FIRST_FREQUENCY_TEMPLATE = (
+    "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
+)
+SCENE_RULES = (
+    RemarkRule(
+        "material.young",
+        1e7,
+        1.5e12,
+        "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12",
+        factor_by_unit={"GPa": 1e9, "MPa": 1e6},
+    ),
+    RemarkRule(
+        "material.density",
+        50.0,
+        25000.0,
+        "in kg/m^3, steel has 7850, and most solids from 50 to 25000",
+        factor_by_unit={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9},
+    ),
+    RemarkRule("material.poisson", 0.0, 0.49, "most solids have 0 to 0.49, steel 0.3"),
+    RemarkRule(
+        "geometry.width",
+        0.0,
+        MAX_PLAUSIBLE_SIDE,
+        "a {kind} of {:g} m",
+        _longest_side,
+        MILLIMETRE_UNIT,
+    ),
+    RemarkRule(
+        "geometry.height",
+        0.0,
+        MAX_PLAUSIBLE_SIDE,
+        "a {kind} of {:g} m",
+        _longest_side,
+        MILLIMETRE_UNIT,
+    ),
+    RemarkRule(
+        "geometry.thickness",
+        0.0,
+        1.0,
+        "thicker than the {kind} is wide or high",
+        _thickness_ratio,
+        MILLIMETRE_UNIT,
+    ),
+    RemarkRule(
+        "crack.length",
+        0.01,
+        0.9,
+        "{:.3g} of the {kind}'s width; 0.01 to 0.9 are usual",
+        lambda length, scene: _length_ratio(length, scene.geometry.width),
+    ),
+    RemarkRule(
+        "crack.depth",
+        0.01,
+        0.9,
+        "{:.3g} of the {kind}'s thickness; 0.01 to 0.9 are usual",
+        lambda depth, scene: _length_ratio(depth, scene.geometry.thickness),
+    ),
+    RemarkRule(
+        "mesh.size",
+        0.0,
+        1.0,
+        "longer than the {kind}'s shorter side",
+        lambda size, scene: size / _shorter_side(scene),
+        MILLIMETRE_UNIT,
+    ),
+    RemarkRule(
+        "rotation.hub_radius",
+        0.0,
+        MAX_PLAUSIBLE_SIDE,
+        ROTOR_SIZE_TEXT,
+        factor_by_unit=MILLIMETRE_UNIT,
+    ),
+    RemarkRule(
+        "tip_timing.tip_radius",
+        0.0,
+        MAX_PLAUSIBLE_SIDE,
+        ROTOR_SIZE_TEXT,
+        factor_by_unit=MILLIMETRE_UNIT,
+    ),
+    RemarkRule(
+        "tip_timing.probes",
+        RAD_PER_TURN,
+        math.inf,
+        "all of them within {:.3g} degrees; in rad?",
+        lambda angles, _: np.ptp(angles) or None,
+    ),
+    RemarkRule(
+        "damping.ratio damping.ratios",
+        0.0,
+        MAX_PLAUSIBLE_DAMPING,
+        METAL_DAMPING_TEXT,
+        factor_by_unit={"%": 1e-2},
+    ),
+    RemarkRule(
+        "growth.rate",
+        1e-20,
+        1e-9,
+        "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10",
+        factor_by_unit={"mm in a cycle": 1e-3},
+    ),
+    RemarkRule(
+        "excitation.wave",
+        0.0,
+        0.0,
+        "{1} harmonics leave out {0:.2%} of what changes in it (root mean square)",
+        lambda _, scene: (
+            read_load_table_harmonics(scene.excitation, scene.dimension)[1],
+            scene.excitation.wave_harmonics,
+        ),
+    ),
+    RemarkRule(
+        LOAD_KEYS,
+        1.0,
+        1.0,
+        "no force at all: excitation.force_sin, force_cos and force_mean are zero",
+        lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key),
+    ),
+)
+STRUCTURE_RULES = (
+    RemarkRule(
+        "structure.model mesh.file",
+        0.0,
+        MAX_PLAUSIBLE_SIDE,
+        "a structure of {1:.3g} m x {0:.3g} m; is the mesh in mm?",
+        lambda _, __, structure: (max(e := mesh_extents(structure)), min(e)),
+    ),
+    RemarkRule(
+        "excitation.point",
+        0.0,
+        POSITION_TOLERANCE,
+        "no node is there: the force acts on the nearest one, at {1}",
+        _distance_to_node,
+    ),
+    RemarkRule(
+        "rotation.speed",
+        0.0,
+        MAX_PLAUSIBLE_TIP_SPEED,
+        TIP_SPEED_TEXT_TEMPLATE,
+        _tip_speed,
+        {"rpm": RAD_PER_S_PER_RPM},
+    ),
+    RemarkRule("rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE, _tip_speed),
+    RemarkRule(
+        "rotation.hub_radius",
+        0.0,
+        0.01,
+        "counted from a clamp at y = 0; that of the mesh is at y = {1:.4g} m",
+        _clamp_offset,
+    ),
+    RemarkRule(
+        "rotation.hub_radius rotation.center",
+        0.0,
+        0.2,
+        "the axis is not below the middle of "
+        "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
+        "{0:.2g} of its direct stress",
+        _clamp_bending_stress,
+    ),
+)
+FIGURE_RULES = (
+    RemarkRule(
+        "excitation.omega",
+        1.0,
+        0.0,
+        FIRST_FREQUENCY_TEMPLATE + "Hz? then use excitation.frequency",
+        _make_unit_check(RAD_PER_TURN),
+    ),
+    RemarkRule(
+        "excitation.frequency",
+        1.0,
+        0.0,
+        FIRST_FREQUENCY_TEMPLATE + "rad/s? then use excitation.omega",
+        _make_unit_check(1.0 / RAD_PER_TURN),
+    ),
+    RemarkRule("curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_frequency),
+    RemarkRule(
+        LOAD_KEYS,
+        0.0,
+        MAX_SMALL_ROTATION,
+        "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
+        "rad about the clamp: beyond small displacements; in N?",
+        _peak_rotation_and_displacement,
+    ),
+    RemarkRule(
+        "mesh.patches mesh.lip_elements mesh.file",
+        4,
+        math.inf,
+        "elements or patches longer than a quarter of the crack; 4 to 20 along each face are usual",
+        _elements_along_faces,
+    ),
+    RemarkRule(
+        STIFFNESS_KEYS,
+        1.0,
+        math.inf,
+        "at most {:.2g} of the {faces}' static stiffness: they "
+        "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
+        lambda _, __, figures: np.max(figures.stiffness_ratio),
+    ),
+    RemarkRule(
+        STIFFNESS_KEYS,
+        0.0,
+        1e6,
+        "at least {:.2g} times the {faces}' static stiffness: numerically "
+        "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
+        lambda _, __, figures: np.min(figures.stiffness_ratio),
+    ),
+    RemarkRule(
+        "contact.sharpness",
+        10.0,
+        math.inf,
+        "the law is rounded over {1:.2g} m, and the {faces} "
+        "move by {2:.2g} m: contact acts on open {faces}",
+        lambda k, _, figures: (k * figures.peak_gap_motion, 1.0 / k, figures.peak_gap_motion),
+    ),
+    RemarkRule(
+        "crack.clearance excitation.force_mean rotation.rpm rotation.speed",
+        0.0,
+        0.0,
+        "the crack never {1}: the load moves open crack faces by {0:.2g} m at most; the response "
+        "is linear",
+        _motion_without_contact_change,
+    ),
+    RemarkRule(
+        "damping.mass damping.stiffness",
+        0.0,
+        MAX_PLAUSIBLE_DAMPING,
+        "{:.3g} " + METAL_DAMPING_TEXT + ", at the first natural frequency",
+        lambda _, __, figures: float(figures.damping_ratios[0]),
+    ),
+    RemarkRule(
+        "harmonic_balance.harmonics",
+        0,
+        0,
+        "harmonics up to H w reach {1} modes, and {2} are kept: raise {3}",
+        lambda _, scene, figures: (
+            max(figures.n_modes_below - figures.n_kept_modes, 0),
+            figures.n_modes_below,
+            figures.n_kept_modes,
+            scene.modes_key,
+        ),
+    ),
+)
+MODEL_RULES = (
+    RemarkRule(
+        "rotation.rpm rotation.speed",
+        0.0,
+        MIN_REPORTED_CORIOLIS_CHANGE,
+        CORIOLIS_TEXT_TEMPLATE,
+        _coriolis_change,
+    ),
+    RemarkRule(
+        "contact.law",
+        0.0,
+        0.0,
+        "rigid contact of pairs that keep their mass: solve gives no "
+        "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
+        "'massless'",
+        _count_pairs_with_mass,
+    ),
+)

@@ -1,7 +1,7 @@
-"""From a scene to what is solved: its structure, reduced as it says, and its contact law.
+"""Preparation of a scene: structure, reduction and contact law.
 
-The memory that this is going to take is stated before it is spent. Modes are counted by a second
-factor while the first one is held.
+The memory for the solution is estimated before it is allocated. Modes are counted by a second
+factor while the first factor is held.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
 from fenics_crack.scene.tables import Contact, Reduction
-from fenics_crack.study.sharing import LAST, Made, assembled
+from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse
 
-REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""Errors that fail one run while others go on."""
-FEW_DOFS = 100
+REFUSAL_EXCEPTIONS = (InputError, ConvergenceError, np.linalg.LinAlgError)
+"""Exceptions that fail a single run while other runs continue."""
+MAX_UNREDUCED_DOFS = 100
 """Maximum dofs of a structure that is reduced only on request."""
 
 
 @dataclass(frozen=True)
-class Watched:
-    """A displacement that is watched.
+class WatchedDisplacement:
+    """Displacement component that is printed, written and drawn.
 
     Attributes
     ----------
     name : str
-        "tip.ux", with which the names of its quantities begin; empty for the load's.
+        Prefix of its quantities' names, "tip.ux"; empty without points in the scene.
     words : str
         "x displacement of tip".
     dof : int
-        Of the whole structure.
+        Dof of the whole structure.
     distance : float [m]
-        From the point in the scene to the node that is watched.
+        Distance from the scene's point to the watched node.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Watched:
     distance: float = 0.0
 
     def column(self, quantity: str) -> str:
-        """The name of one of its quantities: "tip.ux.ratio_2_1", or "ratio_2_1"."""
+        """Return the column name of a quantity: "tip.ux.ratio_2_1", or "ratio_2_1"."""
         return f"{self.name}.{quantity}" if self.name else quantity
 
 
@@ -74,19 +74,19 @@ class Study:
     Attributes
     ----------
     scene : Scene
-        With the crack length found and the reduction chosen.
+        Scene with known crack length and chosen reduction.
     structure : Structure
-        Reduced as the scene says.
+        Structure, reduced as the scene says.
     contact : ContactLaw or None
         Law of all pairs; None without a crack.
-    watched : tuple of Watched
-        The displacements that are printed, written and drawn: ``watched[0].dof`` is the first one.
+    watched : tuple of WatchedDisplacement
+        Displacements that are printed, written and drawn; ``watched[0].dof`` is the first dof.
     """
 
     scene: Scene
     structure: Structure
     contact: ContactLaw | None
-    watched: tuple[Watched, ...]
+    watched: tuple[WatchedDisplacement, ...]
 
     def __repr__(self) -> str:
         parts = (self.structure, self.contact, self.scene)
@@ -100,9 +100,11 @@ def prepare(
     whole: bool = False,
     like: Study | None = None,
     judged: bool = True,
-    last: list[Made] = LAST,
+    last: list[SharedStructure] = LAST_STRUCTURES,
 ) -> Study:
-    """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
+    """Prepare a scene: build and reduce its structure, and make its law (collective).
+
+    A crack length that the scene gives by a natural frequency is found first.
 
     Parameters
     ----------
@@ -113,18 +115,18 @@ def prepare(
     whole : bool
         Do not reduce, whatever the scene says.
     like : Study, optional
-        Of another scene, whose mesh and matrices are taken if the rotor's speed is all that
-        differs.
+        Study of another scene. Its mesh and matrices are used if only rotor speed and load
+        frequency differ, or the mistuning of a bladed disk.
     judged : bool
-        Reduce with what estimates the error of the reduction (:func:`reduce_structure`).
+        Reduce with a reference for the error of the reduction (:func:`reduce_structure`).
     last : list
-        The structure with which it is shared if it is of the same mesh, and whose place it takes;
-        default: that of the last scene.
+        At most one structure, reused if it has the same mesh; then holds the new structure.
+        Default: the structure of the last scene.
 
     Returns
     -------
     Study
-        Scene, structure and law, and the dofs that the scene watches.
+        Scene, structure, law and watched dofs.
 
     Raises
     ------
@@ -142,21 +144,25 @@ def prepare(
         from fenics_crack.fem.build import with_crack_length  # DOLFINx
 
         scene = with_crack_length(scene, comm)
-    known = None if like is None else _at_another_speed(scene, like)
-    structure = assembled(scene, comm, last) if known is None else known
+    reused_structure = None if like is None else _structure_from_reference_study(scene, like)
+    structure = (
+        assemble_or_reuse(scene, comm, last) if reused_structure is None else reused_structure
+    )
     structure = structure.with_tangents() if scene.has_friction else structure
-    watched = _watched_dofs(scene, structure)
-    if watched[0].name:
-        structure = structure.watching(watched[0].dof)
-    study = Study(scene, structure, law_of(scene, structure), watched)
-    return study if whole else reduced(study, judged=judged)
+    watched_displacements = _find_watched_displacements(scene, structure)
+    if watched_displacements[0].name:
+        structure = structure.watching(watched_displacements[0].dof)
+    study = Study(scene, structure, scene_contact_law(scene, structure), watched_displacements)
+    return study if whole else reduce_study(study, with_reference=judged)
 
 
-def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
-    """Return the watched dofs of a scene's structure, not reduced (collective).
+def _find_watched_displacements(
+    scene: Scene, structure: Structure
+) -> tuple[WatchedDisplacement, ...]:
+    """Find the watched displacements of a scene's whole structure (collective).
 
-    The points of ``[output.points]``, x before y, where they are free to move; without them what
-    the structure watches, or the dof that carries most of the load.
+    The points in ``[output.points]`` are watched in their free directions, x before y. Without
+    points the structure's watched dof is used, by default the dof with most of the load.
 
     Raises
     ------
@@ -165,224 +171,293 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
     """
     if not scene.points:
         dof = structure.watched_dof
-        return (Watched("", structure.dof_name(dof), dof),)
-    found, part = [], structure.sector_structure  # points are those of a blade
+        return (WatchedDisplacement("", structure.dof_name(dof), dof),)
+    displacements, sector = [], structure.sector_structure  # the points belong to a blade
     for point in scene.points:
-        key = f"output.points.{point.key}"
-        if part.nodes is None:
-            raise InputError(key, point.values, "left out: the structure has no positions")
-        place, dofs = part.nodes.find_nearest(part.comm, key, point.values)
-        distance = float(np.linalg.norm(place - point.values).round(12))
-        for axis, dof in zip(AXES, dofs, strict=False):
+        point_key = f"output.points.{point.key}"
+        if sector.nodes is None:
+            raise InputError(point_key, point.values, "left out: the structure has no positions")
+        node_position, node_dofs = sector.nodes.find_nearest(sector.comm, point_key, point.values)
+        distance = float(np.linalg.norm(node_position - point.values).round(12))
+        for axis, dof in zip(AXES, node_dofs, strict=False):
             if dof >= 0:
-                name, own = (
-                    f"{point.key}.u{axis}",
-                    structure.dof_of(structure.watched_sector + 1, int(dof)),
-                )
-                found.append(Watched(name, scene.point_names[name], own, distance))
-    return tuple(found)
+                name = f"{point.key}.u{axis}"
+                words, watched_sector = scene.point_names[name], structure.watched_sector
+                global_dof = structure.dof_of(watched_sector + 1, int(dof))
+                displacements.append(WatchedDisplacement(name, words, global_dof, distance))
+    return tuple(displacements)
 
 
-def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
-    """The structure of a scene from that of one which differs in the rotor's speed alone, and in
-    the load's frequency; of a bladed disk in its mistuning; else None (collective)."""
-    other, whole = like.scene, like.structure.whole
-    if other.disk is not None:
-        same = dict.fromkeys(RESULT_TABLE_NAMES) | {
-            f"disk.{key}": None for key in ("mistuning", "deviation", "seed")
+def _structure_from_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
+    """Return a scene's structure from a reference study; None if they differ (collective).
+
+    Rotor speed and load frequency may differ; for a bladed disk mistuning and load frequency.
+    """
+    reference_scene, reference_structure = reference_study.scene, reference_study.structure.whole
+    if reference_scene.disk is not None:
+        ignored_key_changes = dict.fromkeys(RESULT_TABLE_NAMES) | {
+            f"disk.{disk_key}": None for disk_key in ("mistuning", "deviation", "seed")
         }
-        same["excitation.omega"] = 1.0
-        if scene.disk is None or scene.replace(same) != other.replace(same):
+        ignored_key_changes["excitation.omega"] = 1.0
+        if scene.disk is None or scene.replace(ignored_key_changes) != reference_scene.replace(
+            ignored_key_changes
+        ):
             return None
-        return whole.mistuned(scene.disk.deviations)
-    rotation = whole.rotation
+        return reference_structure.mistuned(scene.disk.deviations)
+    rotation = reference_structure.rotation
     if rotation is None or scene.speed == 0.0:
         return None
-    same = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(RESULT_TABLE_NAMES)
-    same["reduction"] = None
-    if scene.replace(same) != other.replace(same):
+    ignored_key_changes = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(
+        RESULT_TABLE_NAMES
+    )
+    ignored_key_changes["reduction"] = None
+    if scene.replace(ignored_key_changes) != reference_scene.replace(ignored_key_changes):
         return None
     return rotation.at(scene.speed)
 
 
-def reduced(study: Study, *, judged: bool = True) -> Study:
-    """A study, reduced as its scene says unless it has been reduced, with the reference of the
-    reduction unless that is not needed (collective).
+def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
+    """Reduce a study as the scene says, unless already reduced (collective).
+
+    The reduced structure has a reference of more modes if ``with_reference``.
 
     Raises
     ------
     InputError
-        As :func:`check_memory_of` and :func:`reduce_structure`.
+        As :func:`estimate_checked_memory` and :func:`reduce_structure`.
     """
-    scene, whole = study.scene, study.structure
-    if whole.whole is not whole:
+    scene, whole_structure = study.scene, study.structure
+    if whole_structure.whole is not whole_structure:
         return study
-    if whole.has_matrices:
-        check_memory_of(scene, whole)
+    if whole_structure.has_matrices:
+        estimate_checked_memory(scene, whole_structure)
     if (disk := scene.disk) is not None:
         wheel = study.structure.whole
-        structure = reduce_wheel(wheel, disk.families, more=disk.modes, reference=judged)
+        structure = reduce_wheel(wheel, disk.families, more=disk.modes, reference=with_reference)
         return replace(study, structure=structure)
-    kept = reduction_of(scene, whole)
-    if kept is None:
+    reduction = reduction_of(scene, whole_structure)
+    if reduction is None:
         return study
-    settled = scene.replace({"reduction.method": kept.method, "reduction.modes": kept.modes})
-    structure = reduce_structure(whole, modes=kept.modes, method=kept.method, reference=judged)
-    return replace(study, scene=settled, structure=structure)
+    scene_with_reduction = scene.replace(
+        {"reduction.method": reduction.method, "reduction.modes": reduction.n_modes}
+    )
+    structure = reduce_structure(
+        whole_structure, modes=reduction.n_modes, method=reduction.method, reference=with_reference
+    )
+    return replace(study, scene=scene_with_reduction, structure=structure)
 
 
-class Kept(NamedTuple):
-    """Method of a reduction, and the number of modes kept."""
+class ModalReduction(NamedTuple):
+    """Method of a reduction, and the number of kept modes."""
 
     method: str
-    modes: int
+    n_modes: int
 
 
-def reduction_of(scene: Scene, structure: Structure) -> Kept | None:
+def reduction_of(scene: Scene, structure: Structure) -> ModalReduction | None:
     """Return the reduction of a scene's structure; None if it is not reduced.
 
-    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
-    all modes are damped and no number of modes is given, 50 are kept. Crack faces lose their mass
-    unless the scene names another method, there are none, all modes are kept, or the structure
-    would not be reduced on one rank.
+    Without the table ``[reduction]``, a structure with at most 100 dofs is not reduced on one rank.
+    If all modes are damped and no number of modes is given, 50 are kept.
+
+    Crack faces lose their mass by default. They keep it if the scene names another method, if all
+    modes are kept, or in a structure with at most 100 dofs and without the table.
     """
-    table = scene.reduction
+    reduction_table = scene.reduction
     if scene.disk is not None:
-        many = scene.disk.families * scene.disk.sectors + scene.disk.modes
-        return Kept("massless" if structure.n_pairs else "free_interface", many)
-    if table is None:
-        few = structure.n_dofs <= FEW_DOFS
-        if few and structure.comm.size == 1:
+        n_modes = scene.disk.families * scene.disk.sectors + scene.disk.modes
+        return ModalReduction("massless" if structure.n_pairs else "free_interface", n_modes)
+    if reduction_table is None:
+        is_small = structure.n_dofs <= MAX_UNREDUCED_DOFS
+        if is_small and structure.comm.size == 1:
             return None
-        table = Reduction("free_interface" if few else None)
-    if table.method == "off":
+        reduction_table = Reduction("free_interface" if is_small else None)
+    if reduction_table.method == "off":
         return None
-    modes = table.modes or scene.damped_modes
-    if isinstance(modes, str):  # "all"
-        modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, structure.n_dofs)
-    lips = structure.n_pairs > 0 and modes < structure.n_dofs
-    return Kept(table.method or ("massless" if lips else "free_interface"), modes)
+    n_kept_modes = reduction_table.modes or scene.damped_modes
+    if isinstance(n_kept_modes, str):  # "all"
+        n_kept_modes = min(DEFAULT_MODES_OF_LARGE_STRUCTURE, structure.n_dofs)
+    has_massless_faces = structure.n_pairs > 0 and n_kept_modes < structure.n_dofs
+    return ModalReduction(
+        reduction_table.method or ("massless" if has_massless_faces else "free_interface"),
+        n_kept_modes,
+    )
 
 
-def check_memory_of(scene: Scene, structure: Structure, *, run_up: bool = False) -> float:
-    """Memory that solving a scene is going to need, or its run-up, estimated [byte] (collective).
+def estimate_checked_memory(
+    scene: Scene, structure: Structure, *, is_run_up: bool = False
+) -> float:
+    """Estimate the memory to solve a scene, or its run-up [byte] (collective).
 
     Raises
     ------
     InputError
-        This machine has not so much.
+        The memory exceeds 80 % of this machine's.
     """
-    needed, machine = _memory_needed(scene, structure, run_up), machine_memory()
-    most = 0.8 * machine
-    if needed > most:
-        give_back_freed()  # not before: what needs memory next would have to be given it again
-        needed = _memory_needed(scene, structure, run_up)
-    if needed > most:
-        memory = f"{needed / 2**30:.3g} GiB of this machine's {machine / 2**30:.3g}"
-        sizes = f"{structure.n_dofs} degrees of freedom need {memory}"
+    needed_bytes, machine_bytes = (
+        _estimate_needed_memory(scene, structure, is_run_up),
+        machine_memory(),
+    )
+    byte_limit = 0.8 * machine_bytes
+    if needed_bytes > byte_limit:
+        release_freed_memory()  # only now: later steps must allocate it again
+        needed_bytes = _estimate_needed_memory(scene, structure, is_run_up)
+    if needed_bytes > byte_limit:
+        memory_text = (
+            f"{needed_bytes / 2**30:.3g} GiB of this machine's {machine_bytes / 2**30:.3g}"
+        )
+        size_text = f"{structure.n_dofs} degrees of freedom need {memory_text}"
         if scene.structure is not None:
-            mass = scene.structure.mass
-            raise InputError("structure.mass", mass, f"that of a smaller structure: {sizes}")
-        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        value = getattr(scene.mesh, key)
-        raise InputError(f"mesh.{key}", value, f"that of a coarser mesh: {sizes}")
-    return needed
+            mass_path = scene.structure.mass
+            raise InputError(
+                "structure.mass", mass_path, f"that of a smaller structure: {size_text}"
+            )
+        mesh_key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
+        mesh_value = getattr(scene.mesh, mesh_key)
+        raise InputError(f"mesh.{mesh_key}", mesh_value, f"that of a coarser mesh: {size_text}")
+    return needed_bytes
 
 
-def _memory_needed(scene: Scene, structure: Structure, run_up: bool) -> float:
+def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool) -> float:
+    """Estimate the peak memory of a scene's solution, without a check [byte] (collective)."""
     if (disk := scene.disk) is not None:
-        return wheel_memory(structure.whole, count_basis_families(disk.families, disk.modes))
-    kept = reduction_of(scene, structure)
-    if kept is None:
-        return whole_memory(structure, scene.harmonic_balance.harmonics)
-    if run_up:
-        return run_up_memory(structure, kept.modes)
-    return reduction_memory(structure, kept.modes, kept.method)
+        return estimate_wheel_memory(
+            structure.whole, count_basis_families(disk.families, disk.modes)
+        )
+    reduction = reduction_of(scene, structure)
+    if reduction is None:
+        return estimate_unreduced_memory(structure, scene.harmonic_balance.harmonics)
+    if is_run_up:
+        return estimate_run_up_memory(structure, reduction.n_modes)
+    return estimate_reduction_memory(structure, reduction.n_modes, reduction.method)
 
 
-def reduction_memory(structure: Structure, modes: int, method: str) -> float:
-    """Most memory of all ranks during :func:`reduce_structure`, what is held already included
-    [byte] (collective)."""
-    dofs, columns = structure.n_dofs, structure.n_pairs + 1
-    kept = modes + max(modes // 2, 10) if method == "massless" else modes
-    # Blocks of static responses, or all of them in a basis and that of its reference.
-    static = 8.0 * dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * columns)
-    most = max(static, _memory_for_modes(structure, kept))
-    return _memory_held(structure) + _factor_memory(structure) + 8.0 * dofs * kept + most
+def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -> float:
+    """Estimate the peak memory of :func:`reduce_structure` [byte] (collective).
+
+    The estimate is a sum over all ranks and includes the memory held already.
+    """
+    n_dofs, n_columns = structure.n_dofs, structure.n_pairs + 1
+    n_reference_modes = n_modes + max(n_modes // 2, 10) if method == "massless" else n_modes
+    # Blocks of static responses, or all static responses in a basis and its reference's basis.
+    static_bytes = (
+        8.0 * n_dofs * (4 * MAX_BLOCK_COLUMNS if method == "massless" else 10 * n_columns)
+    )
+    peak_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
+    return (
+        _measure_held_memory(structure)
+        + _estimate_factor_memory(structure)
+        + 8.0 * n_dofs * n_reference_modes
+        + peak_bytes
+    )
 
 
-def wheel_memory(wheel: Wheel, families: int) -> float:
-    """The same of :func:`reduce_wheel` with a basis of so many families (collective)."""
+def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
+    """Estimate the peak memory of :func:`reduce_wheel` [byte] (collective).
+
+    ``n_families`` is the number of modes per nodal diameter in the basis. The estimate is a sum
+    over all ranks and includes the memory held already.
+    """
     sector = wheel.sector
-    size, dofs = 2 * len(sector.dofs.own_members), sector.structure.n_dofs
-    solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
-    of_modes = 2.0 * factor_memory(size, solid=solid) + 16.0 * size * krylov_size(families)
-    modes = 16.0 * len(sector.diameters) * dofs * families
-    # Answers to the opening of the crack by sectors, their products with a matrix, and as much
-    # again while either is made; bonds have up to 40 patterns of forces beyond those of the pairs.
-    columns = min(2 * sector.structure.n_pairs + 40, len(sector.dofs.upper_members))
-    opened = 32.0 * sector.count * dofs * columns
-    return _memory_held(wheel) + wheel.comm.size * (of_modes + modes + opened)
+    n_real_dofs, n_dofs = 2 * len(sector.dofs.own_members), sector.structure.n_dofs
+    is_solid = sector.structure.nodes is not None and sector.structure.nodes.points.shape[1] == 3
+    solver_bytes = 2.0 * factor_memory(
+        n_real_dofs, solid=is_solid
+    ) + 16.0 * n_real_dofs * krylov_size(n_families)
+    mode_bytes = 16.0 * len(sector.diameters) * n_dofs * n_families
+    # Responses of the sectors to the crack's opening, their products with a matrix, and as much
+    # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
+    n_columns = min(2 * sector.structure.n_pairs + 40, len(sector.dofs.upper_members))
+    opening_bytes = 32.0 * sector.count * n_dofs * n_columns
+    return _measure_held_memory(wheel) + wheel.comm.size * (
+        solver_bytes + mode_bytes + opening_bytes
+    )
 
 
-def whole_memory(structure: Structure, harmonics: int) -> float:
-    """The same of solving it as it is: a factor for each harmonic, all kept (collective)."""
-    return _memory_held(structure) + (harmonics + 1) * _factor_memory(structure)
+def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
+    """Estimate the memory to solve an unreduced structure [byte] (collective).
+
+    A factor for each harmonic is kept. The memory held already is included.
+    """
+    return _measure_held_memory(structure) + (n_harmonics + 1) * _estimate_factor_memory(structure)
 
 
-def run_up_memory(structure: Structure, modes: int) -> float:
-    """The same of :func:`run_up_structure`: the modes of another speed, with its stiffness, beside
-    the basis of the others; or three bases at a time, the old one, the addition, and the result of
-    both (collective)."""
-    basis = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (modes + structure.n_pairs + 1)
-    of_modes = _factor_memory(structure) + _memory_for_modes(structure, modes) + basis
-    return _memory_held(structure) + _matrix_memory(structure) + max(of_modes, 3.0 * basis)
+def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
+    """Estimate the peak memory of :func:`run_up_structure` [byte] (collective).
+
+    Either the stiffness and modes of a further speed are held beside the basis, or three bases: the
+    old basis, the addition, and their union. The memory held already is included.
+    """
+    basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
+    mode_bytes = (
+        _estimate_factor_memory(structure) + _estimate_mode_memory(structure, n_modes) + basis_bytes
+    )
+    return (
+        _measure_held_memory(structure)
+        + _estimate_matrix_memory(structure)
+        + max(mode_bytes, 3.0 * basis_bytes)
+    )
 
 
-def _memory_for_modes(structure: Structure, count: int) -> float:
-    """Return the memory to find modes: vectors, or another factor, of a matrix and its copy."""
-    krylov = 8.0 * structure.n_dofs * krylov_size(count)
-    return max(krylov, _factor_memory(structure) + 2 * _matrix_memory(structure))
+def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
+    """Estimate the memory to find modes, beside a factor [byte] (collective).
+
+    Krylov vectors, or a second factor with a matrix and a copy of the matrix, take the memory.
+    """
+    krylov_bytes = 8.0 * structure.n_dofs * krylov_size(n_modes)
+    return max(
+        krylov_bytes, _estimate_factor_memory(structure) + 2 * _estimate_matrix_memory(structure)
+    )
 
 
-def _matrix_memory(structure: Structure) -> float:
-    """A matrix of the stiffness's pattern (collective)."""
-    entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
-    found: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    return entry * found
+def _estimate_matrix_memory(structure: Structure) -> float:
+    """Return the memory of a matrix as sparse as the stiffness [byte] (collective)."""
+    entry_bytes = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
+    n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+    return entry_bytes * n_entries
 
 
-def _factor_memory(structure: Structure) -> float:
-    solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
-    return factor_memory(structure.n_dofs, solid=solid)
+def _estimate_factor_memory(structure: Structure) -> float:
+    """Estimate the memory of a factor of the stiffness [byte]."""
+    is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
+    return factor_memory(structure.n_dofs, solid=is_solid)
 
 
-def give_back_freed() -> None:
-    """Give memory that is free but kept back to the system: it counts as held."""
+def release_freed_memory() -> None:
+    """Return freed memory to the system; it would count as held."""
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _memory_held(structure: Structure) -> float:
-    """Memory that all ranks hold now [byte]."""
+def _measure_held_memory(structure: Structure) -> float:
+    """Return the memory that all ranks hold now [byte] (collective)."""
     return float(structure.comm.allreduce(process_memory("VmRSS")))
 
 
-def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:
-    """The contact law of a scene's pairs; None if there are no pairs."""
+def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
+    """Return the contact law of a scene's pairs; None if there are no pairs.
+
+    Raises
+    ------
+    InputError
+        Friction acts on crack faces with mass, and the contact is not a penalty law with a
+        tangential stiffness.
+    """
     if structure.n_pairs == 0 or scene.contact is None:
         return None
-    contact, kept = scene.contact, reduction_of(scene, structure)
-    massless = structure.light_lips or (kept is not None and kept.method == "massless")
-    if contact.friction and not massless:  # pairs that stick must give a little
-        also = "with friction of crack faces that keep their mass; or reduction.method = 'massless'"
-        contact.require(contact.law == "penalty", "law", f"'penalty' {also}")
-        contact.given("tangential_stiffness_per_area", f"given [N/m^3] {also}")
+    contact, reduction = scene.contact, reduction_of(scene, structure)
+    is_massless = structure.light_lips or (reduction is not None and reduction.method == "massless")
+    if contact.friction and not is_massless:  # pairs that stick must give a little
+        condition_text = (
+            "with friction of crack faces that keep their mass; or reduction.method = 'massless'"
+        )
+        contact.require(contact.law == "penalty", "law", f"'penalty' {condition_text}")
+        contact.given("tangential_stiffness_per_area", f"given [N/m^3] {condition_text}")
     return contact_law(contact, structure)
 
 
 def contact_law(contact: Contact, structure: Structure | None = None) -> ContactLaw:
-    """The law that a scene's contact table describes.
+    """Make the contact law of a scene's contact table.
 
     A stiffness per area [N/m^3] becomes that of each pair [N/m] by the structure's ``pair_areas``,
     so that refining the mesh does not change the physics.
@@ -392,17 +467,18 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     contact : Contact
         The table: ``scene.contact``.
     structure : Structure, optional
-        Needed for a stiffness per area.
+        Structure with areas, needed for a stiffness per area.
 
     Returns
     -------
     ContactLaw
-        Of all pairs.
+        Law of all pairs.
 
     Raises
     ------
     InputError
-        There is a stiffness per area, and no structure with areas.
+        A stiffness per area comes without a structure with areas, or friction with a structure
+        without tangents.
 
     Examples
     --------
@@ -414,31 +490,43 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
-        allowed = "0, or left out, of a structure without tangents"
-        raise InputError("contact.friction", contact.friction, allowed)
-    per_area = contact.tangential_stiffness_per_area
-    if per_area is None:
+        requirement = "0, or left out, of a structure without tangents"
+        raise InputError("contact.friction", contact.friction, requirement)
+    stiffness_per_area = contact.tangential_stiffness_per_area
+    if stiffness_per_area is None:
         return CoulombFriction(law, contact.friction)
-    areas = _areas("tangential_stiffness_per_area", per_area, structure)
-    return CoulombFriction(law, contact.friction, per_area * areas)
+    pair_areas = _required_pair_areas(
+        "tangential_stiffness_per_area", stiffness_per_area, structure
+    )
+    return CoulombFriction(law, contact.friction, stiffness_per_area * pair_areas)
 
 
-def _areas(key: str, value: float, structure: Structure | None) -> np.ndarray:
-    """Areas of the pairs; InputError where they are not known."""
+def _required_pair_areas(
+    stiffness_key: str, stiffness_per_area: float, structure: Structure | None
+) -> np.ndarray:
+    """Return the areas of a structure's pairs (n_pairs,) [m^2].
+
+    Raises InputError for the stiffness per area if the areas are unknown.
+    """
     if structure is None or structure.pair_areas is None:
-        allowed = "used with a structure made from a mesh: contact_law(scene.contact, structure)"
-        raise InputError(f"contact.{key}", value, allowed)
+        requirement = (
+            "used with a structure made from a mesh: contact_law(scene.contact, structure)"
+        )
+        raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement)
     return structure.pair_areas
 
 
 def _normal_law(contact: Contact, structure: Structure | None) -> ContactLaw:
+    """Make the normal contact law of a contact table, without friction."""
     if contact.law == "unilateral":
         return UnilateralConstraint()
-    stiffness: float | np.ndarray | None = contact.stiffness
-    if (per_area := contact.stiffness_per_area) is not None:
-        stiffness = per_area * _areas("stiffness_per_area", per_area, structure)
-    assert stiffness is not None
+    pair_stiffness: float | np.ndarray | None = contact.stiffness
+    if (stiffness_per_area := contact.stiffness_per_area) is not None:
+        pair_stiffness = stiffness_per_area * _required_pair_areas(
+            "stiffness_per_area", stiffness_per_area, structure
+        )
+    assert pair_stiffness is not None
     if contact.law == "smoothed":
         assert contact.sharpness is not None
-        return SmoothedPenalty(stiffness, contact.sharpness)
-    return UnilateralPenalty(stiffness)
+        return SmoothedPenalty(pair_stiffness, contact.sharpness)
+    return UnilateralPenalty(pair_stiffness)

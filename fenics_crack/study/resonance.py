@@ -1,11 +1,11 @@
-"""The resonance of a scene at its own load: the one that all commands name.
+"""Resonance of a scene at its own load, as all commands name it.
 
-It is the phase resonance of the mode nearest to the load's frequency
-(:mod:`fenics_crack.curves.resonance`), with as many harmonics as its amplitude takes. That of a
-smooth law is not defined; friction is left out.
+It is the phase resonance of the mode nearest to the load frequency
+(:mod:`fenics_crack.curves.resonance`), with as many harmonics as the amplitude needs. Smooth
+contact laws have no such resonance. Friction is left out.
 
-An engine order n meets it at the speed W of a rotor at which n W is its frequency there. The search
-begins where the order meets an estimate w_0 at the speed W_0,
+An engine order n meets the resonance at the rotor speed W if n W is the resonance frequency at this
+speed. The search begins at an estimate, from the natural frequency w_0 at the speed W_0:
 
     (n W)^2 = w_0^2 + S (W^2 - W_0^2),      S = d(w^2) / d(W^2) of the mode with an open crack.
 """
@@ -29,35 +29,35 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import Ritz, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSALS, Study, reduced, reduction_of
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, reduce_study, reduction_of
 
-SOUGHT_MODES = 10
-"""Modes of the whole structure in which it is sought."""
+N_SEARCH_MODES = 10
+"""Number of modes of the structure in which a resonance is sought."""
 AMPLITUDE_TOLERANCE = 0.1
-"""Relative error of the amplitude that is enough to name it."""
-SEE_CURVE = "several modes answer together: see the curve"
+"""Maximum relative error of a stated resonance amplitude."""
+SEVERAL_MODES_TEXT = "several modes answer together: see the curve"
 
 
 @dataclass(frozen=True)
-class AtLoad:
-    """The resonance of a scene at its own load, in numbers.
+class LoadResonance:
+    """Resonance of a scene at its own load.
 
     Attributes
     ----------
     value, width : float [rad/s]
-        Load frequency, or speed of the rotor that an engine order follows, and half-power width.
+        Load frequency, or rotor speed under an engine order, at resonance; and half-power width.
     rest : float [rad/s]
-        The same under a small load.
+        The same frequency or speed under a small load.
     amplitude : float [m]
-        Half of the peak-to-peak displacement that is watched.
+        Half peak-to-peak of the watched displacement.
     error : float
-        Its relative error due to truncated harmonics.
+        Relative error of the amplitude due to truncated harmonics.
     mesh_error : float
-        Its relative error due to the mesh; nan if it is not estimated.
+        Relative error of the amplitude due to the mesh; nan if it is not estimated.
     verdict : str
-        Stability.
+        Verdict on the stability.
     unknown : str
-        Why there is no amplitude; "" if there is one.
+        Reason why there is no amplitude; "" if there is one.
     """
 
     value: float = math.nan
@@ -71,100 +71,127 @@ class AtLoad:
 
     @property
     def in_words(self) -> str:
-        """Amplitude, errors, causes that they leave out, and verdict; or why there are none."""
-        by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
-        errors = dict.fromkeys((*REQUIRED_CAUSES, *OPTIONAL_CAUSES), math.nan) | by_cause
-        missing_causes = [cause for cause, error in errors.items() if not math.isfinite(error)]
-        known_parts = [f"the {c} {format_error(e)}" for c, e in errors.items() if e > 0.0]
-        size = f"{format_quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
-        parts = (
-            f"{size}, error due to {', '.join(known_parts) or 'none'}",
+        """Amplitude, verdict, errors and missing causes of errors; or the reason for none."""
+        known_error_by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
+        error_by_cause = (
+            dict.fromkeys((*REQUIRED_CAUSES, *OPTIONAL_CAUSES), math.nan) | known_error_by_cause
+        )
+        missing_causes = [
+            cause for cause, error in error_by_cause.items() if not math.isfinite(error)
+        ]
+        error_texts = [
+            f"the {cause} {format_error(error)}"
+            for cause, error in error_by_cause.items()
+            if error > 0.0
+        ]
+        amplitude_text = f"{format_quantity(self.amplitude, 'm')} half peak-to-peak, {self.verdict}"
+        texts = (
+            f"{amplitude_text}, error due to {', '.join(error_texts) or 'none'}",
             describe_omitted_causes(missing_causes),
         )
-        return self.unknown or "; ".join(filter(None, parts))
+        return self.unknown or "; ".join(filter(None, texts))
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Value and amplitude by their names; none if they are unknown."""
+        """Value and amplitude by their printed names; empty if they are unknown."""
         return {} if self.unknown else {"resonance": self.value, "vibration": self.amplitude}
 
 
-NOT_SOUGHT = AtLoad(unknown="not sought")
+UNSOUGHT_RESONANCE = LoadResonance(unknown="not sought")
 
 
-def meeting_speed(order: float, speed: float, omega: float, slope: float) -> float:
-    """Return the rotor speed W [rad/s] at which an engine order n meets a natural frequency.
+def order_crossing_speed(
+    engine_order: float, reference_speed: float, omega: float, slope: float
+) -> float:
+    """Return the speed W at which an engine order meets a natural frequency.
 
     Parameters
     ----------
-    order : float
-        n.
-    speed, omega : float
-        W_0 and w_0 [rad/s].
+    engine_order : float
+        n, which need not be whole.
+    reference_speed, omega : float [rad/s]
+        Speed W_0, and natural frequency w_0 at this speed.
     slope : float
-        S.
+        S = d(w^2) / d(W^2).
 
     Returns
     -------
-    float
-        nan if the order never meets it.
+    float [rad/s]
+        W; nan if the order never meets the frequency.
     """
-    square = (omega**2 - slope * speed**2) / (order**2 - slope) if order**2 > slope else -1.0
-    return math.sqrt(square) if square > 0.0 else math.nan
+    speed_squared = (
+        (omega**2 - slope * reference_speed**2) / (engine_order**2 - slope)
+        if engine_order**2 > slope
+        else -1.0
+    )
+    return math.sqrt(speed_squared) if speed_squared > 0.0 else math.nan
 
 
-def resonance_of(study: Study, estimates: np.ndarray, slopes: np.ndarray) -> AtLoad:
-    """Find the resonance of a study, not reduced, at its own load (collective).
+def find_study_resonance(
+    study: Study, estimated_omegas: np.ndarray, speed_slopes: np.ndarray
+) -> LoadResonance:
+    """Find the resonance of an unreduced study at its own load (collective).
 
     Parameters
     ----------
-    estimates : (m,) [rad/s]
-        Estimated resonances of its modes, at its speed.
-    slopes : (m,)
-        S of each mode, by which an engine order meets its estimate.
+    estimated_omegas : (m,) [rad/s]
+        Estimated resonance frequencies of the modes, at the study's rotor speed.
+    speed_slopes : (m,)
+        S of each mode, for an engine order.
 
     Returns
     -------
-    AtLoad
-        Without a resonance, the reason.
+    LoadResonance
+        Without a resonance, only the reason ``unknown``.
     """
-    scene, whole, law = study.scene, study.structure, study.contact
+    scene, whole_structure, law = study.scene, study.structure, study.contact
     if law is None:
-        return AtLoad(unknown="there is no crack")
-    order, reduction = scene.excitation.order, reduction_of(scene, whole)
-    n_modes = min(SOUGHT_MODES, whole.n_dofs if reduction is None else reduction.modes)
-    mode = int(np.argmin(np.abs(estimates - scene.excitation.omega)))
-    omega = float(estimates[mode])
+        return LoadResonance(unknown="there is no crack")
+    engine_order, reduction = scene.excitation.order, reduction_of(scene, whole_structure)
+    n_modes = min(
+        N_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
+    )
+    mode_index = int(np.argmin(np.abs(estimated_omegas - scene.excitation.omega)))
+    estimated_omega = float(estimated_omegas[mode_index])
     try:
-        if order is not None and whole.rotation is not None and scene.disk is None:
-            speed = meeting_speed(order, scene.speed, omega, slopes[mode])
-            if math.isnan(speed):
-                raise ConvergenceError(f"engine order {order} does not meet it")
-            rotor = RunUpStructure(Ritz.of_range(whole, speed, speed, n_modes), speed)
-            return at_load(scene, law, rotor, order * speed, "speed", with_rest=True)
-        if scene.disk is not None or (reduction is None and is_small(whole)):
-            structure = reduced(study, judged=False).structure
+        if engine_order is not None and whole_structure.rotation is not None and scene.disk is None:
+            crossing_speed = order_crossing_speed(
+                engine_order, scene.speed, estimated_omega, speed_slopes[mode_index]
+            )
+            if math.isnan(crossing_speed):
+                raise ConvergenceError(f"engine order {engine_order} does not meet it")
+            run_up_structure = RunUpStructure(
+                Ritz.of_range(whole_structure, crossing_speed, crossing_speed, n_modes),
+                crossing_speed,
+            )
+            return find_load_resonance(
+                scene, law, run_up_structure, engine_order * crossing_speed, "speed", with_rest=True
+            )
+        if scene.disk is not None or (reduction is None and is_small(whole_structure)):
+            structure = reduce_study(study, with_reference=False).structure
         else:
-            structure = reduce_structure(whole, modes=n_modes, method="massless", reference=False)
-        return at_load(scene, law, structure, omega, with_rest=True)
-    except REFUSALS as error:
-        return AtLoad(unknown=str(error))
+            structure = reduce_structure(
+                whole_structure, modes=n_modes, method="massless", reference=False
+            )
+        return find_load_resonance(scene, law, structure, estimated_omega, with_rest=True)
+    except REFUSAL_EXCEPTIONS as error:
+        return LoadResonance(unknown=str(error))
 
 
-def at_load(
+def find_load_resonance(
     scene: Scene,
     law: ContactLaw,
     structure: Structure,
-    omega: float,
+    start_omega: float,
     parameter: str = "omega",
     *,
     with_rest: bool = False,
-) -> AtLoad:
+) -> LoadResonance:
     """Find the resonance of a small structure under a scene's load, without friction.
 
     Parameters
     ----------
-    omega : float [rad/s]
+    start_omega : float [rad/s]
         Load frequency at which the search begins.
     parameter : "omega" or "speed"
         Quantity that follows the resonance, as in :func:`fenics_crack.resonance_at`.
@@ -178,18 +205,22 @@ def at_load(
     """
     from fenics_crack.curves.resonance import at_small_load, resonance_at  # where one is sought
 
-    balance, friction = scene.harmonic_balance, friction_of(law)
+    balance_table, friction = scene.harmonic_balance, friction_of(law)
     law = law if friction is None else friction.law
-    problem = Problem(structure, omega, law, balance.harmonics, balance.samples)
+    problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
     resonance = resonance_at(problem, parameter=parameter, tolerance=AMPLITUDE_TOLERANCE)
-    rest = resonance.value if with_rest else math.nan
+    rest_value = resonance.value if with_rest else math.nan
     # Only a mean load or a clearance holds pairs under a small load.
     if with_rest and (np.any(structure.force[0]) or np.any(structure.clearance)):
-        rest = resonance_at(at_small_load(problem), resonance.omega, parameter).value
+        rest_value = resonance_at(at_small_load(problem), resonance.omega, parameter).value
     if resonance.several:
-        return AtLoad(resonance.value, resonance.width, rest, unknown=SEE_CURVE)
+        return LoadResonance(
+            resonance.value, resonance.width, rest_value, unknown=SEVERAL_MODES_TEXT
+        )
     solution, verdict = resonance.solution, "undecided"
-    with suppress(*REFUSALS):
+    with suppress(*REFUSAL_EXCEPTIONS):
         verdict = floquet(solution.structure, solution).verdict
     amplitude = solution.amplitude()
-    return AtLoad(resonance.value, resonance.width, rest, amplitude, resonance.error, verdict)
+    return LoadResonance(
+        resonance.value, resonance.width, rest_value, amplitude, resonance.error, verdict
+    )

@@ -1,10 +1,9 @@
-"""One structure for scenes of one mesh: what the last of them has computed serves the next.
+"""One structure shared by scenes of one mesh: the next scene uses the results of the last.
 
-What is kept is the last structure with all that hangs on it, the coarser mesh among it, and it is
-let go before another mesh is made. Frequencies, laws, harmonics, modes and what is requested of
-results do not change it; another load, damping or clearance of a plate or solid at rest shares its
-matrices. Files count by their content: a copy may keep the time of a file that it replaces, and
-times are coarse.
+The last structure is kept with its modes, responses and coarser mesh. It is released before
+another mesh is made. A structure does not depend on frequency, law, harmonics, modes and requested
+results. For a plate or solid at rest, another load, damping or clearance shares the matrices. Files
+are compared by content, not by time: a copy may keep the old time, and times are coarse.
 """
 
 from __future__ import annotations
@@ -23,96 +22,152 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 
-class Made(NamedTuple):
-    """A structure and what it was made of: parts that mesh and matrices depend on, loads, and the
-    rest."""
+class SharedStructure(NamedTuple):
+    """A structure with the scene's values on which it depends.
+
+    Attributes
+    ----------
+    structure : Structure
+        Not reduced.
+    comm : MPI.Comm
+        Ranks that were asked to share the structure.
+    dependencies : tuple of three
+        As :func:`structure_dependencies` returns them.
+    """
 
     structure: Structure
     comm: MPI.Comm
-    parts: tuple[Any, Any, Any]
+    dependencies: tuple[Any, Any, Any]
 
 
-LAST: list[Made] = []
-"""The structure made last in this process, alone."""
+LAST_STRUCTURES: list[SharedStructure] = []
+"""The last structure made in this process: at most one entry."""
 
 
-def kept(structure: Structure) -> list[Made]:
-    """Return the place for structures of coarser meshes."""
+def coarser_structure_cache(structure: Structure) -> list[SharedStructure]:
+    """Return an empty list for the structure of the coarser mesh.
+
+    :meth:`Structure.compute_once` keeps the list with the finer structure.
+    """
     return []
 
 
-SHELVES: list[Any] = []
-"""Where a command keeps its structure (:class:`fenics_crack.study.shelf.Shelf`), or nothing."""
+STRUCTURE_FILES: list[Any] = []
+"""The file in which a command keeps its structure, at most one
+(:class:`fenics_crack.study.shelf.StructureFile`)."""
 
 
-def assembled(scene: Scene, comm: MPI.Comm, last: list[Made] = LAST) -> Structure:
-    """Return the structure of a scene whose crack length is known (collective).
+def assemble_or_reuse(
+    scene: Scene, comm: MPI.Comm, last_entries: list[SharedStructure] = LAST_STRUCTURES
+) -> Structure:
+    """Return a scene's structure, reused if possible (collective).
 
-    The last structure, or the structure in a file, is used if it has the same mesh. The result is
-    the new entry in ``last``.
-
-    Parameters and errors are those of :func:`fenics_crack.build_structure`.
+    The scene's crack length must be known. A structure with the same mesh in ``last_entries``, or
+    in a file, is reused. ``last_entries`` then holds the result alone. Errors are as for
+    :func:`fenics_crack.build_structure`.
     """
-    parts = parts_shared(scene, comm)
-    bound = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
-    shelves = [] if (  # what is integrated over a mesh of DOLFINx needs one
-        bound or last is not LAST or scene.geometry.file is not None
+    dependencies = structure_dependencies(scene, comm)
+    needs_all_equal = scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
+    structure_files = [] if (  # what is integrated over a mesh of DOLFINx needs one
+        needs_all_equal or last_entries is not LAST_STRUCTURES or scene.geometry.file is not None
         or any(OBSERVABLES_BY_NAME[name].place.on_request for name in scene.quantities or ())
-    ) else SHELVES  # fmt: skip
-    if not comm.allreduce(bool(last) and _fits(last[0], parts, comm, bound), MPI.LAND):
-        last.clear()
-        last += [made for shelf in shelves if (made := shelf.take(scene, comm)) is not None]
-    if not last:
+    ) else STRUCTURE_FILES  # fmt: skip
+    if not comm.allreduce(
+        bool(last_entries) and _can_reuse(last_entries[0], dependencies, comm, needs_all_equal),
+        MPI.LAND,
+    ):
+        last_entries.clear()
+        last_entries += [
+            entry
+            for structure_file in structure_files
+            if (entry := structure_file.read_structure(scene, comm)) is not None
+        ]
+    if not last_entries:
         from fenics_crack.fem.build import assemble_structure  # DOLFINx
 
-        last.append(Made(assemble_structure(scene, comm), comm, parts))
-    elif (known := last[0]).parts != parts:
-        pairs = known.structure.pairs
-        changes = {"clearance": clearance_of(scene, pairs), "damping": damping_of(scene.damping)}
-        if known.parts[1] != parts[1]:
+        last_entries.append(SharedStructure(assemble_structure(scene, comm), comm, dependencies))
+    elif (last_entry := last_entries[0]).dependencies != dependencies:
+        pairs = last_entry.structure.pairs
+        setting_changes = {
+            "clearance": clearance_of(scene, pairs),
+            "damping": damping_of(scene.damping),
+        }
+        if last_entry.dependencies[1] != dependencies[1]:
             from fenics_crack.fem.build import assemble_load_fields
 
-            changes |= assemble_load_fields(scene, known.structure)
-        last[:] = [Made(known.structure._in_setting(DEFAULT_SETTING, **changes), comm, parts)]
-    for shelf in shelves:
-        shelf.note(last[0], scene)
-    return last[0].structure
+            setting_changes |= assemble_load_fields(scene, last_entry.structure)
+        last_entries[:] = [
+            SharedStructure(
+                last_entry.structure._in_setting(DEFAULT_SETTING, **setting_changes),
+                comm,
+                dependencies,
+            )
+        ]
+    for structure_file in structure_files:
+        structure_file.note_structure(last_entries[0], scene)
+    return last_entries[0].structure
 
 
-def _fits(entry: Made, parts: tuple[Any, Any, Any], comm: MPI.Comm, bound: bool) -> bool:
-    """Return True if a structure is of the same mesh and ranks; of all the same if ``bound``, of
-    the same loads if it has no mesh for others. One of a shelf serves its command alone."""
-    parts_match = getattr(entry.structure.nodes, "mesh_dofs", None) is not None
-    same_ranks = MPI.Comm.Compare(entry.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
-    is_served = parts_match or bool(SHELVES) or not entry.structure.has_matrices
-    is_match = (
-        entry.parts[0] == parts[0] and (parts_match or entry.parts[1] == parts[1]) and is_served
+def _can_reuse(
+    entry: SharedStructure,
+    dependencies: tuple[Any, Any, Any],
+    comm: MPI.Comm,
+    needs_all_equal: bool,
+) -> bool:
+    """Return True if a structure can serve a scene with some dependencies.
+
+    Mesh and ranks must be the same; without a DOLFINx mesh also the loads. If ``needs_all_equal``,
+    clearances and damping must be the same, too. A structure with matrices from a file can be used
+    only while a command has a structure file.
+    """
+    has_mesh = getattr(entry.structure.nodes, "mesh_dofs", None) is not None
+    has_same_ranks = MPI.Comm.Compare(entry.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
+    is_available = has_mesh or bool(STRUCTURE_FILES) or not entry.structure.has_matrices
+    is_compatible = (
+        entry.dependencies[0] == dependencies[0]
+        and (has_mesh or entry.dependencies[1] == dependencies[1])
+        and is_available
     )
-    return (entry.comm == comm if parts_match else same_ranks) and (
-        entry.parts == parts if bound else is_match
+    return (entry.comm == comm if has_mesh else has_same_ranks) and (
+        entry.dependencies == dependencies if needs_all_equal else is_compatible
     )
 
 
-def parts_shared(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
-    """Of the keys of a scene, what mesh and matrices depend on; its loads; clearances and
-    damping."""
+def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
+    """Return the values in a scene on which a structure depends (collective).
+
+    Returns
+    -------
+    mesh_dependencies : tuple
+        Tables for mesh and matrices, and digests of files.
+    loads : tuple
+        As :func:`load_dependencies` returns them.
+    clearances_and_damping : tuple
+        Clearance of each crack, and the table ``[damping]``.
+    """
     cracks = [*scene.all_cracks.values()]
-    contact = scene.contact is not None and scene.contact.pairs
-    matrices = (
-        scene.geometry, scene.material, _without(scene.mesh, "error", "coarser"), contact,
-        [_without(crack, "clearance") for crack in cracks], scene.rotation, scene.disk,
-        scene.structure, on_root(comm, lambda: scene_file_digests(scene)),
+    pair_kind = scene.contact is not None and scene.contact.pairs
+    mesh_dependencies = (
+        scene.geometry, scene.material, _values_without_keys(scene.mesh, "error", "coarser"),
+        pair_kind, [_values_without_keys(crack, "clearance") for crack in cracks],
+        scene.rotation, scene.disk, scene.structure, on_root(comm, lambda: scene_file_digests(scene)),
     )  # fmt: skip
-    return matrices, loads_of(scene), ([crack.clearance for crack in cracks], scene.damping)
+    return (
+        mesh_dependencies,
+        load_dependencies(scene),
+        ([crack.clearance for crack in cracks], scene.damping),
+    )
 
 
-def loads_of(scene: Scene) -> tuple[Any, ...]:
-    """Of the keys of a scene, what its loads depend on."""
-    return _without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
+def load_dependencies(scene: Scene) -> tuple[Any, ...]:
+    """Return the scene's tables for the load: excitation, other loads, base."""
+    return _values_without_keys(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 
 
-def _without(table: Any, *names: str) -> Any:
-    """Values of a table but those of some keys; None without the table."""
+def _values_without_keys(table: Any, *omitted_keys: str) -> Any:
+    """Return a table's values by key, without some keys; None without a table."""
     return table and {
-        item.name: getattr(table, item.name) for item in fields(table) if item.name not in names
+        field.name: getattr(table, field.name)
+        for field in fields(table)
+        if field.name not in omitted_keys
     }

@@ -1,8 +1,8 @@
-"""The structure of a command in a file beside its results, for the commands after it.
+"""The structure of a command in a file beside its results, for later commands.
 
-The file has the matrices and modes of a mesh at rest, and of its coarser mesh. A scene of the same
-:func:`key_of` can use the file: frequency, amplitude of the load, damping, clearance, law and
-tolerance may differ, the mesh may not.
+The file has the matrices and modes of a mesh at rest, and of its coarser mesh. A scene with the
+same :func:`dependencies_key` can use the file. Frequency, load amplitude, damping, clearance, law
+and tolerance may differ; the mesh may not.
 """
 
 from __future__ import annotations
@@ -24,99 +24,135 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.artefact import (
     PreparedFile,
     PreparedStructure,
-    Rows,
-    load_weights,
-    without_amplitudes,
+    SparseRows,
+    load_weights_from_rows,
+    loads_without_amplitudes,
 )
-from fenics_crack.study.sharing import Made, kept, parts_shared
+from fenics_crack.study.sharing import (
+    SharedStructure,
+    coarser_structure_cache,
+    structure_dependencies,
+)
 
-KIND = "structure of a command"
-MAX_BYTES = 500 * 10**6
-"""Largest size of the numbers that are kept [byte]."""
-
-
-def key_of(parts: tuple[Any, ...]) -> str:
-    """Return the digest of everything a structure depends on, except load amplitudes."""
-    dependencies = parts[0], without_amplitudes(parts[1]), program_fingerprint()
-    return hashlib.sha256(repr(dependencies).encode()).hexdigest()
+FILE_KIND = "structure of a command"
+MAX_DATASET_BYTES = 500 * 10**6
+"""Maximum size of the arrays in a file [byte]; a larger structure is not kept."""
 
 
-class Shelf:
-    """Keep the structure of a command in a file.
+def dependencies_key(dependencies: tuple[Any, ...]) -> str:
+    """Return the SHA-256 digest of a structure's dependencies, without load amplitudes.
+
+    ``dependencies`` come from :func:`structure_dependencies`. Clearances and damping do not count;
+    the program's and the libraries' files do.
+    """
+    key_dependencies = (
+        dependencies[0],
+        loads_without_amplitudes(dependencies[1]),
+        program_fingerprint(),
+    )
+    return hashlib.sha256(repr(key_dependencies).encode()).hexdigest()
+
+
+class StructureFile:
+    """File in which a command keeps its structure.
 
     Parameters
     ----------
     path : Path
         The file.
-    say : callable
+    print_line : callable
         Prints a line.
     is_read : bool
         Look for the structure in the file.
     """
 
-    def __init__(self, path: Path, say: Callable[[str], None], *, is_read: bool) -> None:
-        self._path, self._say, self._n_bytes = path, say, 0
-        self._files: list[PreparedFile | None] = [] if is_read else [None]
-        self._made: list[tuple[Made, Scene]] = []
+    def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
+        self._path, self._print_line, self._n_file_bytes = path, print_line, 0
+        self._cached_files: list[PreparedFile | None] = [] if is_read else [None]
+        self._noted_entries: list[tuple[SharedStructure, Scene]] = []
 
-    def take(self, scene: Scene, comm: MPI.Comm) -> Made | None:
-        """Return the structure of a scene if the file has it (collective)."""
+    def read_structure(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
+        """Return the structure of a scene from the file; None without it (collective)."""
         try:
-            if not self._files:
+            if not self._cached_files:
                 stored_file = read_result_file(self._path, comm)
-                stored_file.check_kind(KIND)
-                with stored_file.checked_datasets() as parts:
-                    self._files.append(unpack_dataclass(PreparedFile, parts))
-            file = self._files[0]
-            if file is None or file.structure.key != key_of(parts_shared(scene, comm)):
+                stored_file.check_kind(FILE_KIND)
+                with stored_file.checked_datasets() as datasets:
+                    self._cached_files.append(unpack_dataclass(PreparedFile, datasets))
+            prepared_file = self._cached_files[0]
+            if prepared_file is None or prepared_file.structure.key != dependencies_key(
+                structure_dependencies(scene, comm)
+            ):
                 return None
-            entry = file.make_structures(
-                scene, load_weights(file.structure.excitation, scene), comm
+            entry = prepared_file.make_structures(
+                scene, load_weights_from_rows(prepared_file.structure.excitation, scene), comm
             )
         except (InputError, *DATASET_ERRORS) as error:
-            self._files[:] = [None]
-            self._say(f"{self._path}: not used, {error}")
+            self._cached_files[:] = [None]
+            self._print_line(f"{self._path}: not used, {error}")
             return None
-        self._made[:], self._n_bytes = [(entry, scene)], _n_bytes(pack_dataclass(file))
-        words = f"the structure is taken from here ({self._n_bytes / 1e6:.3g} MB)"
-        self._say(f"{self._path}: {words}; --fresh computes it anew")
+        self._noted_entries[:], self._n_file_bytes = (
+            [(entry, scene)],
+            _count_bytes(pack_dataclass(prepared_file)),
+        )
+        source_text = f"the structure is taken from here ({self._n_file_bytes / 1e6:.3g} MB)"
+        self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
         return entry
 
-    def note(self, entry: Made, scene: Scene) -> None:
-        """Note a structure; the file gets the first one, or its replacement."""
-        if not self._made or self._made[0][0].parts[0] == entry.parts[0]:
-            self._made[:] = [(entry, scene)]
+    def note_structure(self, entry: SharedStructure, scene: Scene) -> None:
+        """Note a structure for the file, if it has the first one's mesh."""
+        if (
+            not self._noted_entries
+            or self._noted_entries[0][0].dependencies[0] == entry.dependencies[0]
+        ):
+            self._noted_entries[:] = [(entry, scene)]
 
-    def keep(self, comm: MPI.Comm) -> None:
-        """Write the file unless it has everything already (collective)."""
-        for entry, scene in self._made:
+    def write_structure(self, comm: MPI.Comm) -> None:
+        """Write the noted structure unless the file has as much (collective)."""
+        for entry, scene in self._noted_entries:
             if entry.comm.size < comm.size and comm.rank:
-                return  # each rank has one for itself
-            twins = entry.structure.compute_once(kept, from_matrices=True)
-            twins = [twin for twin in twins if twin.parts[1] == entry.parts[1]]  # of this load
-            parts = pack_dataclass(
-                PreparedFile(*(_datasets(kept_entry, scene) for kept_entry in (entry, *twins)))
+                return  # each rank has a structure for itself
+            coarser_entries = entry.structure.compute_once(
+                coarser_structure_cache, from_matrices=True
             )
-            if not self._n_bytes < (n_bytes := _n_bytes(parts)):
+            coarser_entries = [
+                coarser_entry
+                for coarser_entry in coarser_entries
+                if coarser_entry.dependencies[1] == entry.dependencies[1]
+            ]  # of this load
+            datasets = pack_dataclass(
+                PreparedFile(
+                    *(
+                        _gather_datasets(stored_entry, scene)
+                        for stored_entry in (entry, *coarser_entries)
+                    )
+                )
+            )
+            if not self._n_file_bytes < (n_bytes := _count_bytes(datasets)):
                 return
             try:
-                if n_bytes > MAX_BYTES:
-                    raise InputError("path", str(self._path), f"of at most {MAX_BYTES / 1e6:g} MB")
-                write_result_file(parts, self._path, KIND, scene, entry.comm, is_compressed=False)
+                if n_bytes > MAX_DATASET_BYTES:
+                    raise InputError(
+                        "path", str(self._path), f"of at most {MAX_DATASET_BYTES / 1e6:g} MB"
+                    )
+                write_result_file(
+                    datasets, self._path, FILE_KIND, scene, entry.comm, is_compressed=False
+                )
             except InputError as error:
-                self._say(f"the structure is not kept: {error}")
+                self._print_line(f"the structure is not kept: {error}")
 
 
-def _datasets(entry: Made, scene: Scene) -> PreparedStructure:
-    """Gather the datasets of a structure of a mesh (collective)."""
-    return PreparedStructure.of(
+def _gather_datasets(entry: SharedStructure, scene: Scene) -> PreparedStructure:
+    """Gather the datasets of a structure with its matrices (collective)."""
+    return PreparedStructure.gather(
         entry.structure, entry.structure.nodes.vtk_type,  # type: ignore[union-attr]
-        mass=Rows.of(local_rows(entry.structure.mass), entry.comm), key=key_of(entry.parts),
-        stiffness=Rows.of(local_rows(entry.structure.stiffness), entry.comm),
+        mass=SparseRows.gather(local_rows(entry.structure.mass), entry.comm),
+        key=dependencies_key(entry.dependencies),
+        stiffness=SparseRows.gather(local_rows(entry.structure.stiffness), entry.comm),
         excitation=np.array(force_parts(scene), dtype=float),
     )  # fmt: skip
 
 
-def _n_bytes(parts: Mapping[str, Any]) -> int:
-    """Return the size of all arrays among datasets [byte]."""
-    return sum(part.nbytes for part in parts.values() if isinstance(part, np.ndarray))
+def _count_bytes(datasets: Mapping[str, Any]) -> int:
+    """Return the total size of the arrays among datasets [byte]."""
+    return sum(dataset.nbytes for dataset in datasets.values() if isinstance(dataset, np.ndarray))

@@ -1,4 +1,4 @@
-"""Solution of a study: harmonic balance as its scene says, with the verdict on its stability."""
+"""Solution of a study by harmonic balance, with the verdict on its stability."""
 
 from __future__ import annotations
 
@@ -27,66 +27,75 @@ from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.observer import rows_requested
-from fenics_crack.study.prepare import FEW_DOFS, Study, prepare, reduced, reduction_of
+from fenics_crack.study.observer import make_requested_rows
+from fenics_crack.study.prepare import (
+    MAX_UNREDUCED_DOFS,
+    Study,
+    prepare,
+    reduce_study,
+    reduction_of,
+)
 
 
 @dataclass(frozen=True, repr=False)
-class Solved(Study):
+class SolvedStudy(Study):
     """A study with its solution, which may not have converged."""
 
     result: PeriodicSolution
 
 
-def _solved(study: Study, found: PeriodicSolution) -> Solved:
-    return Solved(study.scene, study.structure, study.contact, study.watched, found)
+def _solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
+    """Return a study together with its solution."""
+    return SolvedStudy(study.scene, study.structure, study.contact, study.watched, solution)
 
 
-def solve_prepared(
-    whole: Study, initial: PeriodicSolution | None = None, omega: float | None = None
-) -> Solved:
-    """Solve a study for its steady vibration; it is reduced first, if its modes are chosen
-    (collective).
+def solve_study(
+    study: Study, initial_solution: PeriodicSolution | None = None, omega: float | None = None
+) -> SolvedStudy:
+    """Solve a study for its steady vibration, reduced as its scene says (collective).
 
-    Without a tolerance it is sought from a solution of the same structure, if there is one, and
-    at another frequency than the scene's, if that is given.
+    With a tolerance, the number of modes is chosen unless given by the scene. Without a tolerance,
+    Newton's method starts from ``initial_solution`` (same structure), and ``omega`` [rad/s]
+    replaces the scene's load frequency.
     """
-    rows_requested(whole)  # before anything is solved: it may be refused
-    scene, law = whole.scene, whole.contact
-    omega, table = omega or scene.excitation.omega, scene.harmonic_balance
+    make_requested_rows(study)  # before anything is solved: this may raise InputError
+    scene, law = study.scene, study.contact
+    omega, balance_table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
-        study = reduced(whole)
-        linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
-        return _solved(study, linear)
-    if table.tolerance is None:
-        study = with_lines(reduced(whole), omega)
-        law = study.contact
+        reduced_study = reduce_study(study)
+        solution = solve_linear(reduced_study.structure, omega, harmonics=balance_table.harmonics)
+        return _solved_study(reduced_study, solution)
+    if balance_table.tolerance is None:
+        reduced_study = with_friction_lines(reduce_study(study), omega)
+        law = reduced_study.contact
         assert law is not None
-        check_memory(study.structure, table.harmonics)
-        problem = Problem(study.structure, omega, law, table.harmonics, table.samples)
-        solver = SOLVER_BY_FORM[table.form](problem, throw=False)
-        solution = solver.solve(initial)
-        solution = solution if table.error else solution.reported(UNESTIMATED_REPORT)
+        check_memory(reduced_study.structure, balance_table.harmonics)
+        n_harmonics, n_samples = balance_table.harmonics, balance_table.samples
+        problem = Problem(reduced_study.structure, omega, law, n_harmonics, n_samples)
+        solver = SOLVER_BY_FORM[balance_table.form](problem, throw=False)
+        solution = solver.solve(initial_solution)
+        solution = solution if balance_table.error else solution.reported(UNESTIMATED_REPORT)
     else:
-        smallest_structure = next(with_more_modes(whole)).structure  # kept
-        whole = replace(whole, contact=slide_along_lines(smallest_structure, omega, law))
-        study, solution = _solve_to_tolerance(whole)
-    structure = study.structure
-    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
+        smallest_structure = next(reduce_with_more_modes(study)).structure  # reused below
+        study = replace(study, contact=slide_along_lines(smallest_structure, omega, law))
+        reduced_study, solution = _solve_to_tolerance(study)
+    structure = reduced_study.structure
+    # The verdict of other structures takes minutes.
+    is_stability_quick = is_piecewise_linear(law) or structure.n_dofs <= MAX_UNREDUCED_DOFS
     if is_rigid(law):
-        quick = structure.light_lips
-    if solution.converged and quick and is_small(structure) and table.error:
+        is_stability_quick = structure.light_lips
+    if solution.converged and is_stability_quick and is_small(structure) and balance_table.error:
         begin_stage("stability")
         solution = replace(solution, stability=floquet(structure, solution))
-    return _solved(study, solution)
+    return _solved_study(reduced_study, solution)
 
 
-def whole_study(source: Scene | Study, comm: MPI.Comm) -> Study:
-    """Return a scene prepared but not reduced; a study as it is (collective)."""
+def prepare_unreduced_study(source: Scene | Study, comm: MPI.Comm) -> Study:
+    """Prepare a scene without reduction; return a study as it is (collective)."""
     return source if isinstance(source, Study) else prepare(source, comm, whole=True)
 
 
-def required_law(study: Study) -> ContactLaw:
+def required_contact_law(study: Study) -> ContactLaw:
     """Return the contact law of a study; InputError if it has none."""
     if study.contact is None:
         if study.scene.structure is not None:
@@ -98,80 +107,105 @@ def required_law(study: Study) -> ContactLaw:
     return study.contact
 
 
-def with_lines(study: Study, omega: float) -> Study:
-    """Return a study with friction of a solid along lines (collective).
+def with_friction_lines(study: Study, omega: float) -> Study:
+    """Return a study whose friction acts along fixed lines in a solid (collective).
 
-    Along them pairs slide without friction at a frequency [rad/s].
+    The lines are those along which pairs slide without friction at the load frequency ``omega``
+    [rad/s].
     """
     if study.contact is None:
         return study
     return replace(study, contact=slide_along_lines(study.structure, omega, study.contact))
 
 
-def _solve_to_tolerance(whole: Study) -> tuple[Study, PeriodicSolution]:
-    """The solution to the tolerance, and its study with the modes that it takes."""
-    scene, table, studies = whole.scene, whole.scene.harmonic_balance, list[Study]()
-    law = whole.contact
+def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution]:
+    """Solve an unreduced study to its tolerance; return the reduced study and the solution."""
+    scene, balance_table, reduced_studies = (
+        unreduced_study.scene,
+        unreduced_study.scene.harmonic_balance,
+        list[Study](),
+    )
+    law = unreduced_study.contact
     assert law is not None
 
-    def structures() -> Iterator[Structure]:
-        for study in with_more_modes(whole):
-            studies.append(study)
+    def iterate_structures() -> Iterator[Structure]:
+        for study in reduce_with_more_modes(unreduced_study):
+            reduced_studies.append(study)
             yield study.structure
 
-    problem = Problem(whole.structure, scene.excitation.omega, law, table.harmonics)
+    problem = Problem(
+        unreduced_study.structure, scene.excitation.omega, law, balance_table.harmonics
+    )
     solution = solve_to_tolerance(
         Solver(problem, throw=False),
-        table.given("tolerance"),
-        structures=structures(),
+        balance_table.given("tolerance"),
+        structures=iterate_structures(),
         modes_key=scene.modes_key,
     )
-    return next(study for study in studies if study.structure is solution.structure), solution
+    return next(
+        study for study in reduced_studies if study.structure is solution.structure
+    ), solution
 
 
 # --- how many modes -------------------------------------------------------------------------------
 
 
-MOST_OF_MANY = 40
-"""Most modes that a tolerance chooses for a curve or a sweep: with twice as many a curve takes four
-times as long."""
+MAX_MODES_FOR_MANY_SOLUTIONS = 40
+"""Maximum number of modes that a tolerance chooses for a curve or a sweep. With twice as many, a
+curve takes four times as long."""
 
 
-def modes_chosen(study: Study, most: int = MAX_MODES_FOR_MONODROMY) -> list[int]:
-    """Numbers of modes among which a study's tolerance chooses, from few on; none where the scene
-    says how many, has no tolerance, or is not reduced (collective)."""
-    scene, whole = study.scene, study.structure
-    if whole.whole is not whole:
-        return []
-    kept, table = reduction_of(scene, whole), scene.reduction
-    given = scene.disk is not None or (table is not None and table.modes is not None)
-    if kept is None or given or scene.harmonic_balance.tolerance is None or study.contact is None:
-        return []
-    of_file = not whole.has_matrices
-    large = kept.method == "massless" and (of_file or not is_small(whole))
-    if of_file:  # which holds so many and their reference
-        most = min(most, len(whole.compute_once(make_empty_receptance_list)[0].squares) // 2)
-    return mode_counts(whole, FIRST_MODES if large else kept.modes, most)
+def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY) -> list[int]:
+    """Return the ascending numbers of modes among which a tolerance chooses (collective).
 
-
-def reduced_to(whole: Study, modes: int) -> Study:
-    """A study with so many modes (collective)."""
-    kept = reduction_of(whole.scene, whole.structure)
-    keys = {"reduction.method": kept and kept.method, "reduction.modes": modes}
-    return reduced(replace(whole, scene=whole.scene.replace(keys)))
-
-
-def with_more_modes(whole: Study, most: int = MAX_MODES_FOR_MONODROMY) -> Iterator[Study]:
-    """A study with the numbers of modes among which its tolerance chooses, each reduced when it is
-    needed; else once, as its scene says (collective).
-
-    Few modes, and twice as many, are found together with those of their references: one after the
-    other they take two more factors, and of a plate 67 steps beside 106. At a tolerance of 1 % six
-    of ten plates took the second number or more.
+    The list is empty if the scene gives the number of modes, has no tolerance or no crack, or if
+    the structure is reduced already or not to be reduced.
     """
-    chosen, structure = modes_chosen(whole, most), whole.structure
-    if chosen[:1] == [FIRST_MODES] and structure.has_matrices:
+    scene, structure = study.scene, study.structure
+    if structure.whole is not structure:
+        return []
+    reduction, reduction_table = reduction_of(scene, structure), scene.reduction
+    has_given_modes = scene.disk is not None or (
+        reduction_table is not None and reduction_table.modes is not None
+    )
+    if (
+        reduction is None
+        or has_given_modes
+        or scene.harmonic_balance.tolerance is None
+        or study.contact is None
+    ):
+        return []
+    is_from_file = not structure.has_matrices
+    is_large = reduction.method == "massless" and (is_from_file or not is_small(structure))
+    if is_from_file:  # the file has twice as many modes: those of the reference
+        max_modes = min(
+            max_modes, len(structure.compute_once(make_empty_receptance_list)[0].squares) // 2
+        )
+    return mode_counts(structure, FIRST_MODES if is_large else reduction.n_modes, max_modes)
+
+
+def reduce_to_modes(study: Study, n_modes: int) -> Study:
+    """Reduce a study to a number of modes (collective)."""
+    reduction = reduction_of(study.scene, study.structure)
+    changes = {"reduction.method": reduction and reduction.method, "reduction.modes": n_modes}
+    return reduce_study(replace(study, scene=study.scene.replace(changes)))
+
+
+def reduce_with_more_modes(
+    study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
+) -> Iterator[Study]:
+    """Yield a study reduced with more and more modes, on demand (collective).
+
+    :func:`candidate_mode_counts` gives the numbers. If the list is empty, the study is reduced
+    once, as the scene says.
+
+    The first two numbers and their references share one computation of modes. Separate computations
+    take two more factors, and for a plate 67 steps beside 106. At a tolerance of 1 %, six of ten
+    plates took the second number or more.
+    """
+    candidate_counts, structure = candidate_mode_counts(study, max_modes), study.structure
+    if candidate_counts[:1] == [FIRST_MODES] and structure.has_matrices:
         receptance(structure, min(4 * FIRST_MODES, structure.n_dofs - structure.n_pairs))
-    yield from (reduced_to(whole, modes) for modes in chosen)
-    if not chosen:
-        yield reduced(whole)
+    yield from (reduce_to_modes(study, n_modes) for n_modes in candidate_counts)
+    if not candidate_counts:
+        yield reduce_study(study)

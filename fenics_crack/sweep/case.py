@@ -33,10 +33,20 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import rows_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
-from fenics_crack.study.observer import rows_requested
+from fenics_crack.study.observer import make_requested_rows
 from fenics_crack.study.plausibility import damping_ratios
-from fenics_crack.study.prepare import REFUSALS, Study, law_of, prepare, reduced
-from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen, reduced_to
+from fenics_crack.study.prepare import (
+    REFUSAL_EXCEPTIONS,
+    Study,
+    prepare,
+    reduce_study,
+    scene_contact_law,
+)
+from fenics_crack.study.solve import (
+    MAX_MODES_FOR_MANY_SOLUTIONS,
+    candidate_mode_counts,
+    reduce_to_modes,
+)
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
     UNDECIDED_PREFIX,
@@ -113,7 +123,7 @@ class SweepGeometry:
         """Geometry with the next number of modes; None if there is no larger number."""
         if len(self.mode_counts) < 2:
             return None
-        study_with_more_modes = reduced_to(self.unreduced_study, self.mode_counts[1])
+        study_with_more_modes = reduce_to_modes(self.unreduced_study, self.mode_counts[1])
         return replace(
             self,
             study=study_with_more_modes,
@@ -165,22 +175,24 @@ def build_geometry(
         scene, comm, whole=True, like=None if last_geometry is None else last_geometry.study
     )
     mode_counts = (
-        modes_chosen(unreduced_study, MOST_OF_MANY) if request.with_reduction_error else []
+        candidate_mode_counts(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
+        if request.with_reduction_error
+        else []
     )
     # Natural frequencies have no error of their own: they are of many modes.
-    many_mode_study = reduced(
-        unreduced_study, judged=request.with_reduction_error and not mode_counts
+    many_mode_study = reduce_study(
+        unreduced_study, with_reference=request.with_reduction_error and not mode_counts
     )
     structure = many_mode_study.structure
     if not is_small(structure):
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
         requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
         raise InputError("reduction.method", reduction_method, requirement)
-    rows_requested(many_mode_study)
+    make_requested_rows(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.all_cracks.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
-    study = reduced_to(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
+    study = reduce_to_modes(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
     watched_row_by_name = _find_watched_rows(study)
     return SweepGeometry(
         study,
@@ -309,7 +321,7 @@ def solve_chunk(
                 value_by_column |= solver.assess_stability(solution)
                 value_by_column["status"] += value_by_column.pop("remark", "")
             value_by_column |= {"gap": solution.gap_rows, "force": solution.force_rows}
-        except REFUSALS as error:
+        except REFUSAL_EXCEPTIONS as error:
             solver = CaseSolver(geometry)
             value_by_column["status"] = str(error)
         chunk_case_values.append(value_by_column | {"seconds": time.perf_counter() - start_time})
@@ -332,7 +344,7 @@ class CaseSolver:
         return self.solve_at_resonance(case) if request.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
-        """Solve a case at the given frequency; raises an error in :data:`REFUSALS` on failure."""
+        """Solve a case at the given frequency; raises an error in :data:`REFUSAL_EXCEPTIONS` on failure."""
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure_and_law(case)
         structure, law = self._structure, self._law
@@ -354,7 +366,7 @@ class CaseSolver:
         if self._last_case != comparable_case:
             self._last_case = comparable_case
             self._structure = self._geometry.structure_of_case(case)
-            self._law = law_of(case, self._structure)
+            self._law = scene_contact_law(case, self._structure)
 
     def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the resonance nearest to its frequency; raises as :meth:`solve`.
@@ -422,7 +434,7 @@ class CaseSolver:
             return {}
         try:
             stability = floquet(structure, solution)
-        except REFUSALS:
+        except REFUSAL_EXCEPTIONS:
             return {
                 "verdict": "undecided",
                 "remark": f"; {UNDECIDED_PREFIX}no multipliers were found",
@@ -467,7 +479,7 @@ def _observe_values(solution: PeriodicSolution, case: Scene, geometry: SweepGeom
     row_by_name = _find_load_direction_rows(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
     observed_displacements, value_by_column = solution.observe_rows(
-        row_matrix, rows_requested(geometry.study)
+        row_matrix, make_requested_rows(geometry.study)
     )
     for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
         value_by_quantity = {

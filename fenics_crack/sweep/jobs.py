@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
 from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSALS
+from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS
 from fenics_crack.sweep.case import (
     FREQUENCIES_ONLY_STATUS,
     CaseRequest,
@@ -123,7 +123,7 @@ class Worker:
             self._geometry_or_error = build_geometry(
                 scene, MPI.COMM_SELF, self._request, last_geometry
             )
-        except REFUSALS as error:
+        except REFUSAL_EXCEPTIONS as error:
             self._geometry_or_error = error
         except Exception:
             self._geometry_or_error = _make_unforeseen_error()
@@ -147,7 +147,7 @@ class Worker:
             and geometry_or_error.key == "reduction.method"
         )
         if geometry_or_error is None or (
-            isinstance(geometry_or_error, REFUSALS)
+            isinstance(geometry_or_error, REFUSAL_EXCEPTIONS)
             and not (is_too_large and self._request.ends_at_large_structure)
         ):
             reasons = [

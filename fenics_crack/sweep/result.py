@@ -60,11 +60,11 @@ from fenics_crack.basics.tables import (
 from fenics_crack.files.results import rebuild_solution
 from fenics_crack.files.store import StoredFile, read_header
 from fenics_crack.model.structure import Structure
-from fenics_crack.runs.conclusion import report_linearity
+from fenics_crack.runs.conclusion import describe_linearity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene, unit_of_key
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.prepare import law_of
+from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.sweep.case import CaseRequest, build_possible_geometries
 from fenics_crack.sweep.file import (
     CONTRADICTION_PREFIX,
@@ -389,7 +389,7 @@ class SweepResult(Tabular):
         Raises InputError if the stored waves do not fit the structure.
         """
         omega = float(self["omega"][case_index])
-        law = law_of(case, structure)
+        law = scene_contact_law(case, structure)
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         law = slide_along_lines(structure, omega, law)
@@ -548,7 +548,7 @@ class SweepResult(Tabular):
             f"it could not be estimated in {format_count(n_unknown_errors, 'case')}"
             if n_unknown_errors
             else "",
-            [*report_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
+            [*describe_linearity(self["closed_share"][is_converged]), ", ".join(verdict_texts)],
         )
 
     def _title(self) -> str:

@@ -12,7 +12,7 @@ from wheels import RING, SOLID, ring, wheel_of
 import fenics_crack as fc
 from fenics_crack.disk.wheel import Wheel, WheelStructure
 from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.study.meshes import finer_mesh
+from fenics_crack.study.meshes import refine_scene
 
 LAW = fc.UnilateralConstraint()
 
@@ -248,7 +248,7 @@ def resonance(scene: fc.Scene) -> tuple[float, int]:
 def test_resonance_of_the_cracked_blade(mesh: dict[str, Any]) -> None:
     """The ring of twelve: its true error by the mesh is below the stated one, and small."""
     scene = fc.Scene.from_mapping(RING).replace(mesh | {"disk.families": 1})
-    coarse = finer_mesh(scene, 0.5)
+    coarse = refine_scene(scene, 0.5)
     (own, dofs), (other, _) = map(resonance, (scene, coarse))
     stated = abs(own - other) / (coarse.mesh.given("size") / scene.mesh.given("size") - 1.0)
     true = abs(own - LIMIT)

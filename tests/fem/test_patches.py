@@ -18,7 +18,7 @@ import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.meshes import coarser_scene, finer_mesh
+from fenics_crack.study.meshes import make_coarser_scene, refine_scene
 
 STRESS = 1e6
 COLUMN = """
@@ -180,11 +180,11 @@ def test_their_error_is_stated() -> None:
 def test_patches_follow_the_mesh() -> None:
     """Their error is the mesh's: half as many with elements twice as long, a quarter on a solid."""
     for scene, factor in ((column(patches=8), 2), (solid_column(8), 4)):
-        coarse, fine = coarser_scene(scene), finer_mesh(scene, 2.0)
+        coarse, fine = make_coarser_scene(scene), refine_scene(scene, 2.0)
         assert isinstance(coarse, Scene) or scene.dimension == 3
-        coarse = finer_mesh(scene, 0.5)
+        coarse = refine_scene(scene, 0.5)
         assert (coarse.mesh.patches, fine.mesh.patches) == (8 // factor, 8 * factor)
-    assert "patch" in str(coarser_scene(column(patches=1)))
+    assert "patch" in str(make_coarser_scene(column(patches=1)))
 
 
 def test_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 import fenics_crack as fc
 import fenics_crack.cli
-from fenics_crack.study.solve import MOST_OF_MANY, modes_chosen
+from fenics_crack.study.solve import MAX_MODES_FOR_MANY_SOLUTIONS, candidate_mode_counts
 
 COARSE = {
     "reduction": None, "mesh.size": 0.03, "mesh.lip_elements": 4, "mesh.error": False,
@@ -40,7 +40,7 @@ def test_a_curve_has_the_modes_that_its_tolerance_takes() -> None:
 def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
     """A tolerance that takes more is not met, and it says what helps."""
     stricter = fc.curve(new_scene().replace(COARSE | {"harmonic_balance.tolerance": 1e-4}))
-    assert stricter.scene.given("reduction").modes == MOST_OF_MANY
+    assert stricter.scene.given("reduction").modes == MAX_MODES_FOR_MANY_SOLUTIONS
     assert "was asked; what helps: reduction.modes 80" in stricter.status
 
 
@@ -66,10 +66,10 @@ def test_each_case_of_a_sweep_meets_the_tolerance(tmp_path: Path) -> None:
 def test_modes_that_are_given_are_kept() -> None:
     """A number of modes, harmonics, or no contact leave nothing to choose."""
     scene = new_scene().replace(COARSE)
-    assert modes_chosen(fc.prepare(scene, whole=True)) == [10, 20, 40, 80, 120]
+    assert candidate_mode_counts(fc.prepare(scene, whole=True)) == [10, 20, 40, 80, 120]
     for keys in (
         {"reduction.modes": 7},
         {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 5},
         {"crack": None, "contact": None},
     ):
-        assert modes_chosen(fc.prepare(scene.replace(keys), whole=True)) == []
+        assert candidate_mode_counts(fc.prepare(scene.replace(keys), whole=True)) == []

@@ -134,18 +134,18 @@ def test_where_it_is_silent() -> None:
 
 def test_last_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """It names friction above the tolerance only; a search that fails is said."""
-    from fenics_crack.runs.conclusion import conclusion_of
+    from fenics_crack.runs.conclusion import make_conclusion
 
     for frequency, said in ((3560.0, True), (2000.0, False)):
         at = {"excitation.frequency": frequency, "harmonic_balance.tolerance": 0.1}
         run = fc.solve(FEW.replace(at), MPI.COMM_SELF)
         vars(run)["stated"] = run.errors
-        assert ("friction left out: about" in conclusion_of(run).sentence()) == said
+        assert ("friction left out: about" in make_conclusion(run).sentence()) == said
 
     def fails(*_: object) -> None:
         raise ConvergenceError("none")
 
-    monkeypatch.setattr("fenics_crack.errors.case.law_of", fails)
+    monkeypatch.setattr("fenics_crack.errors.case.scene_contact_law", fails)
     errors = fc.solve(FEW, MPI.COMM_SELF).errors
     assert errors.unknown["friction"] == "a run with friction has no solution"
     assert errors.stated("amplitude")[0] > 0.0

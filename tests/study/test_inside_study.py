@@ -27,16 +27,16 @@ from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, distribute_rows
 from fenics_crack.study import prepare
-from fenics_crack.study.meshes import finer_mesh
-from fenics_crack.study.observer import at_tips
+from fenics_crack.study.meshes import refine_scene
+from fenics_crack.study.observer import compute_tip_histories
 from fenics_crack.study.plausibility import (
     KeyFigures,
-    _rounded,
+    _round_to_three_digits,
     find_key_figures,
-    highest_omega,
+    highest_harmonic_omega,
+    load_frequency_range,
     remarks_on_scene,
     scales_with_load,
-    span_of,
 )
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
@@ -72,14 +72,14 @@ def test_of_what_nothing_holds() -> None:
     elastic = shapes[:, 2:]
     compliance = (elastic / squares[2:]) @ elastic.T
     assert list(figures.omega_open[:2]) == [0.0, 0.0]
-    assert figures.own_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
-    assert figures.static_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
+    assert figures.face_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
+    assert figures.static_gap_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
     omega = np.sqrt(np.abs(squares))
     omega[:2] = 0.0
     at = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
     at[4:] = 1.0 / omega[4:] ** 2  # only four modes move, the others follow
     moved = gap @ (shapes * at) @ shapes.T @ force
-    assert figures.gap_motion == pytest.approx(abs(moved), rel=1e-7)
+    assert figures.peak_gap_motion == pytest.approx(abs(moved), rel=1e-7)
 
 
 def test_all_harmonics_of_a_load_count() -> None:
@@ -96,8 +96,10 @@ def test_all_harmonics_of_a_load_count() -> None:
         at = 1.0 / (squares - omega**2 + 0.2j * np.sqrt(squares) * omega)
         return float(abs(gap @ (shapes * at) @ shapes.T @ force))
 
-    assert figures.gap_motion == pytest.approx(moved(1.1, first) + moved(3.3, third), rel=1e-9)
-    assert figures.static_motion == pytest.approx(moved(0.0, first) + moved(0.0, third), rel=1e-9)
+    assert figures.peak_gap_motion == pytest.approx(moved(1.1, first) + moved(3.3, third), rel=1e-9)
+    assert figures.static_gap_motion == pytest.approx(
+        moved(0.0, first) + moved(0.0, third), rel=1e-9
+    )
 
 
 def test_all_motions_are_tied() -> None:
@@ -118,7 +120,7 @@ def test_natural_frequencies_beside_other_numbers(mode: int, expected_modes: tup
         np.eye(5), chain_stiffness(np.ones(6)), gap=np.eye(5)[2], force_sin=np.eye(5)[0],
         damping=fc.ModalDamping(0.1),
     )  # fmt: skip
-    study = replace(study_of(structure), watched=(prepare.Watched("", "last mass", 4),))
+    study = replace(study_of(structure), watched=(prepare.WatchedDisplacement("", "last mass", 4),))
     solution = fc.solve_harmonic_balance(structure, 1.1, study.contact, harmonics=3)
     numbers = numbers_of(study, solution, mode)
     is_open = {name: value for name, value in numbers.values.items() if "omega_open" in name}
@@ -137,14 +139,14 @@ def test_against_dense_algebra() -> None:
     )
     gap = structure.gap.toarray()
     compliance = gap.T @ np.linalg.solve(stiffness, gap)
-    np.testing.assert_allclose(figures.own_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
+    np.testing.assert_allclose(figures.face_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
     np.testing.assert_allclose(figures.stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9)
     mean, cosine, sine = (gap.T @ np.linalg.solve(stiffness, f) for f in structure.force)
     assert figures.mean_opening == pytest.approx(max(0.0, -mean.min()), rel=1e-9)
-    assert figures.static_motion == pytest.approx(np.hypot(cosine, sine).max(), rel=1e-9)
+    assert figures.static_gap_motion == pytest.approx(np.hypot(cosine, sine).max(), rel=1e-9)
     omega = np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_open, omega[:4], rtol=1e-8)
-    assert figures.modes_below == np.sum(omega < 5 * 2000.0)
+    assert figures.n_modes_below == np.sum(omega < 5 * 2000.0)
     tied = np.sqrt(scipy.linalg.eigh(stiffness + 1e16 * gap @ gap.T, mass, eigvals_only=True))
     np.testing.assert_allclose(figures.omega_tied, tied[:4], rtol=1e-3)
     ratio = scene.damping.ratio
@@ -154,8 +156,8 @@ def test_against_dense_algebra() -> None:
     motion = np.linalg.solve(
         dynamic + 2000.0j * rates, structure.force[1] - 1j * structure.force[2]
     )
-    assert figures.displacement == pytest.approx(abs(motion[structure.watched_dof]), rel=1e-3)
-    assert figures.gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
+    assert figures.peak_displacement == pytest.approx(abs(motion[structure.watched_dof]), rel=1e-3)
+    assert figures.peak_gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
 
 
 @pytest.mark.usefixtures("predicted_errors")
@@ -163,9 +165,9 @@ def test_against_dense_algebra() -> None:
 def test_lips_that_never_meet_or_part(share: float) -> None:
     """One pair: a clearance, or a preload, just below and just above what the load moves."""
     free = figures_of(PAPER)
-    assert free.breathes and free.closed == 0
+    assert free.breathes and free.n_closed_pairs == 0
     law = fc.UnilateralPenalty(1e11)
-    away = PAPER.replace({"crack.clearance": share * free.gap_motion})
+    away = PAPER.replace({"crack.clearance": share * free.peak_gap_motion})
     found = fc.solve_harmonic_balance(fc.build_structure(away), 2000.0, law)
     touching = np.abs(found.force_coefficients).max() > 1e-6
     assert figures_of(away).breathes == touching == (share < 1.0)
@@ -177,7 +179,7 @@ def test_lips_that_never_meet_or_part(share: float) -> None:
     depth = np.ptp(force) / 2.0 / force.mean()  # clearance of -1 m: where the force just vanishes
     near = PAPER.replace({"crack.clearance": -float(depth) / share})
     orbit = fc.solve_harmonic_balance(fc.build_structure(near), 2000.0, law)
-    assert figures_of(near).closed == 1
+    assert figures_of(near).n_closed_pairs == 1
     assert figures_of(near).breathes == (orbit.contact_force(times).min() <= 0.0) == (share > 1.0)
 
 
@@ -220,7 +222,7 @@ def test_uncracked_plate() -> None:
     """Frequencies alone; nothing meets or parts."""
     scene = PAPER.replace({"crack": None, "contact": None})
     figures = figures_of(scene)
-    assert figures.elements is None and not figures.own_stiffness.size
+    assert figures.n_face_elements is None and not figures.face_stiffness.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
     assert not remarks_on_scene(scene, figures=figures)
 
@@ -248,9 +250,13 @@ def test_breathing_frequency_is_of_one_shape() -> None:
 def test_frequencies_asked_for() -> None:
     """Of each command, from its own table or the excitation."""
     scene = PAPER.replace({"curve.start": 3000.0, "curve.stop": 1000.0})
-    assert span_of(scene, "curve") == (1000.0, 3000.0)
-    assert span_of(scene, "solve") == span_of(scene, "sweep") == (2000.0, 2000.0)
-    assert highest_omega(scene, "curve") == 5 * 3000.0
+    assert load_frequency_range(scene, "curve") == (1000.0, 3000.0)
+    assert (
+        load_frequency_range(scene, "solve")
+        == load_frequency_range(scene, "sweep")
+        == (2000.0, 2000.0)
+    )
+    assert highest_harmonic_omega(scene, "curve") == 5 * 3000.0
 
 
 def test_proportional_to_the_load() -> None:
@@ -270,7 +276,7 @@ def test_proportional_to_the_load() -> None:
 def test_a_rotor_that_keeps_its_crack_open() -> None:
     """It is named by the key of its speed."""
     figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
-    open_by_speed = replace(figures, breathes=False, closed=0)
+    open_by_speed = replace(figures, breathes=False, n_closed_pairs=0)
     turning = PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2})
     [remark] = remarks_on_scene(turning, figures=open_by_speed)
     assert remark.key == "rotation.rpm" and "never closes" in remark.text
@@ -283,7 +289,7 @@ def test_elements_along_each_lip() -> None:
     scene = PAPER.replace(changes | {"mesh.size": 0.05, "mesh.lip_elements": 4})
     inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
     for one in (scene, scene.replace(inside)):
-        assert figures_of(one).elements == 4
+        assert figures_of(one).n_face_elements == 4
         remarks = remarks_on_scene(one, figures=figures_of(one))
         assert not any("elements" in str(remark) for remark in remarks)
 
@@ -307,9 +313,11 @@ def test_what_does_not_fit_is_refused(
 
 def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
     """Krylov vectors and shapes; a factor for each harmonic."""
-    few = prepare.reduction_memory(wide_plate, 10, "massless")
-    assert few < prepare.reduction_memory(wide_plate, 100, "massless")
-    assert prepare.whole_memory(wide_plate, 5) < prepare.whole_memory(wide_plate, 50)
+    few = prepare.estimate_reduction_memory(wide_plate, 10, "massless")
+    assert few < prepare.estimate_reduction_memory(wide_plate, 100, "massless")
+    assert prepare.estimate_unreduced_memory(wide_plate, 5) < prepare.estimate_unreduced_memory(
+        wide_plate, 50
+    )
 
 
 def test_parts_of_what_a_solid_needs() -> None:
@@ -330,24 +338,24 @@ def test_parts_of_what_a_solid_needs() -> None:
         structure = fc.build_structure(solid, MPI.COMM_SELF)
         with Factor(structure.stiffness) as factor:
             entries = int(factor._factor.getMumpsInfog(9))
-        assert 0.5 < prepare._factor_memory(structure) / (8.0 * entries) < 2.0
+        assert 0.5 < prepare._estimate_factor_memory(structure) / (8.0 * entries) < 2.0
         _, columns, values = structure.stiffness.getValuesCSR()
-        assert prepare._matrix_memory(structure) == columns.nbytes + values.nbytes
+        assert prepare._estimate_matrix_memory(structure) == columns.nbytes + values.nbytes
 
 
 def test_memory_that_is_freed_does_not_count(
     paper_scene: fc.Scene, wide_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is given back where there would not be enough otherwise."""
-    prepare.give_back_freed()
-    before = prepare.check_memory_of(paper_scene, wide_plate)
+    prepare.release_freed_memory()
+    before = prepare.estimate_checked_memory(paper_scene, wide_plate)
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (before + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
     with pytest.raises(fc.InputError, match=r"^mesh.columns = 2: "):
-        prepare.check_memory_of(paper_scene, wide_plate)
+        prepare.estimate_checked_memory(paper_scene, wide_plate)
     pieces[:-1] = []  # the last one holds the others' memory for the process
-    assert prepare.check_memory_of(paper_scene, wide_plate) < before + 1e7
+    assert prepare.estimate_checked_memory(paper_scene, wide_plate) < before + 1e7
 
 
 def ordered_by(sides: int, dimension: int, dofs: int) -> int:
@@ -435,7 +443,7 @@ def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
 def test_meshes_of_a_solid_are_similar() -> None:
     """Elements at the front, and what each next one is longer by, have the same ratio in all."""
     solid = fc.Scene.load(DEMOS.parent / "fenics_crack" / "cli" / "new_solid.toml")
-    finer = [finer_mesh(solid, factor) for factor in (1.5, 2.0)]
+    finer = [refine_scene(solid, factor) for factor in (1.5, 2.0)]
     meshes = [solid.mesh, *(scene.mesh for scene in finer if scene is not None)]
     fronts, rises = [], []
     for mesh in meshes:
@@ -492,8 +500,8 @@ def test_method_of_integration(
 ])  # fmt: skip
 def test_ends_of_a_proposed_range(value: float, below: float, above: float) -> None:
     """Three digits, outwards."""
-    assert _rounded(value, math.floor) == pytest.approx(below, rel=1e-14)
-    assert _rounded(value, math.ceil) == pytest.approx(above, rel=1e-14)
+    assert _round_to_three_digits(value, math.floor) == pytest.approx(below, rel=1e-14)
+    assert _round_to_three_digits(value, math.ceil) == pytest.approx(above, rel=1e-14)
 
 
 def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
@@ -506,9 +514,9 @@ def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
         row_products=motion, forces=force, n_pairs=2, structure=structure, periods=1.0
     )
     station = SimpleNamespace(adjacent_pairs=np.array([0, 1]))
-    (at_station,) = at_tips(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
-    assert np.array_equal(at_station.one, [3.0, 0.0, 0.0]) and at_station.closed == 3.0
+    (at_station,) = compute_tip_histories(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
+    assert np.array_equal(at_station.K_I, [3.0, 0.0, 0.0]) and at_station.closed_front_error == 3.0
     record.row_products = motion[:, :2]
     tip = Tip("the crack tip", 0, np.zeros(2), np.ones(2), 0.01, 0.001)
-    (at_plate_tip,) = at_tips(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
-    assert np.array_equal(at_plate_tip.one, motion[:, 0])
+    (at_plate_tip,) = compute_tip_histories(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
+    assert np.array_equal(at_plate_tip.K_I, motion[:, 0])

@@ -11,16 +11,21 @@ from rotating import cracked
 from surroundings import RunCommand
 
 import fenics_crack as fc
-from fenics_crack.study.plausibility import find_key_figures, proposed_curve
-from fenics_crack.study.resonance import SEE_CURVE, AtLoad, meeting_speed, resonance_of
+from fenics_crack.study.plausibility import find_key_figures, propose_curve
+from fenics_crack.study.resonance import (
+    SEVERAL_MODES_TEXT,
+    LoadResonance,
+    find_study_resonance,
+    order_crossing_speed,
+)
 
 DEMOS = ROOT / "demos"
 
 
-def at_load(scene: fc.Scene) -> AtLoad:
+def at_load(scene: fc.Scene) -> LoadResonance:
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
-    return resonance_of(study, figures.omega_bilinear, figures.slopes)
+    return find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
 
 
 def test_plate() -> None:
@@ -45,7 +50,7 @@ def test_plate() -> None:
 def test_what_is_not_known() -> None:
     """It is said why: several modes, a smooth law, no damping, no crack; friction is left out."""
     several = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
-    assert several.in_words == SEE_CURVE and several.value > 0.0
+    assert several.in_words == SEVERAL_MODES_TEXT and several.value > 0.0
     plate = fc.Scene.load(DEMOS / "blade.toml")
     smooth = {"contact.law": "smoothed", "contact.sharpness": 1e9, "contact.stiffness": 1e10}
     assert "law" in at_load(plate.replace(smooth)).unknown
@@ -59,10 +64,10 @@ def test_what_is_not_known() -> None:
 def test_speed_that_meets_an_order() -> None:
     """Of (n W)^2 = w^2 + S (W^2 - W_0^2); never where it is not real."""
     for slope in (0.0, 1.5, -2.0):
-        met = meeting_speed(4.0, 100.0, 430.0, slope)
+        met = order_crossing_speed(4.0, 100.0, 430.0, slope)
         square = 430.0**2 + slope * (met**2 - 100.0**2)
         assert met == pytest.approx(math.sqrt(square) / 4.0, rel=1e-12)
-    assert math.isnan(meeting_speed(1.0, 100.0, 430.0, 1.5))
+    assert math.isnan(order_crossing_speed(1.0, 100.0, 430.0, 1.5))
 
 
 def test_rotor_has_one_answer() -> None:
@@ -100,10 +105,10 @@ def test_proposed_curve_meets_its_peak() -> None:
     scene = fc.Scene.load(DEMOS / "blade.toml").replace({"curve": None})
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
-    found = resonance_of(study, figures.omega_bilinear, figures.slopes)
-    curve = proposed_curve(study.scene, replace(figures, at_load=found))
+    found = find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
+    curve = propose_curve(study.scene, replace(figures, load_resonance=found))
     start, stop = curve.continuation_range[1:]
     assert start <= found.value - 3.0 * found.width < found.value + 3.0 * found.width <= stop
     keys = {"curve.start": start, "curve.stop": stop, "curve.parameter": "omega"}
     known = study.scene.replace(keys)
-    assert proposed_curve(known, replace(figures, at_load=found)) is None
+    assert propose_curve(known, replace(figures, load_resonance=found)) is None

@@ -14,7 +14,7 @@ from helpers import DEMOS
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.study.sharing import LAST
+from fenics_crack.study.sharing import LAST_STRUCTURES
 
 COARSE: dict[str, object] = {
     "mesh.size": 0.04, "mesh.lip_elements": 3, "mesh.order": 2, "crack.first_omega": None,
@@ -70,7 +70,7 @@ def test_as_alone(
     the matrices change, else none."""
     other = scene.replace(changes)
     expected = numbers(other)
-    LAST.clear()
+    LAST_STRUCTURES.clear()
     first = numbers(scene)
     meshes.clear()
     found = numbers(other)
@@ -86,7 +86,7 @@ def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
     """The last one, let go before another mesh is made; ranks that share another communicator do
     not share it."""
     fine = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
-    assert fine() is not None and len(LAST) == 1
+    assert fine() is not None and len(LAST_STRUCTURES) == 1
     fc.prepare(scene, MPI.COMM_SELF, whole=True)
     assert len(meshes) == 1
     fc.prepare(scene, MPI.COMM_WORLD, whole=True)
@@ -133,11 +133,11 @@ OTHER: dict[str, object] = {"excitation.omega": 2400.0, "damping.ratio": 0.03} |
 
 def both_on(scene: fc.Scene, comm: MPI.Comm) -> tuple[int, list[dict[str, Any]]]:
     """After a structure that one rank has for itself: two scenes, the second shared."""
-    LAST.clear()
+    LAST_STRUCTURES.clear()
     if comm.rank == 0:
         fc.prepare(scene, MPI.COMM_SELF, whole=True)
     found = [numbers(one, comm) for one in (scene, scene.replace(OTHER))]
-    return len(LAST), found
+    return len(LAST_STRUCTURES), found
 
 
 @pytest.mark.nightly
@@ -147,7 +147,7 @@ def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> Non
     count, found = on_ranks(both_on, scene)
     assert count == 1
     for one, changes in zip(found, ({}, OTHER), strict=True):
-        LAST.clear()
+        LAST_STRUCTURES.clear()
         expected = numbers(scene.replace(changes))
         assert one["amplitude"] == pytest.approx(expected["amplitude"], rel=1e-6)
         assert one["mesh amplitude"] == pytest.approx(expected["mesh amplitude"], rel=1e-3)

@@ -23,8 +23,8 @@ from test_artefact import FORGERIES, PLATE, put_number, shortened
 import fenics_crack as fc
 from fenics_crack.files.store import read_result_file
 from fenics_crack.scene.scene import known_keys
-from fenics_crack.study.sharing import LAST, SHELVES, parts_shared
-from fenics_crack.study.shelf import Shelf, key_of
+from fenics_crack.study.sharing import LAST_STRUCTURES, STRUCTURE_FILES, structure_dependencies
+from fenics_crack.study.shelf import StructureFile, dependencies_key
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -72,7 +72,7 @@ def path(plate: Path, solved: Path) -> Path:
 
 def run(command: str, scene: Path, *words: str) -> int:
     """Run a command as in a new process, which remembers no structure."""
-    LAST.clear()
+    LAST_STRUCTURES.clear()
     return int(main([command, str(scene), "--quiet", *words]))
 
 
@@ -171,7 +171,10 @@ def test_digest_has_what_a_structure_follows_from() -> None:
             word = () if key == "sweep.over" else "another"  # axes may name files
             value: Any = (held[0] if number else held).with_values(**{name: word})
             vars(other)[table] = (value,) if number else value
-            before, after = (key_of(parts_shared(one, MPI.COMM_SELF)) for one in (scene, other))
+            before, after = (
+                dependencies_key(structure_dependencies(one, MPI.COMM_SELF))
+                for one in (scene, other)
+            )
             assert (before == after) == bool(FREE.match(key)), key
             break
         else:
@@ -240,10 +243,13 @@ def test_forged_files_are_not_used(
         with changed(path) as file:
             forge(file)
         said: list[str] = []
-        assert Shelf(path, said.append, is_read=True).take(scene, MPI.COMM_SELF) is None, name
+        assert (
+            StructureFile(path, said.append, is_read=True).read_structure(scene, MPI.COMM_SELF)
+            is None
+        ), name
         assert len(said) == 1 and "not used" in said[0] and "\n" not in said[0], name
     path.write_bytes(content[:-1000])
-    LAST.clear()
+    LAST_STRUCTURES.clear()
     capfd.readouterr()
     assert main(["solve", str(plate)]) in (0, 4)
     said = lines_of(capfd.readouterr().err)
@@ -257,13 +263,13 @@ def test_what_cannot_be_kept_is_said(
     """In one line, of a large one and where no file can be written; the command goes on."""
     folder = plate.parent / "output" / "plate"
     (folder / "prepared.h5").mkdir(parents=True)
-    LAST.clear()
+    LAST_STRUCTURES.clear()
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line
     (folder / "prepared.h5").rmdir()
-    monkeypatch.setattr("fenics_crack.study.shelf.MAX_BYTES", 1000)
-    LAST.clear()
+    monkeypatch.setattr("fenics_crack.study.shelf.MAX_DATASET_BYTES", 1000)
+    LAST_STRUCTURES.clear()
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line and not (folder / "prepared.h5").exists()
@@ -292,12 +298,12 @@ def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """That of a structure which two ranks have taken, and kept, together (collective)."""
     scene, path, said = fc.Scene.from_text(SMALL), Path(folder) / "prepared.h5", list[str]()
     for is_read in (False, True):
-        LAST.clear()
-        SHELVES[:] = [Shelf(path, said.append, is_read=is_read)]
+        LAST_STRUCTURES.clear()
+        STRUCTURE_FILES[:] = [StructureFile(path, said.append, is_read=is_read)]
         found = fc.solve(scene, comm)
         assert found.errors is not None
-        SHELVES[0].keep(comm)
-        SHELVES.clear()
+        STRUCTURE_FILES[0].write_structure(comm)
+        STRUCTURE_FILES.clear()
     assert comm.rank or len(said) == 1, said
     return float(found.amplitude(None))
 
@@ -331,11 +337,11 @@ def test_solids_take_their_structure(
 def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -> None:
     """One that an earlier scene of the process has left is no part of the file."""
     scene, said = fc.Scene.load(plate), list[str]()
-    LAST.clear()
+    LAST_STRUCTURES.clear()
     assert fc.solve(scene, MPI.COMM_SELF).errors is not None
     twice = scene.replace({"excitation.force_sin": [20.0, 0.0], "mesh.error": False})
-    SHELVES[:] = [Shelf(tmp_path / "prepared.h5", said.append, is_read=False)]
+    STRUCTURE_FILES[:] = [StructureFile(tmp_path / "prepared.h5", said.append, is_read=False)]
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
-    SHELVES[0].keep(MPI.COMM_SELF)
-    SHELVES.clear()
+    STRUCTURE_FILES[0].write_structure(MPI.COMM_SELF)
+    STRUCTURE_FILES.clear()
     assert "coarser_structure" not in read_result_file(tmp_path / "prepared.h5").datasets

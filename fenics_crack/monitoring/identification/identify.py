@@ -39,7 +39,7 @@ from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import MIN_ALLOWED_UNKNOWN_VALUES, Identify, Sweep
-from fenics_crack.study.meshes import finer_mesh
+from fenics_crack.study.meshes import refine_scene
 from fenics_crack.sweep.result import SweepResult, describe_by_reason, run_sweep
 
 IRRELEVANT = ("sweep", "curve", "integration", "identify", "tip_timing")
@@ -478,7 +478,7 @@ def _meshes(scene: Scene, factor: float) -> tuple[Scene, Scene | None]:
     if scene.harmonic_balance.tolerance is None and factor > 1.0:
         harmonics = min(100, math.ceil(factor * scene.harmonic_balance.harmonics))
         changes = {"harmonic_balance.harmonics": harmonics, "harmonic_balance.samples": None}
-    other = None if factor == 1.0 else finer_mesh(scene, factor)
+    other = None if factor == 1.0 else refine_scene(scene, factor)
     if other is None and not changes:
         return scene, None
     return (scene, (other or scene).replace(changes)) if factor > 1.0 else (other or scene, scene)
