@@ -6,8 +6,8 @@ the columns of sweeps, ``[output] quantities``, stated errors and the list in th
 from this table.
 
 A function to read a number takes the object at the place. :mod:`fenics_crack.motion.motions` has
-the classes ``Point`` and ``Faces``, :mod:`fenics_crack.study.observer` a ``TipHistory`` and ``ClampReactions`` of
-:mod:`fenics_crack.study.observer`.
+the classes ``Point`` and ``Faces``, :mod:`fenics_crack.study.observer` has ``TipHistory`` and
+``ClampReactions``.
 """
 
 from __future__ import annotations
@@ -180,12 +180,14 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
         read_number=lambda ellipse: np.ptp(ellipse.deepest_history.K_I.clip(0.0))),
     "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
-        read_number=lambda ellipse: np.mean([np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
+        read_number=lambda ellipse: np.mean(
+            [np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
     "delta_K_equivalent_deepest": _make_ellipse_row("range that makes it grow as much in depth",
         read_number=lambda ellipse: ellipse.deepest_history.equivalent_range),
     "delta_K_equivalent_surface": _make_ellipse_row(
         "range that makes it grow as much along the face",
-        read_number=lambda ellipse: np.mean([end.equivalent_range for end in ellipse.end_histories])),
+        read_number=lambda ellipse: np.mean(
+            [end.equivalent_range for end in ellipse.end_histories])),
     "reaction_force": _make_clamp_row("largest force of the clamp", "N",
         lambda reaction: _max_vector_norm(reaction.force)),
     "reaction_moment": _make_clamp_row("largest moment of the clamp, about its centre", "N m",

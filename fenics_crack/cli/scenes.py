@@ -100,11 +100,8 @@ def compute_and_print_figures(_: Namespace, inputs: CommandInputs, console: Cons
         range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
     if (curve_proposal := propose_curve(study.scene, key_figures)) is not None:
-        unit = CURVE_UNITS[curve_proposal.parameter][1]
-        values_by_label["proposed curve.parameter"] = (
-            curve.parameter,
-            CURVE_UNIT_BY_PARAMETER[curve.parameter][1],
-        )
+        unit = CURVE_UNIT_BY_PARAMETER[curve_proposal.parameter][1]
+        values_by_label["proposed curve.parameter"] = curve_proposal.parameter
         values_by_label[f"proposed curve.start [{unit}]"] = curve_proposal.start
         values_by_label[f"proposed curve.stop [{unit}]"] = curve_proposal.stop
     if scene.sweep is not None:

@@ -99,7 +99,7 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     if not 0.0 < relative_error < np.inf:  # zero at rest or without a cause; nan if unknown
         return ""
     cause_text = f", mostly due to the {main_cause}" if relative_error > 1e-4 else ""
-    error_text = f"{error_in_words(relative_error)}{cause_text}"
+    error_text = f"{format_error(relative_error)}{cause_text}"
     return ", ".join(filter(None, (error_text, run.stated.left_out)))
 
 
@@ -160,7 +160,7 @@ def _conclude_solution(run: StudyWithResult) -> Conclusion:
     if not solution.converged:
         return Conclusion("not converged", unknown_error_reason=unknown_error_reason)
     error_report, amplitude = solution.report, solution.amplitude(run.watched_dof)
-    amplitude_text = quantity(amplitude, "m")
+    amplitude_text = format_quantity(amplitude, "m")
     frequency_text = frequency_in_words(run.scene, solution.omega)
     error_text = f", estimated relative error of the gap {format_percent(error_report.total)}"
     if not error_report.estimated:
@@ -188,7 +188,7 @@ def _describe_crack_and_verdict(
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
         subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
-        opening_text = quantity(solution.faces["opening"], "m")
+        opening_text = format_quantity(solution.faces["opening"], "m")
         opening_error = run.stated.stated("opening")[0] if run.stated is not None else 0.0
         error_text = (
             f", estimated error {format_error(opening_error)},"
@@ -276,7 +276,7 @@ def _conclude_history(run: StudyWithResult) -> Conclusion:
             further_clauses=["free decay", *early_end_texts],
         )
     has_settled = history.settled <= integration_table.settle
-    amplitude_text = quantity(history.indicators(run.watched_dof).amplitude, "m")
+    amplitude_text = format_quantity(history.indicators(run.watched_dof).amplitude, "m")
     frequency_text = frequency_in_words(run.scene, run.scene.excitation.omega)
     answer_text = (
         f"at {frequency_text} the {displacement_name} is {amplitude_text} half peak-to-peak"
@@ -320,7 +320,7 @@ def describe_stability(stability: Stability | None, amplitude: float) -> list[st
         amplitude_text = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
             amplitude_ratio = stability.rest_amplitude / amplitude
-            rest_text = quantity(stability.rest_amplitude, "m")
+            rest_text = format_quantity(stability.rest_amplitude, "m")
             amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_text})"
         sentences.append(f"the motion from rest {stability.from_rest}{amplitude_text}")
     return sentences

@@ -374,7 +374,8 @@ class Campbell(SavedResult):
         if order is None:
             return Conclusion(outcome_text)
         crossing_texts = [
-            f"mode {mode} at {format_in_unit(axis, speed if resonance.unknown else resonance.value)}"
+            f"mode {mode} at "
+            f"{format_in_unit(axis, speed if resonance.unknown else resonance.value)}"
             for mode, speed, resonance in self._crossing_resonances(order)
         ]
         return Conclusion(

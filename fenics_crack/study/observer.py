@@ -154,7 +154,7 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     if structure is whole_structure:
         return inertia
     # These modes have mass, even if some coordinates have none.
-    known_modes = structure.known_modes(is_bonded=False)
+    known_modes = structure.known_omega_and_shapes(is_bonded=False)
     mode_shapes = np.eye(structure.n_dofs) if known_modes is None else known_modes[1]
     modal_inertia = whole_structure.sum_over_ranks(structure.expand(mode_shapes.T) @ inertia.T).T
     mass = structure.mass.getValues(range(structure.n_dofs), range(structure.n_dofs))

@@ -150,7 +150,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     )
     modal_damping_ratios = damping_ratios(structure, modes.omega)
     bilinear_frequencies = BilinearFrequencies(
-        modes.omega, bonded_modes.omega[match_bonded_modes(modes, bonded_modes)]
+        modes.omega, bonded_modes.omega[find_bonded_mode_indices(modes, bonded_modes)]
     )
     static_gaps = structure.apply_bt(static_displacements)
     modal_gaps = structure.apply_bt(modes.shapes.T)
@@ -231,7 +231,7 @@ def _solve_modes_and_statics(
     face_compliance : (n_pairs, n_pairs) [m/N]
         B^T K^-1 B.
     """
-    known_modes = structure.known_modes(is_bonded=False)
+    known_modes = structure.known_omega_and_shapes(is_bonded=False)
     max_modes = structure.n_dofs if known_modes is None else len(known_modes[0])
     n_modes, n_search_modes = min(N_FIGURE_MODES, max_modes), min(N_SEARCH_MODES, max_modes)
     with Factor(structure.stiffness, definite=True) as factor:
@@ -492,7 +492,8 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
 # --- resonances and curves ------------------------------------------------------------------------
 
 CURVE_UNIT_BY_PARAMETER = {
-    "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"), "rpm": (RAD_PER_S_PER_RPM, "rpm")
+    "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
+    "rpm": (RAD_PER_S_PER_RPM, "rpm"),
 }  # fmt: skip
 """Factor from a curve's parameter to [rad/s], and the parameter's unit."""
 
@@ -930,7 +931,8 @@ def _missed_first_frequency(
     curve_proposal = propose_curve(scene, figures)
     unit = CURVE_UNIT_BY_PARAMETER[curve.parameter][1]
     first_range = figures.omega_open[0], figures.omega_tied[0]
-    text = f"{curve.stop:g} {unit}: the first is between {format_in_unit(frequency_axis(True), *first_range)}"
+    range_text = format_in_unit(frequency_axis(True), *first_range)
+    text = f"{curve.stop:g} {unit}: the first is between {range_text}"
     if curve_proposal is not None:
         text += f"; start = {curve_proposal.start:g} and stop = {curve_proposal.stop:g} hold one"
     return float(first_range[0]), text

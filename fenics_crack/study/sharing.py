@@ -150,7 +150,8 @@ def structure_dependencies(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]
     mesh_dependencies = (
         scene.geometry, scene.material, _values_without_keys(scene.mesh, "error", "coarser"),
         pair_kind, [_values_without_keys(crack, "clearance") for crack in cracks],
-        scene.rotation, scene.disk, scene.structure, on_root(comm, lambda: scene_file_digests(scene)),
+        scene.rotation, scene.disk, scene.structure,
+        on_root(comm, lambda: scene_file_digests(scene)),
     )  # fmt: skip
     return (
         mesh_dependencies,

@@ -344,7 +344,7 @@ class CaseSolver:
         return self.solve_at_resonance(case) if request.at_resonance else self.solve(case)
 
     def solve(self, case: Scene) -> PeriodicSolution:
-        """Solve a case at the given frequency; raises an error in :data:`REFUSAL_EXCEPTIONS` on failure."""
+        """Solve a case at the given frequency; :data:`REFUSAL_EXCEPTIONS` are raised on failure."""
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure_and_law(case)
         structure, law = self._structure, self._law
