@@ -158,7 +158,10 @@ def _measured_by(
     of the resonances passed, with ``before`` of the blade before it had a crack."""
     from fenics_crack.arrivals.arrival_times import STEADY
     from fenics_crack.monitoring import scene_timing as timing
-    from fenics_crack.monitoring.identification.measurements import Measurements, without_crack
+    from fenics_crack.monitoring.identification.measurements import (
+        Measurements,
+        list_crack_removal_changes,
+    )
 
     blades, run = timing.arrivals_of_blades(scene, source, console.comm)
     [times] = blades.values()
@@ -166,7 +169,7 @@ def _measured_by(
     key = "--before" if before else "arrivals"
     if timing.is_run_up(times, run):
         with console.stage("resonances"):
-            blade = scene.replace(without_crack(scene) or {}) if before else scene
+            blade = scene.replace(list_crack_removal_changes(scene) or {}) if before else scene
             found = timing.modes_passed(blade, times)
         console.note(*(timing.passed_in_words(*one) for one in found))
         fits, modes, _ = zip(*found, strict=True) if found else ((), (), ())

@@ -194,10 +194,17 @@ def _measurements(given: Namespace, scene: Scene, before: Path | None) -> Measur
         raise InputError("measurements", None, allowed)
     if not files and before is None and not modes:
         return None
-    from fenics_crack.monitoring.identification.measurements import UNIVERSAL, Measurements
+    from fenics_crack.monitoring.identification.measurements import (
+        UNIVERSAL_FILE_SUFFIXES,
+        Measurements,
+    )
 
-    if modes and before is None and not any(one.suffix.lower() in UNIVERSAL for one in files):
-        allowed = f"left out without frequency responses ({', '.join(UNIVERSAL)})"
+    if (
+        modes
+        and before is None
+        and not any(one.suffix.lower() in UNIVERSAL_FILE_SUFFIXES for one in files)
+    ):
+        allowed = f"left out without frequency responses ({', '.join(UNIVERSAL_FILE_SUFFIXES)})"
         raise InputError("--modes", list(modes), allowed)
     parts = [Measurements.read(one, modes) for one in files]
     if before is not None:

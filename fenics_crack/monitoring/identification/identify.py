@@ -29,7 +29,7 @@ from fenics_crack.monitoring.identification.interpolation import MESH_AXIS, Load
 from fenics_crack.monitoring.identification.measurements import (
     Measurement,
     Measurements,
-    without_crack,
+    list_crack_removal_changes,
 )
 from fenics_crack.monitoring.identification.model import Model, is_free
 from fenics_crack.monitoring.identification.nuisance import Whole
@@ -233,7 +233,7 @@ def _unresolved(forward: Forward, measurements: Measurements) -> Iterator[str]:
     places = dict.fromkeys((row.frequency, row.point) for row in measurements.rows if row.shape)
     for model, (load, point) in itertools.product(forward.cracked.values(), places):
         larger, where = _larger_between(model, load, point)
-        if larger > OPTIONS.magnification:
+        if larger > OPTIONS.allowed_vibration_ratio:
             near = ", ".join(
                 f"{key} = {one:.4g}" for key, one in zip(model.keys, where, strict=True)
             )
@@ -283,7 +283,7 @@ class Forward:
 def _whole(scene: Scene, comm: MPI.Comm) -> Whole:
     """The plate of a scene without its crack, on every rank (collective)."""
     table = scene.given("identify")
-    plain = scene.replace(dict.fromkeys(IRRELEVANT) | (without_crack(scene) or {}))
+    plain = scene.replace(dict.fromkeys(IRRELEVANT) | (list_crack_removal_changes(scene) or {}))
     begin("plate without its crack")
     return on_root(comm, lambda: Whole(plain, table))
 
@@ -377,7 +377,7 @@ def solve_forward(
         every = _joined(every, run("forward", coarse, new), len(meshes) + place)
         axes[place] = axis
     cracked = others("forward", {}, [*meshes, *axes], every)
-    changes = without_crack(scene)
+    changes = list_crack_removal_changes(scene)
     if changes is None:
         return Forward(scene, axes, _models(scene, whole, loads, cracked), {})
     kept = [axis for axis in axes if not axis.key.startswith(("crack.", "contact."))]
@@ -403,7 +403,7 @@ def _joined(one: SweepResult, other: SweepResult, place: int) -> SweepResult:
 def _most(scene: Scene) -> int:
     """Maximum number of solved cases."""
     unknown = scene.given("identify").unknown
-    return OPTIONS.most_added * math.prod(len(axis.values) for axis in unknown)
+    return OPTIONS.max_case_ratio * math.prod(len(axis.values) for axis in unknown)
 
 
 def _denser(
@@ -414,7 +414,7 @@ def _denser(
     it would be too many cases."""
     seen = itertools.product(models, loads, scene.point_names or ("",))
     places = [] if is_free(scene) else [(_larger_between(*one)[0], *one) for one in seen]
-    if not places or max(place[0] for place in places) <= OPTIONS.magnification:
+    if not places or max(place[0] for place in places) <= OPTIONS.allowed_vibration_ratio:
         return None
     larger, model, load, point = max(places, key=lambda place: place[0])
     sizes = np.log(np.abs(model.coarse.harmonic(point, load, 1))).reshape(model.cube.shape)
@@ -427,7 +427,7 @@ def _denser(
     for axis in sorted(numbers, key=lambda axis: -steps[axis.key]):
         count = len(axis.values)
         most = (_most(scene) * count // cases - 1) // (count - 1)
-        parts = min(math.ceil(larger / OPTIONS.magnification), most)
+        parts = min(math.ceil(larger / OPTIONS.allowed_vibration_ratio), most)
         if parts > 1:
             at = np.arange((count - 1) * parts + 1) / parts
             between = np.interp(at, np.arange(count), axis.values).tolist()
@@ -450,7 +450,7 @@ def _interpolated(found: Identification) -> tuple[str, np.ndarray, np.ndarray] |
     mean = shares.mean(axis=0)
     at = int(mean.sum(axis=0).argmax())
     share = mean[:, at]
-    few = share.sum() <= OPTIONS.interpolated
+    few = share.sum() <= OPTIONS.allowed_interpolation_share
     return None if few else (found.measurements.rows[at].name, share, x)
 
 

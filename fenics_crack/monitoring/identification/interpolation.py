@@ -143,7 +143,9 @@ class Interpolation:
                 np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k)
                 for k, line in enumerate(cube.axes)
             )
-            self._errors = [OPTIONS.left_out * one.reshape(values.shape) for one in left]
+            self._errors = [
+                OPTIONS.leave_one_out_fraction * one.reshape(values.shape) for one in left
+            ]
             if of_filled.any():
                 self._errors.append(of_filled)
 
@@ -168,8 +170,10 @@ class Interpolation:
         if not self.cube.axes:
             return []
         nodes = self.cube.places(self.cube.nodes)
-        exponent = -0.5 / OPTIONS.averaging**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
-        count = min(OPTIONS.neighbours, len(nodes))
+        exponent = (
+            -0.5 / OPTIONS.error_average_width**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+        )
+        count = min(OPTIONS.max_averaged_nodes, len(nodes))
         near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
         exponent = np.take_along_axis(exponent, near, axis=1)
         weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))

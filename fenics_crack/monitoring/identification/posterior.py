@@ -179,8 +179,8 @@ class Branch:
         self.optima = _optima(likelihood, first, height)
         crack_deviations = likelihood.quantities.model.crack_deviations
         few = self.optima[:3]
-        reaches = [OPTIONS.reach * np.sqrt(np.diag(one.covariance)) for one in few]
-        wider = [OPTIONS.reach * crack_deviations(one.x[None])[0] for one in few]
+        reaches = [OPTIONS.refined_half_width * np.sqrt(np.diag(one.covariance)) for one in few]
+        wider = [OPTIONS.refined_half_width * crack_deviations(one.x[None])[0] for one in few]
         axes = []
         for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
             pieces = [axis]
@@ -194,7 +194,7 @@ class Branch:
         points = _points(axes)
         # Interpolate on the first grid where all of it around a point is far below the maximum.
         around = maximum_filter(height, size=3, mode="nearest")
-        least = self.optima[0].height - OPTIONS.skipped
+        least = self.optima[0].height - OPTIONS.allowed_grid_drop
         near = RegularGridInterpolator(first, around)(points) > least
         for optimum, reach in zip(few, reaches, strict=True):
             near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
@@ -277,13 +277,13 @@ def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
 
 def _pieces(points: np.ndarray) -> list[np.ndarray]:
     """Points (n, d) in batches."""
-    return np.array_split(points, -(-len(points) // OPTIONS.batch))
+    return np.array_split(points, -(-len(points) // OPTIONS.batch_size))
 
 
 def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) -> list[Optimum]:
     """Least squares from the highest points of a grid, without duplicates and much worse ones."""
     summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
-    best = sorted(summits, key=lambda at: -height[tuple(at)])[: OPTIONS.starts]
+    best = sorted(summits, key=lambda at: -height[tuple(at)])[: OPTIONS.max_least_squares_starts]
     found: list[Optimum] = []
     cube = likelihood.quantities.model.cube
     low, span = cube.low, cube.high - cube.low
@@ -306,7 +306,7 @@ def _optima(likelihood: Likelihood, axes: list[np.ndarray], height: np.ndarray) 
     kept: list[Optimum] = []
     for one in found:
         near = (np.all((one.x - two.x) ** 2 < np.diag(two.covariance)) for two in kept)
-        if one.height > found[0].height - OPTIONS.worse and not any(near):
+        if one.height > found[0].height - OPTIONS.allowed_optimum_drop and not any(near):
             kept.append(one)
     return kept
 

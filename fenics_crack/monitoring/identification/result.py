@@ -145,7 +145,7 @@ def advice(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
     model, rows = likelihood.quantities.model, likelihood.quantities.rows
     measured = {row.mode for row in rows if row.natural} or {1, 2}
     known = {row.mode for row in rows if row.quantity == "frequency_uncracked"}
-    found, relative = [], OPTIONS.frequency_deviation
+    found, relative = [], OPTIONS.advised_frequency_deviation
     if model.coarse.bare is not None and (missing := sorted(measured - known)):
         more = [
             Measurement("frequency_uncracked", hertz, relative * hertz, mode=mode)
@@ -269,7 +269,7 @@ class Identification(Tabular):
 
     @cached_property
     def _parts(self) -> list[tuple[str, np.ndarray, float]]:
-        return self.posterior.parts(self._table.confidence, OPTIONS.least_part)
+        return self.posterior.parts(self._table.confidence, OPTIONS.min_part_probability)
 
     @cached_property
     def _at(self) -> tuple[Branch, np.ndarray]:
@@ -383,7 +383,7 @@ class Identification(Tabular):
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = OPTIONS.frequency_deviation,
+        frequency_deviation: float = OPTIONS.advised_frequency_deviation,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
         """Worth of one more measurement, from the Fisher information at the estimate.
@@ -530,7 +530,7 @@ def _of_fit(found: Identification) -> list[str]:
     explains."""
     (total, chance), rows, said = found.misfit, found.measurements.rows, []
     least = 1.0 - found.priors["confidence"]
-    if found.posterior.unresolved > OPTIONS.least_part:
+    if found.posterior.unresolved > OPTIONS.min_part_probability:
         said.append(
             f"the grid does not resolve {found.posterior.unresolved:.0%} of the probability: the "
             "intervals may be far too small; use larger priors (identify.*_deviation), or measure "
